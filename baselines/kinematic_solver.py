@@ -1,0 +1,163 @@
+"""The kinematic solver KS: the equilibrium of platform and sagging cables at the measured lengths.
+
+References:
+    Allak et al., *Kinematics-Inertial Fusion for Localization of a 4-Cable Underactuated Suspended
+    Robot Considering Cable Sag*, IROS 2022.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.solve_record import SolveRecord, empty_record
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics.statics import Equilibrium, forward_kinematics
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Belief, Command, Measurement, Pose
+
+Seed = Literal["belief", "cold", "pose"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class KinematicSolverSettings:
+    """Settings of `KinematicSolver`.
+
+    Attributes:
+        seed: Where each solve starts: at the last solution (``"belief"``), nowhere in particular
+            (``"cold"``), or at a pose estimate from ``Measurement.pose`` (``"pose"``), as in the
+            IROS 2022 paper.
+        restart: Solve again without a seed where the seeded solve fails; restarts are counted.
+    """
+
+    seed: Seed = "belief"
+    restart: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown seed."""
+        if self.seed not in get_args(Seed):
+            raise InvalidField("seed", repr(self.seed), f"one of {list(get_args(Seed))}")
+
+
+class KinematicSolver:
+    """Catenary forward kinematics at every measurement; no motion, no noise model.
+
+    A pose counts as found where the solve converged to a stable equilibrium. Elsewhere the belief
+    keeps the last good pose, and ``belief.memory``, a `SolveRecord`, says so and counts it.
+    """
+
+    Settings: ClassVar = KinematicSolverSettings
+
+    def __init__(self, robot: Robot, settings: KinematicSolverSettings) -> None:
+        self._robot = robot
+        self._settings = settings
+
+    @classmethod
+    def build(
+        cls, robot: Robot, settings: KinematicSolverSettings | None = None, *, seed: int = 0
+    ) -> KinematicSolver:
+        """Make one for the nominal robot; it draws no random numbers, so `seed` has no effect."""
+        return cls(robot, settings or KinematicSolverSettings())
+
+    def reset(self, measurement: Measurement) -> Belief:
+        """Solve the first lengths, without a guess unless poses are the seed.
+
+        Raises:
+            InvalidField: Poses are the seed and the first measurement has none.
+        """
+        if self._settings.seed == "pose" and measurement.pose is None:
+            raise InvalidField(
+                "measurement.pose", None, "a pose, since the solver's seed is 'pose'"
+            )
+        size = len(measurement.unstrained_length)
+        home = Belief(
+            time=measurement.time,
+            position=np.tile(self._robot.home_position, (size, 1)),
+            rotation=np.tile(self._robot.home_rotation, (size, 1, 1)),
+            memory=empty_record(size),
+        )
+        return self._solve(home, measurement, measurement.pose if self._by_pose else None)
+
+    def update(self, belief: Belief, command: Command, measurement: Measurement) -> Belief:
+        """Solve the new lengths; the command is not used.
+
+        Where poses are the seed and this measurement has none, the solve starts at the last
+        solution instead, which ``belief.memory.unseeded`` counts.
+        """
+        if self._by_pose and measurement.pose is not None:
+            return self._solve(belief, measurement, measurement.pose)
+        if self._settings.seed == "cold":
+            return self._solve(belief, measurement, None)
+        record: SolveRecord = belief.memory
+        guess = record.solution
+        if guess is None:
+            guess = Pose(position=belief.position, rotation=belief.rotation)
+        return self._solve(belief, measurement, guess)
+
+    @property
+    def _by_pose(self) -> bool:
+        return self._settings.seed == "pose"
+
+    def _solve(
+        self, belief: Belief, measurement: Measurement, guess: Equilibrium | Pose | None
+    ) -> Belief:
+        """Solve from a guess, again without one where that fails, and keep what is good."""
+        lengths = measurement.unstrained_length
+        found = forward_kinematics(self._robot, lengths, guess=guess)
+        good = _is_good(found)
+        again = np.zeros(len(lengths), dtype=np.bool_)
+        position, rotation, tension = found.position, found.rotation, found.tension
+        residual = found.residual
+        if self._settings.restart and guess is not None and not good.all():
+            again = ~good
+            second = forward_kinematics(self._robot, lengths[again])
+            position, rotation, tension, residual, good = (
+                _put(old, again, new)
+                for old, new in (
+                    (position, second.position),
+                    (rotation, second.rotation),
+                    (tension, second.tension),
+                    (residual, second.residual),
+                    (good, _is_good(second)),
+                )
+            )
+        record: SolveRecord = belief.memory
+        return Belief(
+            time=measurement.time,
+            position=np.where(good[:, None], position, belief.position),
+            rotation=np.where(good[:, None, None], rotation, belief.rotation),
+            tension=_keep_tension(good, tension, belief.tension),
+            memory=replace(
+                record,
+                converged=good,
+                residual=residual,
+                updates=record.updates + 1,
+                failures=record.failures + ~good,
+                restarts=record.restarts + again,
+                unseeded=record.unseeded + int(self._by_pose and measurement.pose is None),
+                solution=found if good.all() and not again.any() else None,
+            ),
+        )
+
+
+def _is_good(found: Equilibrium) -> NDArray[np.bool_]:
+    """Where a solve gave a pose at which the platform can rest."""
+    return np.asarray(found.converged & found.stable)
+
+
+def _put(old: NDArray[Any], where: NDArray[np.bool_], new: NDArray[Any]) -> NDArray[Any]:
+    """A copy of `old` with the rows of `where` replaced."""
+    result = np.array(old)
+    result[where] = new
+    return result
+
+
+def _keep_tension(good: NDArray[np.bool_], new: Array, old: Array | None) -> Array | None:
+    """New tensions where they are good, the last good ones elsewhere; None where there are none."""
+    if good.all():
+        return new
+    return None if old is None else np.where(good[:, None], new, old)

@@ -1,0 +1,78 @@
+"""CaRoSaC Toolkit: estimation and control of cable-driven parallel robots whose cables sag.
+
+The names below are the public contract; each is imported when it is first used, so that
+``import carosac_toolkit`` stays light.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from carosac_toolkit import trajectories
+    from carosac_toolkit.errors import CarosacError, InvalidField, InvalidFile
+    from carosac_toolkit.physics import catenary, statics, straight_line, tension_distribution
+    from carosac_toolkit.recording import Recording, load_recording
+    from carosac_toolkit.robot import Robot
+    from carosac_toolkit.robot_file import list_robots, load_robot
+    from carosac_toolkit.values import Belief, Command, Measurement, Reference, State
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Belief": "values",
+    "CarosacError": "errors",
+    "Command": "values",
+    "InvalidField": "errors",
+    "InvalidFile": "errors",
+    "Measurement": "values",
+    "Recording": "recording",
+    "Reference": "values",
+    "Robot": "robot",
+    "State": "values",
+    "list_robots": "robot_file",
+    "load_recording": "recording",
+    "load_robot": "robot_file",
+}
+_MODULES = {
+    "catenary": "physics.catenary",
+    "statics": "physics.statics",
+    "straight_line": "physics.straight_line",
+    "tension_distribution": "physics.tension_distribution",
+    "trajectories": "trajectories",
+}
+
+__all__ = [
+    "Belief",
+    "CarosacError",
+    "Command",
+    "InvalidField",
+    "InvalidFile",
+    "Measurement",
+    "Recording",
+    "Reference",
+    "Robot",
+    "State",
+    "catenary",
+    "list_robots",
+    "load_recording",
+    "load_robot",
+    "statics",
+    "straight_line",
+    "tension_distribution",
+    "trajectories",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name at its first use."""
+    if name in _MODULES:
+        return import_module(f"{__name__}.{_MODULES[name]}")
+    if name in _HOME:
+        return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,70 @@
+"""Read-only float64 arrays, checked once where they enter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from carosac_toolkit.errors import InvalidField
+
+Array = NDArray[np.float64]
+
+
+def as_floats(name: str, value: ArrayLike) -> Array:
+    """Convert to float64, or say which field is not a number."""
+    try:
+        return np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidField(name, repr(value), "numbers") from error
+
+
+def frozen_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Copy to a read-only float64 array of exactly this shape, all finite.
+
+    Args:
+        name: Field name for the error message.
+        value: Anything numpy can turn into an array.
+        shape: The shape it must have.
+
+    Returns:
+        A new array with ``writeable`` off.
+
+    Raises:
+        InvalidField: A wrong shape, or an entry that is not finite (named by its index).
+    """
+    array = as_floats(name, value)
+    if array.shape != shape:
+        raise InvalidField(name, f"shape {array.shape}", f"shape {shape}")
+    if not np.isfinite(array).all():
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        where = f"{name}[{', '.join(map(str, index))}]" if index else name
+        raise InvalidField(where, array[index], "a finite number")
+    array.setflags(write=False)
+    return array
+
+
+def batch(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Array:
+    """Check an argument of shape (B, *trailing), finite, B >= 1; return it as contiguous float64.
+
+    Raises:
+        InvalidField: A missing batch axis, a wrong trailing shape or a value that is not finite.
+    """
+    array = np.ascontiguousarray(as_floats(name, value))
+    if array.ndim != 1 + len(trailing) or array.shape[1:] != trailing or len(array) == 0:
+        allowed = "(B, " + ", ".join(map(str, trailing)) + ")" if trailing else "(B,)"
+        raise InvalidField(name, f"shape {array.shape}", f"shape {allowed}, B >= 1")
+    if not np.isfinite(array).all():
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise InvalidField(
+            f"{name}[{', '.join(map(str, index))}]", array[index], "a finite number"
+        )
+    return array
+
+
+def set_frozen(instance: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Replace the named fields of a frozen dataclass by their `frozen_array`."""
+    for name, shape in shapes.items():
+        object.__setattr__(instance, name, frozen_array(name, getattr(instance, name), shape))

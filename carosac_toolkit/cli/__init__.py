@@ -1,0 +1,1 @@
+"""The command line ``carosac``: a thin shell over Python calls."""

@@ -1,0 +1,96 @@
+"""Entry point of ``carosac``: finds the command, reads its options, runs it, writes its JSON."""
+
+from __future__ import annotations
+
+import ast
+import os
+import sys
+from collections.abc import Sequence
+from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+
+from carosac_toolkit import __version__
+from carosac_toolkit.errors import CarosacError
+
+_USAGE = """usage: carosac COMMAND [options]
+
+Estimation and control of cable-driven parallel robots whose cables sag.
+
+commands:
+{commands}
+
+options of every command:
+  -h, --help   what the command does, and its options
+  --json FILE  write the numbers that it prints to FILE as well
+  --seed N     seed of everything random
+
+exit status: 0 fine; 1 it ran, but the answer is negative; 2 bad input, nothing written"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run ``carosac`` and return its exit status.
+
+    Args:
+        arguments: Command and options; by default those of the process.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        if not words or words[0] in ("-h", "--help"):
+            print(_USAGE.format(commands=_summaries()))
+            return 0 if words else 2
+        if words[0] == "--version":
+            print(f"carosac {__version__}")
+            return 0
+        return _run(words[0], words[1:])
+    except CarosacError as error:
+        print(f"carosac: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("carosac: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader, such as `head`, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _commands() -> dict[str, EntryPoint]:
+    """Find all commands, ours and those of other installed packages, by name."""
+    return {entry.name: entry for entry in sorted(entry_points(group="carosac.commands"))}
+
+
+def _run(name: str, words: list[str]) -> int:
+    """Run one command with its own arguments."""
+    import tyro
+
+    from carosac_toolkit.cli.common import CommandResult, check_writable, write_json
+    from carosac_toolkit.registry import load
+
+    module: ModuleType = load("commands", name)
+    options = tyro.cli(
+        module.Options, args=words, prog=f"carosac {name}", description=module.__doc__
+    )
+    json_path: Path | None = getattr(options, "json", None)
+    check_writable("--json", json_path)
+    answer = module.run(options)
+    result = answer if isinstance(answer, CommandResult) else CommandResult(status=int(answer))
+    if json_path is not None:
+        write_json(json_path, result.data)
+    return result.status
+
+
+def _summaries() -> str:
+    """List the commands with the first line of their docstrings, without importing them."""
+    commands = _commands()
+    width = max((len(name) for name in commands), default=0)
+    return "\n".join(f"  {name:<{width}}  {_summary(entry)}" for name, entry in commands.items())
+
+
+def _summary(entry: EntryPoint) -> str:
+    """Read a command's summary from its source."""
+    spec = find_spec(entry.module)
+    if spec is None or spec.origin is None:
+        return f"(not installed: {entry.value})"
+    source = Path(spec.origin).read_text(encoding="utf-8")
+    return (ast.get_docstring(ast.parse(source)) or "").partition("\n")[0]

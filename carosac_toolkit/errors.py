@@ -1,0 +1,48 @@
+"""Every deliberate error of the toolkit: it names the field, the value and what is allowed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+class CarosacError(Exception):
+    """Base of all errors raised on purpose; the command line prints it and exits with status 2."""
+
+
+class InvalidField(CarosacError):
+    """A value outside what its field allows.
+
+    Attributes:
+        field: Name of the field or argument, with an index where it has one: ``tension_min[3]``.
+        value: The value as the user wrote it, with its unit.
+        allowed: What would have been accepted.
+    """
+
+    def __init__(self, field: str, value: object, allowed: str) -> None:
+        super().__init__(f"{field}: got {value}; allowed: {allowed}")
+        self.field = field
+        self.value = value
+        self.allowed = allowed
+
+
+class InvalidFile(CarosacError):
+    """A file with one or more faults, all of them in one message.
+
+    Attributes:
+        path: The file.
+        faults: One line per fault.
+    """
+
+    def __init__(self, path: object, faults: Sequence[str]) -> None:
+        count = f"{len(faults)} fault" + ("s" if len(faults) != 1 else "")
+        super().__init__("\n  ".join([f"{path}: {count}", *faults]))
+        self.path = str(path)
+        self.faults = tuple(faults)
+
+
+class MissingFile(CarosacError):
+    """A file that is not there."""
+
+    def __init__(self, path: object, hint: str = "") -> None:
+        super().__init__(f"{path}: no such file" + (f"; {hint}" if hint else ""))
+        self.path = str(path)

@@ -1,0 +1,74 @@
+"""Single cables between two points, and the shape of hanging cables."""
+
+import warp as wp
+
+from carosac_toolkit.physics.cable_kernels import (
+    HALF,
+    TINY,
+    ZERO,
+    Cable,
+    catenary_span,
+    guess_tension_vector,
+    hang,
+    settle,
+)
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+
+@wp.kernel
+def solve_catenary(
+    span: wp.array(dtype=wp.float64),
+    rise: wp.array(dtype=wp.float64),
+    length: wp.array(dtype=wp.float64),
+    weight: wp.array(dtype=wp.float64),
+    stiffness: wp.array(dtype=wp.float64),
+    horizontal: wp.array(dtype=wp.float64),
+    vertical_lower: wp.array(dtype=wp.float64),
+    closure: wp.array(dtype=wp.float64),
+    jacobian: wp.array(dtype=wp.mat22d),
+    iterations: wp.array(dtype=int),
+):
+    """One cable per thread, lower end at the origin, upper end at (span, 0, rise)."""
+    b = wp.tid()
+    cable = Cable()
+    cable.exit_point = wp.vec3d(span[b], ZERO, rise[b])
+    cable.weight_per_length = weight[b]
+    cable.axial_stiffness = stiffness[b]
+    origin = wp.vec3d()
+    q = guess_tension_vector(cable.exit_point, length[b], weight[b], stiffness[b])
+    size = length[b] + wp.abs(span[b]) + wp.abs(rise[b])
+    s = settle(q, origin, length[b], cable, wp.float64(1.0e-11) * size, 100)
+    steps = s.iterations
+    best = wp.length(s.hanging.closure)
+    for _polish in range(4):
+        # Newton once more, for as long as it still gains: the floor is rounding.
+        q = s.q - s.inverse * s.hanging.closure
+        trial = settle(q, origin, length[b], cable, wp.float64(1.0e30), 0)
+        if wp.length(trial.hanging.closure) < best:
+            best = wp.length(trial.hanging.closure)
+            s = trial
+    force = s.hanging.force
+    horizontal[b] = force[0]
+    vertical_lower[b] = force[2]
+    closure[b] = best
+    jacobian[b] = wp.mat22d(s.inverse[0, 0], s.inverse[0, 2], s.inverse[2, 0], s.inverse[2, 2])
+    iterations[b] = steps
+
+
+@wp.kernel
+def cable_points(
+    cables: wp.array2d(dtype=Cable),
+    unstrained_length: wp.array2d(dtype=wp.float64),
+    q: wp.array2d(dtype=wp.vec3d),
+    points: wp.array3d(dtype=wp.vec3d),
+):
+    """Points along each free cable, evenly spaced in unstrained length, exit first."""
+    b, i = wp.tid()
+    cable = cables[wp.min(b, cables.shape[0] - 1), i]
+    state = hang(q[b, i], wp.vec3d(), unstrained_length[b, i], cable)
+    last = points.shape[2] - 1
+    for k in range(points.shape[2]):
+        part = state.free_length * wp.float64(k) / wp.float64(last)
+        span = catenary_span(q[b, i], part, cable.weight_per_length, cable.axial_stiffness)
+        points[b, i, k] = state.tangent_point - span.reach

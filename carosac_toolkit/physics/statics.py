@@ -1,0 +1,301 @@
+"""Statics of a platform on sagging cables: lengths to pose, pose to lengths, for any n.
+
+Conventions: world frame W with z up; twists and wrenches linear first, in W, at the platform
+origin; `unstrained_length` is the material between a cable's datum and its anchor point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from carosac_toolkit.arrays import Array, batch
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics import catenary_kernels, forward_kernels, inverse_kernels, warp_setup
+from carosac_toolkit.physics.cable_kernels import mat66d, vec6d
+from carosac_toolkit.physics.device import Buffers, device_robot, kept_buffers
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Pose
+
+RESIDUAL = 1e-9  # of the weight: a larger wrench left over is no equilibrium
+GAP = 1e-10  # [m]: a larger closure is no equilibrium
+REASONS = ("not converged", "converged", "no tensions within the limits")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Equilibrium:
+    """B poses of rest. Where `converged` is False the other numbers are the last attempt.
+
+    Attributes:
+        position: Platform origin in W [m], shape (B, 3).
+        rotation: Rotation from P to W, shape (B, 3, 3).
+        unstrained_length: Datum to anchor, at zero tension [m], shape (B, n).
+        tension: At the platform [N], shape (B, n).
+        residual: Norm of the wrench left over, moments divided by the largest lever arm [N], (B,).
+        gap: Largest distance by which a cable misses its anchor point [m], shape (B,).
+        converged: Whether this is an equilibrium that fulfils what was asked, shape (B,).
+        stable: Whether the stiffness at constant lengths is positive definite, shape (B,).
+        slack: Whether a tension is below `tension_min`, shape (B, n).
+        stiffness: -d wrench / d (translation, rotation vector) in W at the platform origin, at
+            constant lengths, shape (B, 6, 6): blocks in N/m, N, N and N m.
+        exit_tension: Tension vector at the exit, pointing from platform to exit [N], (B, n, 3).
+        status: Index into `REASONS`, shape (B,).
+        iterations: Newton steps, shape (B,).
+    """
+
+    position: Array
+    rotation: Array
+    unstrained_length: Array
+    tension: Array
+    residual: Array
+    gap: Array
+    converged: NDArray[np.bool_]
+    stable: NDArray[np.bool_]
+    slack: NDArray[np.bool_]
+    stiffness: Array
+    exit_tension: Array
+    status: NDArray[np.int32]
+    iterations: NDArray[np.int32]
+
+
+def forward_kinematics(
+    robot: Robot,
+    unstrained_length: ArrayLike,
+    *,
+    guess: Equilibrium | Pose | None = None,
+    device: str = "cpu",
+) -> Equilibrium:
+    """Pose of rest for given cable lengths.
+
+    Among several stable equilibria the one below the guess in energy is found: the solver only
+    walks downhill. Without a guess it starts at the robot's home pose.
+
+    Args:
+        robot: Robot description, n cables.
+        unstrained_length: [m], shape (B, n).
+        guess: An earlier `Equilibrium` of the same batch (fastest), a `Pose`, or None.
+        device: Warp device.
+
+    Returns:
+        The equilibria; nothing is clipped, and a slack cable is reported, no error.
+
+    Raises:
+        InvalidField: A wrong shape, a length that is not finite and positive, or a guess of
+            another batch size.
+    """
+    length = batch("unstrained_length", unstrained_length, (robot.n,))
+    if (length <= 0.0).any():
+        b, i = (int(k) for k in np.argwhere(length <= 0.0)[0])
+        raise InvalidField(f"unstrained_length[{b}, {i}]", f"{length[b, i]} m", "> 0 m")
+    size = len(length)
+    _check_guess(guess, size, robot)
+    buffers = _buffers(robot, size, device)
+    buffers.put("unstrained_length", length)
+    warm = _put_guess(robot, buffers, guess, size)
+    warp_setup.load(forward_kernels, device)
+    cables, bodies = device_robot(robot, device)
+    buffers.launch(
+        f"forward{warm}", forward_kernels.forward, size, cables, bodies, warm,
+        "unstrained_length", "position", "rotation", "q", "inverse", "tension", "stiffness",
+        "residual", "gap", "status", "stable", "iterations",
+    )  # fmt: skip
+    return _equilibrium(robot, buffers)
+
+
+def inverse_kinematics(
+    robot: Robot,
+    position: ArrayLike,
+    rotation: ArrayLike | None = None,
+    *,
+    guess: Equilibrium | Pose | None = None,
+    device: str = "cpu",
+) -> Equilibrium:
+    """Cable lengths and tensions that hold the platform origin at a position, at rest.
+
+    With n >= 6 cables the rotation is held and the tensions are the least squared ones within
+    ``[tension_min, tension_max]``. With n < 6 the rotation is free: among the statically stable
+    equilibria near the guess, the one with the least squared tensions within the limits.
+
+    Args:
+        robot: Robot description, n cables.
+        position: Platform origin in W [m], shape (B, 3).
+        rotation: Rotation from P to W, shape (B, 3, 3); None is the home rotation. With n < 6 it
+            must be None.
+        guess: Where the search for a free rotation starts; unused with n >= 6.
+        device: Warp device.
+
+    Returns:
+        The equilibria. Where no tensions within the limits were found `converged` is False and
+        `status` says so; nothing is clipped.
+
+    Raises:
+        InvalidField: A wrong shape, numbers that are not finite, or a rotation for n < 6.
+    """
+    where = batch("position", position, (3,))
+    size = len(where)
+    free = robot.n < 6
+    if free and rotation is not None:
+        raise InvalidField("rotation", "a rotation", f"None: {robot.n} cables leave it free")
+    _check_guess(guess, size, robot)
+    held = _held_rotation(robot, rotation if not free else None, size)
+    buffers = _buffers(robot, size, device)
+    buffers.put("position", where)
+    buffers.put("rotation", guess.rotation if free and guess is not None else held)
+    warp_setup.load(inverse_kernels, device)
+    _launch_inverse(robot, buffers, size, free, device)
+    return _equilibrium(robot, buffers)
+
+
+def _launch_inverse(robot: Robot, buffers: Buffers, size: int, free: bool, device: str) -> None:
+    """Solve, then judge the answer by its lengths alone."""
+    cables, bodies = device_robot(robot, device)
+    common = (cables, bodies, "position", "rotation", "unstrained_length", "q", "tension", "wanted")
+    if free:
+        buffers.launch(
+            "free", inverse_kernels.inverse_free, size, *common,
+            "column", "twist", "bound", "status", "iterations",
+        )  # fmt: skip
+    else:
+        buffers.launch(
+            "held", inverse_kernels.inverse_held, size, *common,
+            "lower", "upper", "middle", "column", "status", "iterations",
+        )  # fmt: skip
+    buffers.launch(
+        "evaluate", inverse_kernels.evaluate, size, cables, bodies, "unstrained_length",
+        "position", "rotation", "q", "inverse", "tension", "stiffness", "residual", "gap",
+        "stable",
+    )  # fmt: skip
+
+
+def cable_shape(
+    robot: Robot, equilibrium: Equilibrium, samples: int = 24, *, device: str = "cpu"
+) -> Array:
+    """Points along the free part of each hanging cable.
+
+    Args:
+        robot: Robot description, n cables.
+        equilibrium: B equilibria of this robot.
+        samples: Points per cable, at least 2, evenly spaced in unstrained length.
+        device: Warp device.
+
+    Returns:
+        Points in W [m], shape (B, n, samples, 3): tangent point first, anchor point last.
+    """
+    if samples < 2:
+        raise InvalidField("samples", samples, "samples >= 2")
+    warp_setup.load(catenary_kernels, device)
+    cables, _ = device_robot(robot, device)
+    shape = equilibrium.unstrained_length.shape
+    points = wp.zeros((*shape, samples), dtype=wp.vec3d, device=device)
+    inputs = [
+        cables,
+        wp.array(equilibrium.unstrained_length, dtype=wp.float64, device=device),
+        wp.array(equilibrium.exit_tension, dtype=wp.vec3d, device=device),
+        points,
+    ]
+    wp.launch(catenary_kernels.cable_points, shape, inputs=inputs, device=device)
+    found: Array = points.numpy()
+    return found
+
+
+def sag(robot: Robot, equilibrium: Equilibrium, *, samples: int = 101) -> Array:
+    """Largest distance of each free cable from the chord between its ends [m], shape (B, n)."""
+    points = cable_shape(robot, equilibrium, samples)
+    chord = points[:, :, -1] - points[:, :, 0]
+    unit = chord / np.linalg.norm(chord, axis=-1, keepdims=True)
+    offset = points - points[:, :, :1]
+    along = np.einsum("bnsi,bni->bns", offset, unit)
+    across = offset - along[..., None] * unit[:, :, None]
+    distance: Array = np.linalg.norm(across, axis=-1).max(axis=-1)
+    return distance
+
+
+def _check_guess(guess: Equilibrium | Pose | None, size: int, robot: Robot) -> None:
+    """Refuse a guess of another batch size or robot."""
+    if guess is None:
+        return
+    if len(guess.position) != size:
+        raise InvalidField("guess", f"{len(guess.position)} poses", f"{size}, as the batch")
+    if isinstance(guess, Equilibrium) and guess.exit_tension.shape[1] != robot.n:
+        raise InvalidField("guess", f"{guess.exit_tension.shape[1]} cables", f"{robot.n} cables")
+
+
+def _put_guess(
+    robot: Robot, buffers: Buffers, guess: Equilibrium | Pose | None, size: int
+) -> int:
+    """Fill in the start; 1 where tension vectors are known as well."""
+    if guess is None:
+        buffers.put("position", np.broadcast_to(robot.home_position, (size, 3)))
+        buffers.put("rotation", np.broadcast_to(robot.home_rotation, (size, 3, 3)))
+        return 0
+    buffers.put("position", guess.position)
+    buffers.put("rotation", guess.rotation)
+    if isinstance(guess, Pose):
+        return 0
+    buffers.put("q", guess.exit_tension)
+    return 1
+
+
+def _held_rotation(robot: Robot, rotation: ArrayLike | None, size: int) -> Array:
+    """The rotation to hold, checked."""
+    if rotation is None:
+        return np.broadcast_to(robot.home_rotation, (size, 3, 3))
+    held = batch("rotation", rotation, (3, 3))
+    if len(held) != size:
+        raise InvalidField("rotation", f"shape {held.shape}", f"shape ({size}, 3, 3)")
+    product = np.einsum("bij,bkj->bik", held, held)
+    bad = (np.abs(product - np.eye(3)).max(axis=(1, 2)) > 1e-6) | (np.linalg.det(held) < 0.0)
+    if bad.any():
+        raise InvalidField(f"rotation[{int(np.argmax(bad))}]", "no rotation", "R R^T = 1, det +1")
+    return held
+
+
+def _buffers(robot: Robot, size: int, device: str) -> Buffers:
+    """Buffers for a batch of this size, made at its first use."""
+    warp_setup.initialise()
+    n = robot.n
+
+    def make() -> Buffers:
+        per_cable = (size, n)
+        shapes: dict[str, tuple[Any, Any]] = {
+            "position": (size, wp.vec3d), "rotation": (size, wp.mat33d),
+            "stiffness": (size, mat66d), "residual": (size, wp.float64),
+            "gap": (size, wp.float64), "status": (size, int), "stable": (size, int),
+            "iterations": (size, int), "unstrained_length": (per_cable, wp.float64),
+            "tension": (per_cable, wp.float64), "q": (per_cable, wp.vec3d),
+            "inverse": (per_cable, wp.mat33d), "wanted": (per_cable, wp.float64),
+            "lower": (per_cable, wp.float64), "upper": (per_cable, wp.float64),
+            "middle": (per_cable, wp.float64), "column": (per_cable, vec6d),
+            "twist": (per_cable, wp.vec3d), "bound": (per_cable, int),
+        }  # fmt: skip
+        arrays = {k: wp.zeros(s, dtype=t, device=device) for k, (s, t) in shapes.items()}
+        return Buffers(device, arrays)
+
+    return kept_buffers(robot, ("statics", size, device), make)
+
+
+def _equilibrium(robot: Robot, buffers: Buffers) -> Equilibrium:
+    """Copy the answer out and judge it."""
+    tension = buffers.get("tension")
+    residual, gap, status = (buffers.get(k) for k in ("residual", "gap", "status"))
+    sound = (residual <= RESIDUAL * robot.weight) & (gap <= GAP)
+    converged = (status == 1) & sound
+    return Equilibrium(
+        position=buffers.get("position"),
+        rotation=buffers.get("rotation"),
+        unstrained_length=buffers.get("unstrained_length"),
+        tension=tension,
+        residual=residual,
+        gap=gap,
+        converged=converged,
+        stable=buffers.get("stable") == 1,
+        slack=tension < robot.tension_min * (1.0 - 1e-9),
+        stiffness=buffers.get("stiffness"),
+        exit_tension=buffers.get("q"),
+        status=np.where(converged, 1, np.where(status == 1, 0, status)).astype(np.int32),
+        iterations=buffers.get("iterations"),
+    )

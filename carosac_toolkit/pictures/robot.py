@@ -1,0 +1,194 @@
+"""A robot at home, drawn in three dimensions, from above and from two sides."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.robot import Robot
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from carosac_toolkit.robot_report import RobotReport
+
+CABLE = "#1f6f8b"
+FRAME = "#3a3a3a"
+PLATFORM = "#c8553d"
+BOX = "#8a8a8a"
+
+
+def draw_robot(report: RobotReport) -> Figure:
+    """Draw frame, cables as they hang, platform, workspace box and home position.
+
+    Args:
+        report: The robot and how it hangs at home.
+
+    Returns:
+        A figure without a window; ``savefig`` writes it.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.0, 7.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.55, 1.0))
+    space = figure.add_subplot(grid[:, 0], projection="3d")
+    limits = _limits(report)
+    _draw_space(space, report, limits)
+    _draw_plane(figure.add_subplot(grid[0, 1]), report, (0, 1), limits)
+    _draw_plane(figure.add_subplot(grid[1, 1]), report, (1, 2), limits)
+    robot = report.robot
+    figure.suptitle(
+        f"{robot.name}: {robot.n} cables, {report.constraint}"
+        f"{', suspended' if report.suspended else ''}; platform {robot.mass:g} kg, "
+        f"largest sag at home {report.sag.max() * 1e3:.3g} mm"
+    )
+    handles, labels = space.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    return figure
+
+
+def _limits(report: RobotReport) -> Array:
+    """Lower and upper end of the drawn range of each axis [m], shape (3, 2)."""
+    robot = report.robot
+    points = np.vstack(
+        [robot.exit_points, robot.workspace_min, robot.workspace_max, report.shape.reshape(-1, 3)]
+    )
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    lower[2] = min(lower[2], 0.0)
+    margin = 0.06 * float((upper - lower).max())
+    on_floor = points[:, 2].min() < lower[2] + 0.5 * margin
+    below = margin * np.array([1.0, 1.0, 0.5 if on_floor else 0.0])
+    return np.stack([lower - below, upper + margin], axis=1)
+
+
+def _draw_space(axes: Any, report: RobotReport, limits: Array) -> None:
+    """Draw the view in three dimensions."""
+    from matplotlib.ticker import MaxNLocator
+
+    robot = report.robot
+    for k, edge in enumerate(_box_edges(robot)):
+        axes.plot(*edge.T, color=BOX, lw=0.9, ls="--", label=None if k else "workspace box")
+    for point in robot.exit_points:
+        post = np.array([[*point[:2], limits[2, 0]], point])
+        axes.plot(*post.T, color=FRAME, lw=0.6, alpha=0.25)
+    for k, curve in enumerate(report.shape):
+        axes.plot(*curve.T, color=CABLE, lw=1.4, label=None if k else "cables at home")
+    axes.scatter(
+        *robot.exit_points.T, color=FRAME, s=28, marker="s", label="exit points", depthshade=False
+    )
+    _draw_platform(axes, report)
+    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
+    spans = limits[:, 1] - limits[:, 0]
+    axes.set_box_aspect(spans / spans.max(), zoom=0.98)
+    axes.view_init(elev=20.0, azim=-52.0)
+    for axis, name, span in zip((axes.xaxis, axes.yaxis, axes.zaxis), "xyz", spans, strict=True):
+        axis.set_label_text(f"{name} [m]")
+        axis.labelpad = 12.0 * span / spans.max() - 2.0
+        axis.set_major_locator(MaxNLocator(nbins=max(2, round(7 * span / spans.max()))))
+        axis.set_tick_params(labelsize=8)
+    for name, point in _labels(robot, 0.08 * spans.max()):
+        axes.text(*(point + [0.0, 0.0, 0.025 * spans.max()]), name, fontsize=7, ha="center")
+
+
+def _labels(robot: Robot, near: float) -> list[tuple[str, Array]]:
+    """Cable names and where to write them [m]; exit points nearer than `near` share a label."""
+    groups: list[list[int]] = []
+    for i, point in enumerate(robot.exit_points):
+        for group in groups:
+            if np.linalg.norm(robot.exit_points[group[0]] - point) < near:
+                group.append(i)
+                break
+        else:
+            groups.append([i])
+    return [
+        (", ".join(robot.cable_names[i] for i in group), robot.exit_points[group].mean(axis=0))
+        for group in groups
+    ]
+
+
+def _draw_platform(axes: Any, report: RobotReport) -> None:
+    """Draw the platform as the hull of its anchor points, with its frame and home position."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    anchors = _anchors(report)
+    faces = _faces(anchors)
+    patch = Poly3DCollection(faces, facecolor=PLATFORM, edgecolor=PLATFORM, alpha=0.35, lw=0.8)
+    axes.add_collection3d(patch)
+    axes.scatter(*anchors.T, color=PLATFORM, s=10, label="anchor points", depthshade=False)
+    axes.scatter(
+        *report.robot.home_position[:, None], color="black", s=45, marker="+", label="home position",
+        depthshade=False,
+    )  # fmt: skip
+
+
+def _draw_plane(axes: Any, report: RobotReport, pair: tuple[int, int], limits: Array) -> None:
+    """Draw one projection, axes to scale."""
+    robot = report.robot
+    columns = list(pair)
+    for edge in _box_edges(robot):
+        axes.plot(*edge[:, columns].T, color=BOX, lw=0.9, ls="--")
+    for curve in report.shape:
+        axes.plot(*curve[:, columns].T, color=CABLE, lw=1.2)
+    anchors = _anchors(report)[:, columns]
+    axes.fill(*_hull(anchors).T, facecolor=PLATFORM, edgecolor=PLATFORM, alpha=0.35)
+    axes.plot(*anchors.T, ".", color=PLATFORM, ms=3)
+    axes.plot(*robot.exit_points[:, columns].T, "s", color=FRAME, ms=4)
+    axes.plot(*robot.home_position[columns], "+", color="black", ms=8)
+    names = [f"{axis} [m]" for axis in "xyz"]
+    axes.set(xlabel=names[pair[0]], ylabel=names[pair[1]])
+    axes.set(xlim=limits[pair[0]], ylim=limits[pair[1]], aspect="equal")
+    axes.set_title("from above" if pair == (0, 1) else "along x", fontsize=9)
+    axes.grid(alpha=0.25)
+
+
+def _anchors(report: RobotReport) -> Array:
+    """Anchor points at home in W [m], shape (n, 3)."""
+    home = report.equilibrium
+    points: Array = home.position[0] + report.robot.anchor_points @ home.rotation[0].T
+    return points
+
+
+def _box_edges(robot: Robot) -> list[Array]:
+    """The twelve edges of the workspace box [m], each of shape (2, 3)."""
+    corners = np.stack([robot.workspace_min, robot.workspace_max])
+    edges = []
+    for axis in range(3):
+        others = [k for k in range(3) if k != axis]
+        for picks in product((0, 1), repeat=2):
+            edge = corners.copy()
+            for other, pick in zip(others, picks, strict=True):
+                edge[:, other] = corners[pick, other]
+            edges.append(edge)
+    return edges
+
+
+def _hull(points: Array) -> Array:
+    """Convex hull of points in a plane, in order, shape (m, 2); the points where they are on a line."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        corners: Array = points[ConvexHull(points).vertices]
+    except (QhullError, ValueError):
+        return points
+    return corners
+
+
+def _faces(points: Array) -> list[Array]:
+    """Faces of the convex hull of points; one polygon where they are in a plane."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    centered = points - points.mean(axis=0)
+    _, spread, axes = np.linalg.svd(centered, full_matrices=False)
+    if len(points) < 4 or spread[-1] < 1e-6 * spread[0]:
+        flat = centered @ axes[:2].T
+        return [points.mean(axis=0) + _hull(flat) @ axes[:2]]
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        return [points]
+    return [points[simplex] for simplex in hull.simplices]

@@ -1,0 +1,101 @@
+"""Read and write recordings: which format, and a write that is whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from difflib import get_close_matches
+from pathlib import Path
+
+import numpy as np
+
+from carosac_toolkit.errors import InvalidField, InvalidFile, MissingFile
+from carosac_toolkit.recording import Recording
+from carosac_toolkit.recordings.csv_file import read_csv, write_csv
+from carosac_toolkit.recordings.parquet_file import read_parquet, write_parquet
+from carosac_toolkit.recordings.scampi_mat import read_scampi_mat
+
+READERS: dict[str, Callable[[Path], Recording]] = {
+    ".parquet": read_parquet,
+    ".csv": read_csv,
+    ".mat": read_scampi_mat,
+}
+WRITERS: dict[str, Callable[[Recording, Path], None]] = {
+    ".parquet": write_parquet,
+    ".csv": write_csv,
+}
+_MAGIC = {b"PAR1": ".parquet", b"MATLAB": ".mat"}
+
+
+def load(path: str | Path) -> Recording:
+    """Read a recording; see `carosac_toolkit.recording.load_recording`."""
+    file = Path(path)
+    suffix = file.suffix.lower()
+    if file.is_dir():
+        raise InvalidFile(file, ["this is a folder; allowed: a file of a recording"])
+    if not file.is_file():
+        raise MissingFile(file, _neighbour(file))
+    if suffix not in READERS:
+        allowed = f"a recording with suffix {', '.join(READERS)}"
+        raise InvalidField("path", f"suffix {file.suffix!r} of {str(file)!r}", allowed)
+    with file.open("rb") as stream:
+        start = stream.read(8)
+    if not start:
+        raise InvalidFile(file, ["the file is empty"])
+    found = next((kind for magic, kind in _MAGIC.items() if start.startswith(magic)), suffix)
+    if found != suffix:
+        raise InvalidFile(file, [f"the content is that of a {found} file; rename it"])
+    return READERS[suffix](file)
+
+
+def save(recording: Recording, path: str | Path) -> None:
+    """Write ``.parquet`` or ``.csv``, lossless, through a temporary file that is then renamed.
+
+    Raises:
+        InvalidField: Another suffix, or a folder that is not there.
+    """
+    file = Path(path)
+    writer = WRITERS.get(file.suffix.lower())
+    if writer is None:
+        allowed = f"suffix {' or '.join(WRITERS)}"
+        raise InvalidField("path", f"suffix {file.suffix!r} of {str(file)!r}", allowed)
+    _replace(file, lambda temporary: writer(recording, temporary))
+
+
+def export_tum(recording: Recording, path: str | Path) -> None:
+    """Write the poses as a TUM trajectory: ``timestamp tx ty tz qx qy qz qw`` per line.
+
+    Raises:
+        InvalidField: The recording has no poses.
+    """
+    poses = recording.poses
+    if poses is None:
+        raise InvalidField("poses", None, "a recording with measured poses")
+    rows = np.column_stack([poses.time, poses.position, poses.quaternion[:, [1, 2, 3, 0]]])
+    text = "\n".join(" ".join(map(repr, row)) for row in rows.tolist()) + "\n"
+
+    def write(temporary: Path) -> None:
+        temporary.write_text("# timestamp tx ty tz qx qy qz qw\n" + text, encoding="utf-8")
+
+    _replace(Path(path), write)
+
+
+def _replace(file: Path, write: Callable[[Path], None]) -> None:
+    """Write beside the file, then rename; leave nothing behind on a failure."""
+    if not file.parent.is_dir():
+        raise InvalidField("path", repr(str(file)), "a file in a folder that exists")
+    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    try:
+        write(temporary)
+        os.replace(temporary, file)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _neighbour(file: Path) -> str:
+    """Suggest a file of a similar name in the same folder."""
+    if not file.parent.is_dir():
+        return f"there is no folder {str(file.parent)!r}"
+    names = [entry.name for entry in file.parent.iterdir() if entry.suffix.lower() in READERS]
+    close = get_close_matches(file.name, names, n=1)
+    return f"did you mean {str(file.with_name(close[0]))!r}?" if close else ""

@@ -1,0 +1,76 @@
+"""What a recording says about itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from difflib import get_close_matches
+
+from carosac_toolkit.errors import InvalidField
+
+LENGTH_KINDS = ("unstrained", "relative")
+FRAMES = (
+    "positions are of the platform frame's origin, in world frame W (z up); "
+    "quaternions rotate from platform frame P to W; IMU channels are in the sensor's own frame"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingMetadata:
+    """Provenance and conventions of a recording.
+
+    Attributes:
+        robot: Name of a bundled robot or path to a robot file, or None where it is unknown.
+        description: What was recorded, for people.
+        source: Where it comes from: rig, data set, file.
+        licence: Terms of use.
+        citation: What to cite.
+        created_by: Program and version that wrote it.
+        frames: The frames of all channels, in words.
+        quaternion_order: Always ``wxyz``.
+        length_kind: ``unstrained``: material from the datum to the anchor point [m];
+            ``relative``: the same up to an unknown constant per cable.
+    """
+
+    robot: str | None = None
+    description: str = ""
+    source: str = ""
+    licence: str = ""
+    citation: str = ""
+    created_by: str = ""
+    frames: str = FRAMES
+    quaternion_order: str = "wxyz"
+    length_kind: str = "unstrained"
+
+    def __post_init__(self) -> None:
+        """Refuse what is no text, and conventions that do not exist."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not isinstance(value, str) and not (field.name == "robot" and value is None):
+                raise InvalidField(f"metadata.{field.name}", repr(value), "text")
+        if self.quaternion_order != "wxyz":
+            raise InvalidField("metadata.quaternion_order", repr(self.quaternion_order), "'wxyz'")
+        if self.length_kind not in LENGTH_KINDS:
+            allowed = f"one of {list(LENGTH_KINDS)}"
+            raise InvalidField("metadata.length_kind", repr(self.length_kind), allowed)
+
+    def to_dict(self) -> dict[str, str | None]:
+        """Return all fields, ready for JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, record: object) -> RecordingMetadata:
+        """Read what `to_dict` gave.
+
+        Raises:
+            InvalidField: No mapping, an unknown key or a value that is not allowed.
+        """
+        if not isinstance(record, Mapping):
+            raise InvalidField("metadata", repr(record), "a mapping of names to text")
+        names = [field.name for field in fields(cls)]
+        for key in record:
+            if key not in names:
+                close = get_close_matches(str(key), names, n=1)
+                hint = f"; did you mean {close[0]!r}?" if close else ""
+                raise InvalidField(f"metadata.{key}", "an unknown key", f"one of {names}{hint}")
+        return cls(**record)

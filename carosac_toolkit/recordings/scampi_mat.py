@@ -1,0 +1,92 @@
+"""Importer of the ``.mat`` layout in which the SCAMPI run is published.
+
+Reference: Allak et al., "Kinematics-Inertial Fusion for Localization of a 4-Cable Underactuated
+Suspended Robot Considering Cable Sag", IROS 2022.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidFile
+from carosac_toolkit.recording import Recording
+from carosac_toolkit.recordings.columns import FIXED, TIME, channel_columns, exit_point_columns
+from carosac_toolkit.recordings.conversion import SCHEMA, from_table
+from carosac_toolkit.recordings.metadata import RecordingMetadata
+from carosac_toolkit.recordings.table import Table
+
+REQUIRED = ("time_stamps", "measured_cable_lengths", "ef_poses")
+_PULLEY = re.compile(r"pulley(\d+)_poses")
+
+
+def read_scampi_mat(path: Path) -> Recording:
+    """Read ``time_stamps``, ``measured_cable_lengths``, ``ef_poses`` and ``pulleyK_poses``.
+
+    ``ef_poses`` are x y z [m] and a quaternion in order w x y z; of the square matrix
+    ``time_stamps`` only the first column is filled.
+
+    Raises:
+        InvalidFile: With all faults that were found.
+    """
+    variables = _load(path)
+    faults = []
+    for name in (name for name in REQUIRED if name not in variables):
+        close = get_close_matches(name, variables, n=1)
+        hint = f"; did you mean {close[0]!r}?" if close else f"; there are {sorted(variables)}"
+        faults.append(f"variable {name!r} is missing{hint}")
+    if faults:
+        raise InvalidFile(path, faults)
+    time = _time(variables["time_stamps"])
+    lengths, poses = variables["measured_cable_lengths"], variables["ef_poses"]
+    n = lengths.shape[1]
+    parts: list[tuple[Array, tuple[str, ...], str]]
+    parts = [(time[:, None], (TIME,), "time_stamps")]
+    parts += [(lengths, channel_columns("unstrained_length", n), "measured_cable_lengths")]
+    parts += [(poses, FIXED["poses"], "ef_poses")]
+    pulleys = sorted((int(m.group(1)), k) for k in variables if (m := _PULLEY.fullmatch(k)))
+    if pulleys:
+        if [number for number, _ in pulleys] != list(range(1, n + 1)):
+            raise InvalidFile(path, [f"pulleys {[k for _, k in pulleys]}; allowed: 1 to {n}"])
+        points = exit_point_columns(n)
+        parts += [(variables[k], points[3 * i - 3 : 3 * i], k) for i, k in pulleys]
+    faults = [
+        f"variable {name!r}: got shape {value.shape}; allowed: {(len(time), len(columns))}"
+        for value, columns, name in parts
+        if value.shape != (len(time), len(columns))
+    ]
+    if faults:
+        raise InvalidFile(path, faults)
+    columns = {
+        name: value[:, j].copy() for value, names, _ in parts for j, name in enumerate(names)
+    }
+    table = Table(columns=columns, empty={c: np.zeros(len(time), dtype=np.bool_) for c in columns})
+    metadata = RecordingMetadata(source=path.name, description="imported from the SCAMPI layout")
+    return from_table(table, {"schema": SCHEMA, "metadata": metadata.to_dict()}, path)
+
+
+def _load(path: Path) -> Mapping[str, Array]:
+    """Return the numeric variables of a MATLAB file."""
+    from scipy.io import loadmat
+
+    try:
+        contents: dict[str, Any] = loadmat(path)
+    except Exception as error:  # the reader raises whatever a garbled byte leads it to
+        fault = f"this is no whole MATLAB file of version 4 to 7.2: {error}"
+        raise InvalidFile(path, [fault]) from error
+    return {
+        name: np.asarray(value, dtype=np.float64)
+        for name, value in contents.items()
+        if isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and value.ndim == 2
+    }
+
+
+def _time(stamps: Array) -> Array:
+    """Return the time stamps of a row, a column or a matrix with one filled column, (N,)."""
+    return stamps[0] if stamps.shape[0] == 1 else stamps[:, 0]

@@ -1,0 +1,211 @@
+"""What several fields of a robot file say together: references, limits, geometry, provenance.
+
+Every check works on what is right so far, so that one fault does not hide another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit.units import is_quantity
+from carosac_toolkit.yaml_lines import FieldPath, did_you_mean, format_path
+
+Fault = tuple[FieldPath, str]
+
+_REFERENCES: dict[str, FieldPath] = {
+    "exit_point": ("frame", "exit_points"),
+    "anchor_point": ("platform", "anchor_points"),
+    "cable": ("cable_types",),
+    "winch": ("winches",),
+}
+_PHYSICAL = (
+    "gravity", "frame", "platform", "cable_types", "winches", "chains", "tension_limits",
+    "workspace", "home",
+)  # fmt: skip
+
+
+def cross_faults(data: dict[str, Any], parts: Any) -> list[Fault]:
+    """Find the faults that concern several fields.
+
+    Args:
+        data: The file as plain data.
+        parts: Its sections by attribute, each checked by itself, None where one has faults.
+    """
+    return [
+        *_chain_faults(data),
+        *_limit_faults(data, parts),
+        *_all_or_none(parts),
+        *_home_faults(data, parts),
+        *_provenance_faults(data),
+    ]
+
+
+def _chain_faults(data: dict[str, Any]) -> Iterator[Fault]:
+    """References to parts that do not exist, and cables that exist twice."""
+    chains = data.get("chains")
+    if not isinstance(chains, list):
+        return
+    if not chains:
+        yield ("chains",), "got an empty list; allowed: at least one chain"
+    names: dict[object, int] = {}
+    ends: dict[tuple[object, object], int] = {}
+    for i, chain in enumerate(chains):
+        if not isinstance(chain, dict):
+            continue
+        for key, where in _REFERENCES.items():
+            yield from _reference(data, ("chains", i, key), chain.get(key), where)
+        name = chain.get("name")
+        if isinstance(name, str) and names.setdefault(name, i) != i:
+            path: FieldPath = ("chains", i, "name")
+            yield path, f"got {name!r}; allowed: a name of its own; chains[{names[name]}] has it"
+        pair = (chain.get("exit_point"), chain.get("anchor_point"))
+        if all(isinstance(end, str) for end in pair) and ends.setdefault(pair, i) != i:
+            yield (
+                ("chains", i),
+                f"got exit point {pair[0]!r} and anchor point {pair[1]!r}; allowed: another pair; "
+                f"chains[{ends[pair]}] already joins these two",
+            )
+
+
+def _reference(
+    data: dict[str, Any], path: FieldPath, name: object, where: FieldPath
+) -> list[Fault]:
+    """Check one reference of a chain."""
+    target: Any = data
+    for part in where:
+        target = target.get(part) if isinstance(target, dict) else None
+    if not isinstance(target, dict) or not isinstance(name, str | float) or isinstance(name, bool):
+        return []
+    word = f"{name:g}" if isinstance(name, float) else name.strip()
+    if word in target or not word:
+        return []
+    known = list(target)
+    allowed = f"a name in {format_path(where)}: {', '.join(known)}"
+    return [(path, f"got {word!r}; allowed: {allowed}{did_you_mean(word, known)}")]
+
+
+def _limit_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:
+    """Chains without tension limits."""
+    if parts.chains is None or data.get("tension_limits") is not None:
+        return
+    for i, chain in enumerate(parts.chains):
+        if chain.tension_limits is None:
+            allowed = "min and max here, or in tension_limits of the file"
+            yield ("chains", i, "tension_limits"), f"missing; allowed: {allowed}"
+
+
+def _all_or_none(parts: Any) -> Iterator[Fault]:
+    """What every cable must have as soon as one has it."""
+    if parts.frame is not None:
+        points = parts.frame.exit_points
+        known = [p.sigma is not None or p.covariance is not None for p in points.values()]
+        for name, has in zip(points, known, strict=True):
+            if any(known) and not has:
+                yield (
+                    ("frame", "exit_points", name),
+                    "sigma missing; allowed: sigma or covariance at all exit points or at none",
+                )
+    if parts.winches is not None:
+        for name, winch in parts.winches.items():
+            if winch.drum is None and any(w.drum is not None for w in parts.winches.values()):
+                yield ("winches", name), "drum missing; allowed: a drum in all winches or in none"
+
+
+def _home_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:
+    """A home pose that the robot cannot have."""
+    home, chains = parts.home, data.get("chains")
+    if home is None:
+        return
+    free = home.quaternion_wxyz is None and home.rpy_deg is None
+    if isinstance(chains, list) and len(chains) >= 6 and free:
+        yield (
+            ("home",),
+            f"rotation missing; allowed: quaternion_wxyz or rpy_deg, as {len(chains)} cables hold "
+            "the orientation",
+        )
+    if parts.workspace is not None:
+        for i, (value, low, high) in enumerate(
+            zip(home.position, *parts.workspace.corners, strict=True)
+        ):
+            if not low <= value <= high:
+                allowed = f"inside the workspace box, from {low:g} to {high:g} m"
+                yield ("home", "position", i), f"got {value:g} m; allowed: {allowed}"
+    yield from _length_faults(parts)
+
+
+def _length_faults(parts: Any) -> Iterator[Fault]:
+    """Cables that their winches cannot wind to the home pose."""
+    if None in (parts.frame, parts.platform, parts.chains, parts.winches):
+        return
+    from carosac_toolkit.robot_build import home_rotation
+
+    rotation = home_rotation(parts.home)
+    for i, chain in enumerate(parts.chains):
+        point = parts.frame.exit_points.get(chain.exit_point)
+        anchor = parts.platform.anchor_points.get(chain.anchor_point)
+        winch = parts.winches.get(chain.winch)
+        if None in (point, anchor, winch) or point.pulley is not None:
+            continue
+        arm = np.array(parts.home.position) + rotation @ np.array(anchor)
+        length = float(np.linalg.norm(arm - np.array(point.position)))
+        if not winch.length_min <= length <= winch.length_max:
+            allowed = f"length_min to length_max = {winch.length_min:g} to {winch.length_max:g} m"
+            yield ("chains", i), f"needs {length:.4g} m of cable at home; allowed: {allowed}"
+
+
+def _provenance_faults(data: dict[str, Any]) -> Iterator[Fault]:
+    """Numbers without a source, and sources of nothing."""
+    sources = data.get("provenance")
+    if not isinstance(sources, dict):
+        return
+    for name in _PHYSICAL:
+        for path in _uncovered((name,), data.get(name), list(sources)) or ():
+            allowed = "an entry in provenance for it, or for the start of its path"
+            yield path, f"no provenance; allowed: {allowed}"
+    known = [format_path(path) for path in _paths((), {k: data.get(k) for k in _PHYSICAL})]
+    for source in sources:
+        if source not in known:
+            allowed = "the path of a field of this file, or the start of one"
+            yield (
+                ("provenance", source),
+                f"no such field; allowed: {allowed}{did_you_mean(source, known)}",
+            )
+
+
+def _uncovered(path: FieldPath, value: Any, sources: list[str]) -> list[FieldPath] | None:
+    """Find the numbers below a path that no source covers, as few paths as possible.
+
+    Returns:
+        The paths; None where there is no number at all.
+    """
+    if format_path(path) in sources:
+        return []
+    if isinstance(value, dict):
+        children = [_uncovered((*path, key), entry, sources) for key, entry in value.items()]
+    elif isinstance(value, list) and any(isinstance(entry, dict | list) for entry in value):
+        children = [_uncovered((*path, i), entry, sources) for i, entry in enumerate(value)]
+    elif isinstance(value, list):
+        return [path] if any(is_quantity(entry) for entry in value) else None
+    else:
+        return [path] if is_quantity(value) else None
+    found = [child for child in children if child is not None]
+    if not found:
+        return None
+    nothing_covered = not any(format_path(path) == s[: len(format_path(path))] for s in sources)
+    return [path] if nothing_covered and all(found) else [p for child in found for p in child]
+
+
+def _paths(path: FieldPath, value: Any) -> Iterator[FieldPath]:
+    """Walk all paths below a value."""
+    if path:
+        yield path
+    entries: list[tuple[str | int, Any]] = []
+    if isinstance(value, dict):
+        entries = list(value.items())
+    elif isinstance(value, list):
+        entries = list(enumerate(value))
+    for key, entry in entries:
+        yield from _paths((*path, key), entry)

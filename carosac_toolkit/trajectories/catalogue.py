@@ -1,0 +1,98 @@
+"""Trajectories by name, fitted to a robot's workspace box, for studies and the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.trajectories.arcs import circle, spiral
+from carosac_toolkit.trajectories.draws import draw_points, random_minimum_snap, random_spline
+from carosac_toolkit.trajectories.moves import line, waypoints
+from carosac_toolkit.trajectories.trajectory import Trajectory
+
+FILL = 0.7  # share of the box that circle, spiral and line span
+
+
+def build(
+    name: str,
+    robot: Robot,
+    seed: int = 0,
+    *,
+    speed_max: float = 1.0,
+    acceleration_max: float = 1.0,
+) -> Trajectory:
+    """Build a trajectory of the catalogue inside the workspace box of a robot.
+
+    Args:
+        name: One of `NAMES`.
+        robot: Whose box it is.
+        seed: Draws the points of the random ones, the diagonal of the line and the start angle of
+            the others.
+        speed_max: [m/s].
+        acceleration_max: [m/s^2].
+
+    Raises:
+        InvalidField: A name that is not in the catalogue.
+    """
+    if name not in _BUILDERS:
+        raise InvalidField("trajectory", repr(name), f"one of {list(NAMES)}")
+    rng = np.random.default_rng(seed)
+    return _BUILDERS[name](robot, rng, speed_max, acceleration_max).within(robot)
+
+
+def _box(robot: Robot) -> tuple[Array, Array]:
+    """Return the middle and half the edges of the box [m]."""
+    low, high = robot.workspace_min, robot.workspace_max
+    return (low + high) / 2, (high - low) / 2
+
+
+def _minimum_snap(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Trajectory:
+    return random_minimum_snap(robot, rng, speed_max=v, acceleration_max=a)
+
+
+def _cubic_spline(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Trajectory:
+    return random_spline(robot, rng, speed_max=v, acceleration_max=a)
+
+
+def _waypoints(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Trajectory:
+    points = draw_points(robot, rng, count=6)
+    return waypoints(points, rest=2.0, speed_max=v, acceleration_max=a)
+
+
+def _line(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Trajectory:
+    middle, half = _box(robot)
+    reach = FILL * half * rng.choice([-1.0, 1.0], size=3)
+    return line(middle - reach, middle + reach, speed_max=v, acceleration_max=a)
+
+
+def _circle(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Trajectory:
+    middle, half = _box(robot)
+    angle = float(rng.uniform(0.0, 2 * np.pi))
+    radius = FILL * float(half[:2].min())
+    return circle(middle, radius, turns=2.0, start_angle=angle, speed_max=v, acceleration_max=a)
+
+
+def _spiral(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Trajectory:
+    middle, half = _box(robot)
+    angle = float(rng.uniform(0.0, 2 * np.pi))
+    radius = FILL * float(half[:2].min())
+    bottom = middle - [0.0, 0.0, FILL * half[2]]
+    return spiral(
+        bottom, radius, radius / 2, 2 * FILL * float(half[2]),
+        turns=3.0, start_angle=angle, speed_max=v, acceleration_max=a,
+    )  # fmt: skip
+
+
+_BUILDERS: dict[str, Callable[[Robot, np.random.Generator, float, float], Trajectory]] = {
+    "minimum_snap": _minimum_snap,
+    "cubic_spline": _cubic_spline,
+    "waypoints": _waypoints,
+    "line": _line,
+    "circle": _circle,
+    "spiral": _spiral,
+}
+NAMES = tuple(_BUILDERS)
