@@ -108,33 +108,22 @@ class KinematicSolver:
         """Solve from a guess, again without one where that fails, and keep what is good."""
         lengths = measurement.unstrained_length
         found = forward_kinematics(self._robot, lengths, guess=guess)
-        good = _is_good(found)
-        again = np.zeros(len(lengths), dtype=np.bool_)
-        position, rotation, tension = found.position, found.rotation, found.tension
-        residual = found.residual
-        if self._settings.restart and guess is not None and not good.all():
-            again = ~good
-            second = forward_kinematics(self._robot, lengths[again])
-            position, rotation, tension, residual, good = (
-                _put(old, again, new)
-                for old, new in (
-                    (position, second.position),
-                    (rotation, second.rotation),
-                    (tension, second.tension),
-                    (residual, second.residual),
-                    (good, _is_good(second)),
-                )
-            )
+        again = ~_is_good(found) & (self._settings.restart and guess is not None)
+        result = _pose_and_forces(found)
+        if again.any():
+            second = _pose_and_forces(forward_kinematics(self._robot, lengths[again]))
+            result = {name: _put(result[name], again, second[name]) for name in result}
+        good: NDArray[np.bool_] = result["good"]
         record: SolveRecord = belief.memory
         return Belief(
             time=measurement.time,
-            position=np.where(good[:, None], position, belief.position),
-            rotation=np.where(good[:, None, None], rotation, belief.rotation),
-            tension=_keep_tension(good, tension, belief.tension),
+            position=np.where(good[:, None], result["position"], belief.position),
+            rotation=np.where(good[:, None, None], result["rotation"], belief.rotation),
+            tension=_keep_tension(good, result["tension"], belief.tension),
             memory=replace(
                 record,
                 converged=good,
-                residual=residual,
+                residual=result["residual"],
                 updates=record.updates + 1,
                 failures=record.failures + ~good,
                 restarts=record.restarts + again,
@@ -142,6 +131,17 @@ class KinematicSolver:
                 solution=found if good.all() and not again.any() else None,
             ),
         )
+
+
+def _pose_and_forces(found: Equilibrium) -> dict[str, NDArray[Any]]:
+    """What a belief takes from a solve, row by row."""
+    return {
+        "position": found.position,
+        "rotation": found.rotation,
+        "tension": found.tension,
+        "residual": found.residual,
+        "good": _is_good(found),
+    }
 
 
 def _is_good(found: Equilibrium) -> NDArray[np.bool_]:

@@ -93,7 +93,10 @@ def parse_robot(text: str, *, source: str = "robot") -> Robot:
             faults = [(1, f"got {_shown(document.data)}; allowed: {_allowed(RobotFile, ())}")]
         raise InvalidFile(source, _sorted(faults))
     model, parts, errors = _validate(document.data)
-    problems = _schema_faults(errors) + cross_faults(document.data, parts)
+    unknown = _unknown_keys(errors)
+    problems = _schema_faults(errors, unknown) + cross_faults(
+        _repaired(document.data, unknown), parts
+    )
     faults += [(document.line(path), f"{format_path(path)}: {what}") for path, what in problems]
     if faults or model is None:
         raise InvalidFile(source, _sorted(faults))
@@ -136,23 +139,44 @@ def _validate(
     return None, SimpleNamespace(**parts), errors
 
 
-def _schema_faults(errors: list[ErrorDetails]) -> list[tuple[FieldPath, str]]:
+def _unknown_keys(errors: list[ErrorDetails]) -> dict[FieldPath, str | None]:
+    """Paths of keys that the schema does not know, with the key that was meant, if one is near."""
+    return {
+        details["loc"]: nearest(str(details["loc"][-1]), _keys(RobotFile, details["loc"][:-1]))
+        for details in errors
+        if details["type"] == "extra_forbidden"
+    }
+
+
+def _repaired(value: Any, unknown: dict[FieldPath, str | None], path: FieldPath = ()) -> Any:
+    """Copy plain data with misspelt keys put right and unknown ones left out."""
+    if isinstance(value, list):
+        return [_repaired(entry, unknown, (*path, i)) for i, entry in enumerate(value)]
+    if not isinstance(value, dict):
+        return value
+    result = {}
+    for key, entry in value.items():
+        here = (*path, key)
+        meant = unknown.get(here, key)
+        if meant is not None and (meant == key or meant not in value):
+            result[meant] = _repaired(entry, unknown, here)
+    return result
+
+
+def _schema_faults(
+    errors: list[ErrorDetails], unknown: dict[FieldPath, str | None]
+) -> list[tuple[FieldPath, str]]:
     """Word the errors of the schema; a misspelt key counts once, not as missing as well."""
     faults: list[tuple[FieldPath, str]] = []
-    misspelt: set[FieldPath] = set()
-    for details in errors:
-        if details["type"] == "extra_forbidden":
-            path = details["loc"]
-            keys = _keys(RobotFile, path[:-1])
-            meant = nearest(str(path[-1]), keys)
-            if meant is not None:
-                misspelt.add((*path[:-1], meant))
-            hint = f"; did you mean '{meant}'" if meant else ""
-            faults.append((path, f"unknown key; allowed: {', '.join(keys)}{hint}"))
+    for path, meant in unknown.items():
+        keys = ", ".join(_keys(RobotFile, path[:-1]))
+        hint = f"; did you mean '{meant}'" if meant else ""
+        faults.append((path, f"unknown key; allowed: {keys}{hint}"))
+    misspelt = {(*path[:-1], meant) for path, meant in unknown.items()}
     for details in errors:
         path = details["loc"]
         cause = details.get("ctx", {}).get("error")
-        if details["type"] == "extra_forbidden" or path in misspelt:
+        if path in unknown or (details["type"] == "missing" and path in misspelt):
             continue
         if isinstance(cause, InvalidQuantity):
             faults.append((path, f"got {_shown(cause.value)}; allowed: {cause.allowed}"))

@@ -23,9 +23,12 @@ class RobotReport:
     Attributes:
         robot: The robot.
         equilibrium: How it hangs at home, B = 1; look at `feasible` first.
-        shape: Points along each cable at home in W [m], shape (n, samples, 3).
-        sag: Largest distance of each cable to its chord at home [m], shape (n,).
-        frequencies: Natural frequencies at home, ascending [Hz], shape (6,).
+        shape: Points along each cable at home in W [m], shape (n, samples, 3); straight lines
+            where there is no equilibrium.
+        sag: Largest distance of each cable to its chord at home [m], shape (n,); NaN where there
+            is no equilibrium.
+        frequencies: Natural frequencies at home [Hz], slowest first, shape (6,); negative for an
+            unstable mode, NaN where there is no equilibrium.
     """
 
     robot: Robot
@@ -61,8 +64,9 @@ class RobotReport:
         return float(np.arccos(np.clip(self.equilibrium.rotation[0, 2, 2], -1.0, 1.0)))
 
     def data(self) -> dict[str, Any]:
-        """All numbers under names with units, ready for JSON."""
+        """All numbers under names with units, ready for JSON; NaN is unknown."""
         robot, home = self.robot, self.equilibrium
+        known = 1.0 if home.converged[0] else np.nan
         per_cable = {
             "exit_point_m": robot.exit_points,
             "anchor_point_m": robot.anchor_points,
@@ -74,8 +78,8 @@ class RobotReport:
             "tension_max_N": robot.tension_max,
             "length_min_m": robot.length_min,
             "length_max_m": robot.length_max,
-            "home_unstrained_length_m": home.unstrained_length[0],
-            "home_tension_N": home.tension[0],
+            "home_unstrained_length_m": home.unstrained_length[0] * known,
+            "home_tension_N": home.tension[0] * known,
             "home_sag_m": self.sag,
         }
         return {
@@ -96,9 +100,9 @@ class RobotReport:
                 for i, name in enumerate(robot.cable_names)
             ],
             "home": {
-                "position_m": home.position[0],
-                "rotation": home.rotation[0],
-                "tilt_rad": self.tilt,
+                "position_m": robot.home_position,
+                "rotation": home.rotation[0] * known,
+                "tilt_rad": self.tilt * known,
                 "feasible": self.feasible,
                 "converged": bool(home.converged[0]),
                 "stable": bool(home.stable[0]),
@@ -116,20 +120,23 @@ def report_robot(robot: Robot) -> RobotReport:
         robot: The robot, n cables.
 
     Returns:
-        The report; where there is no equilibrium within the limits, `RobotReport.feasible` is
-        False and the numbers at home are those of the best attempt.
+        The report; `RobotReport.feasible` says whether there is an equilibrium at home within the
+        limits.
     """
     from carosac_toolkit.physics import modes, statics
 
     equilibrium = statics.inverse_kinematics(robot, robot.home_position[None])
-    shape = statics.cable_shape(robot, equilibrium, SHAPE_SAMPLES)[0]
-    frequencies = modes.natural_frequencies(robot, equilibrium)[0]
+    if equilibrium.converged[0]:
+        shape = statics.cable_shape(robot, equilibrium, SHAPE_SAMPLES)[0]
+        sag = statics.sag(robot, equilibrium, samples=SHAPE_SAMPLES)[0]
+        frequencies = modes.natural_frequencies(robot, equilibrium)[0]
+    else:
+        anchors = robot.home_position + robot.anchor_points @ robot.home_rotation.T
+        share = np.linspace(0.0, 1.0, SHAPE_SAMPLES)[:, None]
+        shape = robot.exit_points[:, None] * (1.0 - share) + anchors[:, None] * share
+        sag, frequencies = np.full(robot.n, np.nan), np.full(6, np.nan)
     return RobotReport(
-        robot=robot,
-        equilibrium=equilibrium,
-        shape=shape,
-        sag=largest_distance_to_chord(shape),
-        frequencies=np.sort(frequencies),
+        robot=robot, equilibrium=equilibrium, shape=shape, sag=sag, frequencies=frequencies
     )
 
 
@@ -143,19 +150,3 @@ def is_suspended(robot: Robot, position: Array, rotation: Array) -> bool:
     """
     anchors = position[:, None, :] + np.einsum("bij,nj->bni", rotation, robot.anchor_points)
     return bool((robot.exit_points[:, 2] > anchors[..., 2]).all())
-
-
-def largest_distance_to_chord(shape: Array) -> Array:
-    """Sag of curves: the largest distance of a point to the line between the two ends.
-
-    Args:
-        shape: Points along each cable [m], shape (n, samples, 3).
-
-    Returns:
-        Sag [m], shape (n,).
-    """
-    start = shape[:, :1]
-    chord = shape[:, -1:] - start
-    unit = chord / np.linalg.norm(chord, axis=-1, keepdims=True)
-    distance: Array = np.linalg.norm(np.cross(shape - start, unit), axis=-1).max(axis=1)
-    return distance

@@ -24,7 +24,6 @@ from carosac_toolkit.cli.common import (
     format_table,
     replacing,
 )
-from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.robot_report import RobotReport, report_robot
 
@@ -88,7 +87,7 @@ def _lines(report: RobotReport) -> Iterator[str]:
 
 def _cable_table(report: RobotReport) -> str:
     """One row per cable; the last three columns at home."""
-    robot: Robot = report.robot
+    robot, home = report.robot, report.equilibrium
     header = (
         "cable", "EA [kN]", "[g/m]", "run [m]", "limits [N]", "unstrained [m]", "tension [N]",
         "sag [mm]",
@@ -100,9 +99,9 @@ def _cable_table(report: RobotReport) -> str:
             float(robot.linear_density[i]) * 1e3,
             float(robot.run_length[i]),
             f"{robot.tension_min[i]:g} to {robot.tension_max[i]:g}",
-            f"{report.equilibrium.unstrained_length[0, i]:.4f}",
-            f"{report.equilibrium.tension[0, i]:.2f}",
-            f"{report.sag[i] * 1e3:.2f}",
+            f"{home.unstrained_length[0, i]:.4f}" if home.converged[0] else "-",
+            f"{home.tension[0, i]:.2f}" if home.converged[0] else "-",
+            f"{report.sag[i] * 1e3:.2f}" if home.converged[0] else "-",
         )
         for i, name in enumerate(robot.cable_names)
     ]
@@ -112,6 +111,9 @@ def _cable_table(report: RobotReport) -> str:
 def _home(report: RobotReport) -> Iterator[str]:
     """Describe the equilibrium at home."""
     home = report.equilibrium
+    if not home.converged[0]:
+        yield f"at home     {_vector(report.robot.home_position)} m: no equilibrium"
+        return
     yield (
         f"at home     {_vector(home.position[0])} m, tilt {np.degrees(report.tilt):.2f} deg, "
         f"{'stable' if home.stable[0] else 'not stable'}, residual {home.residual[0]:.1e} N"
@@ -125,12 +127,14 @@ def _infeasible(report: RobotReport) -> str:
     robot, home = report.robot, report.equilibrium
     reasons = []
     if not home.converged[0]:
-        reasons.append("no equilibrium was found")
+        from carosac_toolkit.physics.statics import REASONS
+
+        reasons.append(REASONS[home.status[0]])
     elif not home.stable[0]:
         reasons.append("the equilibrium is not stable")
     for i, name in enumerate(robot.cable_names):
         low, high, tension = robot.tension_min[i], robot.tension_max[i], home.tension[0, i]
-        if not low - 1e-6 <= tension <= high + 1e-6:
+        if home.converged[0] and not low - 1e-6 <= tension <= high + 1e-6:
             reasons.append(f"{name} at {tension:.1f} N, allowed {low:g} to {high:g} N")
     return f"carosac: {robot.name} cannot be at its home position: {'; '.join(reasons)}"
 

@@ -37,13 +37,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        if not words or words[0] in ("-h", "--help"):
-            print(_USAGE.format(commands=_summaries()))
-            return 0 if words else 2
-        if words[0] == "--version":
-            print(f"carosac {__version__}")
-            return 0
-        return _run(words[0], words[1:])
+        status = _dispatch(words)
+        sys.stdout.flush()
+        return status
     except CarosacError as error:
         print(f"carosac: {error}", file=sys.stderr)
         return 2
@@ -53,6 +49,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+
+
+def _dispatch(words: list[str]) -> int:
+    """Answer what concerns no single command, or run the command."""
+    if not words or words[0] in ("-h", "--help"):
+        print(_USAGE.format(commands=_summaries()))
+        return 0 if words else 2
+    if words[0] == "--version":
+        print(f"carosac {__version__}")
+        return 0
+    return _run(words[0], words[1:])
 
 
 def _commands() -> dict[str, EntryPoint]:
@@ -94,3 +101,7 @@ def _summary(entry: EntryPoint) -> str:
         return f"(not installed: {entry.value})"
     source = Path(spec.origin).read_text(encoding="utf-8")
     return (ast.get_docstring(ast.parse(source)) or "").partition("\n")[0]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

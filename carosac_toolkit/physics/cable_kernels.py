@@ -15,6 +15,8 @@ limit w -> 0 of the same code, without loss of digits.
 
 import warp as wp
 
+from carosac_toolkit.physics.straight_line_kernels import straight_cable
+
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 mat66d = wp.types.matrix((6, 6), wp.float64)
@@ -253,14 +255,12 @@ def guess_tension_vector(d: wp.vec3d, length: wp.float64, w: wp.float64, ea: wp.
 @wp.func
 def guess_cable(anchor: wp.vec3d, unstrained_length: wp.float64, cable: Cable) -> wp.vec3d:
     """First guess of q for a cable of the robot: pulley and run by their straight geometry."""
-    exit_point = cable.exit_point
-    length = unstrained_length
-    d = exit_point - anchor
-    if cable.pulley_radius > ZERO:
-        for _i in range(3):
-            wrap = pulley_wrap(d, cable)
-            d = wrap.tangent_point - anchor
-            length = unstrained_length - cable.pulley_radius * wrap.angle
+    whole, wrap, direction, _bend, _valid = straight_cable(
+        anchor - cable.exit_point, cable.pulley_radius, cable.swivel_axis
+    )
+    arc = cable.pulley_radius * wrap
+    length = unstrained_length - arc
+    d = (arc - whole) * direction
     length = wp.max(length, wp.float64(1.0e-3) * unstrained_length)
     ea = cable.axial_stiffness * length / (length + cable.run_length)
     return guess_tension_vector(d, length, cable.weight_per_length, ea)

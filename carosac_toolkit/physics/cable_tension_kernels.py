@@ -11,7 +11,7 @@ from carosac_toolkit.physics.cable_kernels import (
     hang,
     inverse33,
 )
-from carosac_toolkit.physics.start_kernels import straight_cable
+from carosac_toolkit.physics.start_kernels import straight_to
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -32,7 +32,7 @@ class Pulling:
 @wp.func
 def guess_pull(anchor: wp.vec3d, tension: wp.float64, cable: Cable) -> Pulling:
     """First guess: straight cable, half its weight at each end."""
-    straight = straight_cable(cable, anchor)
+    straight = straight_to(cable, anchor)
     strained = ONE + tension / cable.axial_stiffness
     out = Pulling()
     length = (straight.length - cable.run_length * (strained - ONE)) / strained

@@ -29,7 +29,7 @@ from carosac_toolkit.physics.platform_kernels import (
     translation,
     turned,
 )
-from carosac_toolkit.physics.start_kernels import cold_start, straight_cable
+from carosac_toolkit.physics.start_kernels import cold_start, straight_to
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -156,7 +156,7 @@ def start_cables(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.f
         anchor = anchor_of(cable, p, r)
         load = cable.weight_per_length * lengths[b, i]
         if tension[b, i] > TWO * load:
-            straight = straight_cable(cable, anchor)
+            straight = straight_to(cable, anchor)
             q[b, i] = tension[b, i] * straight.unit + wp.vec3d(ZERO, ZERO, HALF * load)
         else:
             q[b, i] = guess_cable(anchor, lengths[b, i], cable)

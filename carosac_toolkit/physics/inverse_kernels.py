@@ -24,7 +24,7 @@ from carosac_toolkit.physics.platform_kernels import (
     rotation_of,
     scaled_norm,
 )
-from carosac_toolkit.physics.start_kernels import cold_start, straight_cable
+from carosac_toolkit.physics.start_kernels import Straight, cold_start, straight_to
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -184,11 +184,12 @@ def inverse_held(
 
 
 @wp.func
-def dual_gradient(distance: wp.float64, u: wp.vec3d, arm: wp.vec3d, dual_force: wp.vec3d,
-                  dual_moment: wp.vec3d) -> wp.vec3d:  # fmt: skip
+def dual_gradient(
+    straight: Straight, arm: wp.vec3d, dual_force: wp.vec3d, dual_moment: wp.vec3d
+) -> wp.vec3d:
     """Gradient of u . (y_f + y_m x arm) under a rotation of the platform, straight cable."""
     v = dual_force + wp.cross(dual_moment, arm)
-    h = wp.cross(u, dual_moment) - (v - wp.dot(u, v) * u) / distance
+    h = wp.cross(straight.unit, dual_moment) - straight.bend * v
     return wp.cross(arm, h)
 
 
@@ -201,8 +202,8 @@ def dual_gradient_sum(cables: wp.array2d(dtype=Cable), row: int, b: int, body: B
     out = wp.cross(r * body.center_of_mass, wp.cross(weight, dual_moment))
     for i in range(tension.shape[1]):
         arm = r * cables[row, i].anchor_point
-        s = straight_cable(cables[row, i], p + arm)
-        out += tension[b, i] * dual_gradient(s.distance, s.unit, arm, dual_force, dual_moment)
+        s = straight_to(cables[row, i], p + arm)
+        out += tension[b, i] * dual_gradient(s, arm, dual_force, dual_moment)
     return out
 
 
@@ -327,7 +328,7 @@ def inverse_free(
     r = rotation[b]
     for _round in range(ROUNDS):
         for i in range(n):
-            s = straight_cable(cables[row, i], anchor_of(cables[row, i], p, r))
+            s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
             unstrained_length[b, i] = s.length
         nearby = cold_start(cables, unstrained_length, tension, row, b, body, p, r)
         r = nearby.rotation
@@ -345,8 +346,8 @@ def inverse_free(
         curvature = dual_curvature(cables, row, b, body, p, r, tension, dual_force, dual_moment)
         for i in range(n):
             arm = r * cables[row, i].anchor_point
-            s = straight_cable(cables[row, i], p + arm)
-            twist[b, i] = dual_gradient(s.distance, s.unit, arm, dual_force, dual_moment)
+            s = straight_to(cables[row, i], p + arm)
+            twist[b, i] = dual_gradient(s, arm, dual_force, dual_moment)
         ridge = wp.float64(0.0)
         step = vec9d()
         choice = Choice()

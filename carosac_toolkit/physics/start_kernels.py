@@ -7,7 +7,7 @@ energy by a damped Newton method; the multipliers m_i carry the lengths to their
 
 import warp as wp
 
-from carosac_toolkit.physics.cable_kernels import HALF, TWO, ZERO, Cable, pulley_wrap
+from carosac_toolkit.physics.cable_kernels import HALF, TWO, ZERO, Cable
 from carosac_toolkit.physics.platform_kernels import (
     Balance,
     Body,
@@ -19,6 +19,7 @@ from carosac_toolkit.physics.platform_kernels import (
     translation,
     turned,
 )
+from carosac_toolkit.physics.straight_line_kernels import straight_cable
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -32,24 +33,20 @@ class Straight:
     """A straight cable between its pulley and an anchor."""
 
     unit: wp.vec3d  # anchor to tangent point
-    distance: wp.float64  # [m]
     length: wp.float64  # wrapped arc + distance [m]
+    bend: wp.mat33d  # second derivative of the length with respect to the anchor [1/m]
 
 
 @wp.func
-def straight_cable(cable: Cable, anchor: wp.vec3d) -> Straight:
-    """Straight cable, its pulley included."""
-    d = cable.exit_point - anchor
-    arc = wp.float64(0.0)
-    if cable.pulley_radius > ZERO:
-        for _i in range(4):
-            wrap = pulley_wrap(d, cable)
-            d = wrap.tangent_point - anchor
-            arc = cable.pulley_radius * wrap.angle
+def straight_to(cable: Cable, anchor: wp.vec3d) -> Straight:
+    """Straight cable to an anchor point, its pulley included."""
     out = Straight()
-    out.distance = wp.length(d) + wp.float64(1.0e-9)
-    out.unit = d / out.distance
-    out.length = out.distance + arc
+    length, _wrap, direction, bend, _valid = straight_cable(
+        anchor - cable.exit_point, cable.pulley_radius, cable.swivel_axis
+    )
+    out.length = length
+    out.unit = -direction
+    out.bend = bend
     return out
 
 
@@ -70,7 +67,7 @@ def soft_energy(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.fl
     center = p + r * body.center_of_mass
     energy = body.weight * center[2]
     for i in range(lengths.shape[1]):
-        s = straight_cable(cables[row, i], anchor_of(cables[row, i], p, r))
+        s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
         t = wp.max(multiplier[b, i] + k * (s.length - lengths[b, i]), ZERO)
         energy += HALF * t * t / k
     return energy
@@ -84,15 +81,11 @@ def soft_balance(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.f
     total = gravity_balance(body, r)
     for i in range(lengths.shape[1]):
         anchor = anchor_of(cables[row, i], p, r)
-        s = straight_cable(cables[row, i], anchor)
+        s = straight_to(cables[row, i], anchor)
         t = multiplier[b, i] + k * (s.length - lengths[b, i])
         if t > ZERO:
-            along = wp.outer(s.unit, s.unit)
-            across = wp.identity(n=3, dtype=wp.float64) - along
-            total = add_lever(
-                total.stiffness, total.wrench, anchor - p, t * s.unit,
-                k * along + (t / s.distance) * across,
-            )  # fmt: skip
+            pull = k * wp.outer(s.unit, s.unit) + t * s.bend
+            total = add_lever(total.stiffness, total.wrench, anchor - p, t * s.unit, pull)
     return total
 
 
@@ -145,9 +138,8 @@ def cold_start(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.flo
         out = minimise(cables, lengths, multiplier, row, b, body, out, k)
         worst = wp.float64(0.0)
         for i in range(lengths.shape[1]):
-            s = straight_cable(
-                cables[row, i], anchor_of(cables[row, i], out.position, out.rotation)
-            )
+            anchor = anchor_of(cables[row, i], out.position, out.rotation)
+            s = straight_to(cables[row, i], anchor)
             t = wp.max(multiplier[b, i] + k * (s.length - lengths[b, i]), ZERO)
             worst = wp.max(worst, wp.abs(t - multiplier[b, i]) / k)
             multiplier[b, i] = t

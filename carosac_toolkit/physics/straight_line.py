@@ -171,23 +171,16 @@ class _Workspace:
         self._converged, converged = self._new((size,), wp.int32)
         self._iterations, iterations = self._new((size,), wp.int32)
         shape = [
-            self._constant(robot.exit_points, wp.vec3d),
-            self._constant(robot.anchor_points, wp.vec3d),
-            self._constant(robot.pulley_radius, wp.float64),
-            self._constant(robot.swivel_axis, wp.vec3d),
-        ]
-        results = [length, wrap, direction, valid]
-        self._measure = _record(
-            straight_line_kernels.straight_lengths,
-            (size, n),
-            [position, rotation, *shape, *results],
-        )
+            self._constant(value, wp.vec3d if value.ndim == 2 else wp.float64)
+            for value in (
+                robot.exit_points, robot.anchor_points, robot.pulley_radius, robot.swivel_axis
+            )
+        ]  # fmt: skip
+        cables = [position, rotation, *shape, length, wrap, direction, valid]
+        self._measure = _record(straight_line_kernels.straight_lengths, (size, n), cables)
         limits = [wp.float64(TOLERANCE), MAX_ITERATIONS]
-        self._solve = _record(
-            straight_line_kernels.fit_position,
-            (size,),
-            [target, rotation, *shape, *limits, position, residual, converged, iterations],
-        )
+        fit = [target, rotation, *shape, *limits, position, residual, converged, iterations]
+        self._solve = _record(straight_line_kernels.fit_position, (size,), fit)
 
     def lengths(self, position: Array, rotation: Array) -> StraightCables:
         """Run `straight_lengths`."""

@@ -42,10 +42,14 @@ def draw_robot(report: RobotReport) -> Figure:
     _draw_plane(figure.add_subplot(grid[0, 1]), report, (0, 1), limits)
     _draw_plane(figure.add_subplot(grid[1, 1]), report, (1, 2), limits)
     robot = report.robot
+    answer = f"largest sag at home {report.sag.max() * 1e3:.3g} mm"
+    if not report.equilibrium.converged[0]:
+        answer = "NO EQUILIBRIUM AT HOME (cables drawn straight)"
+    elif not report.feasible:
+        answer = "CANNOT STAY AT HOME"
     figure.suptitle(
         f"{robot.name}: {robot.n} cables, {report.constraint}"
-        f"{', suspended' if report.suspended else ''}; platform {robot.mass:g} kg, "
-        f"largest sag at home {report.sag.max() * 1e3:.3g} mm"
+        f"{', suspended' if report.suspended else ''}; platform {robot.mass:g} kg; {answer}"
     )
     handles, labels = space.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
@@ -92,7 +96,8 @@ def _draw_space(axes: Any, report: RobotReport, limits: Array) -> None:
         axis.set_major_locator(MaxNLocator(nbins=max(2, round(7 * span / spans.max()))))
         axis.set_tick_params(labelsize=8)
     for name, point in _labels(robot, 0.08 * spans.max()):
-        axes.text(*(point + [0.0, 0.0, 0.025 * spans.max()]), name, fontsize=7, ha="center")
+        x, y, z = point
+        axes.text(x, y, z + 0.025 * spans.max(), name, fontsize=7, ha="center")
 
 
 def _labels(robot: Robot, near: float) -> list[tuple[str, Array]]:
@@ -120,10 +125,8 @@ def _draw_platform(axes: Any, report: RobotReport) -> None:
     patch = Poly3DCollection(faces, facecolor=PLATFORM, edgecolor=PLATFORM, alpha=0.35, lw=0.8)
     axes.add_collection3d(patch)
     axes.scatter(*anchors.T, color=PLATFORM, s=10, label="anchor points", depthshade=False)
-    axes.scatter(
-        *report.robot.home_position[:, None], color="black", s=45, marker="+", label="home position",
-        depthshade=False,
-    )  # fmt: skip
+    home = report.robot.home_position[:, None]
+    axes.scatter(*home, color="black", s=45, marker="+", label="home position", depthshade=False)
 
 
 def _draw_plane(axes: Any, report: RobotReport, pair: tuple[int, int], limits: Array) -> None:
@@ -168,7 +171,7 @@ def _box_edges(robot: Robot) -> list[Array]:
 
 
 def _hull(points: Array) -> Array:
-    """Convex hull of points in a plane, in order, shape (m, 2); the points where they are on a line."""
+    """Convex hull of points in a plane, in order, (m, 2); all points if they are on a line."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:

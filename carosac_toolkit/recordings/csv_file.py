@@ -36,15 +36,18 @@ def read_csv(path: Path) -> Recording:
         InvalidFile: With all faults that were found.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise InvalidFile(path, [f"this is no text file: {error}"]) from error
+    lines = text.splitlines()
     comments = 0
     while comments < len(lines) and lines[comments].startswith("#"):
         comments += 1
     document = _document(lines[:comments], path)
     if comments == len(lines):
         raise InvalidFile(path, ["there is no header line with column names"])
+    if document is not None and not text.endswith("\n"):
+        raise InvalidFile(path, ["the file is cut: its last line has no end"])
     names = [name.strip() for name in _split([lines[comments]], path)[0]]
     double = sorted({name for name in names if names.count(name) > 1})
     if double:

@@ -22,6 +22,7 @@ from carosac_toolkit.recordings.conversion import SCHEMA, from_table
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.table import Table
 
+Part = tuple[Array, tuple[str, ...], str]  # values (N, columns), columns, variable
 REQUIRED = ("time_stamps", "measured_cable_lengths", "ef_poses")
 _PULLEY = re.compile(r"pulley(\d+)_poses")
 
@@ -43,32 +44,37 @@ def read_scampi_mat(path: Path) -> Recording:
         faults.append(f"variable {name!r} is missing{hint}")
     if faults:
         raise InvalidFile(path, faults)
-    time = _time(variables["time_stamps"])
-    lengths, poses = variables["measured_cable_lengths"], variables["ef_poses"]
-    n = lengths.shape[1]
-    parts: list[tuple[Array, tuple[str, ...], str]]
-    parts = [(time[:, None], (TIME,), "time_stamps")]
-    parts += [(lengths, channel_columns("unstrained_length", n), "measured_cable_lengths")]
-    parts += [(poses, FIXED["poses"], "ef_poses")]
-    pulleys = sorted((int(m.group(1)), k) for k in variables if (m := _PULLEY.fullmatch(k)))
-    if pulleys:
-        if [number for number, _ in pulleys] != list(range(1, n + 1)):
-            raise InvalidFile(path, [f"pulleys {[k for _, k in pulleys]}; allowed: 1 to {n}"])
-        points = exit_point_columns(n)
-        parts += [(variables[k], points[3 * i - 3 : 3 * i], k) for i, k in pulleys]
+    parts = _parts(variables, path)
+    rows = len(parts[0][0])
     faults = [
-        f"variable {name!r}: got shape {value.shape}; allowed: {(len(time), len(columns))}"
+        f"variable {name!r}: got shape {value.shape}; allowed: {(rows, len(columns))}"
         for value, columns, name in parts
-        if value.shape != (len(time), len(columns))
+        if value.shape != (rows, len(columns))
     ]
     if faults:
         raise InvalidFile(path, faults)
     columns = {
         name: value[:, j].copy() for value, names, _ in parts for j, name in enumerate(names)
     }
-    table = Table(columns=columns, empty={c: np.zeros(len(time), dtype=np.bool_) for c in columns})
+    table = Table(columns=columns, empty={c: np.zeros(rows, dtype=np.bool_) for c in columns})
     metadata = RecordingMetadata(source=path.name, description="imported from the SCAMPI layout")
     return from_table(table, {"schema": SCHEMA, "metadata": metadata.to_dict()}, path)
+
+
+def _parts(variables: Mapping[str, Array], path: Path) -> list[Part]:
+    """Pair each variable with the columns that it fills."""
+    lengths = variables["measured_cable_lengths"]
+    n = lengths.shape[1]
+    parts: list[Part] = [
+        (_time(variables["time_stamps"])[:, None], (TIME,), "time_stamps"),
+        (lengths, channel_columns("unstrained_length", n), "measured_cable_lengths"),
+        (variables["ef_poses"], FIXED["poses"], "ef_poses"),
+    ]
+    pulleys = sorted((int(m.group(1)), k) for k in variables if (m := _PULLEY.fullmatch(k)))
+    if pulleys and [number for number, _ in pulleys] != list(range(1, n + 1)):
+        raise InvalidFile(path, [f"pulleys {[k for _, k in pulleys]}; allowed: 1 to {n}"])
+    points = exit_point_columns(n)
+    return parts + [(variables[k], points[3 * i - 3 : 3 * i], k) for i, k in pulleys]
 
 
 def _load(path: Path) -> Mapping[str, Array]:

@@ -79,8 +79,8 @@ def draw_points(
     apart = edge / 4 if distance_min is None else distance_min
     if count < 2:
         raise InvalidField("count", count, "at least 2 points")
-    if not 0.0 < apart <= edge:
-        raise InvalidField("distance_min", f"{apart} m", f"0 < distance_min <= {edge:g} m")
+    if not 0.0 < apart <= edge / 2:  # such a point exists, wherever the last one lies
+        raise InvalidField("distance_min", f"{apart} m", f"0 < distance_min <= {edge / 2:g} m")
     points = [rng.uniform(low, high)]
     while len(points) < count:
         candidate = rng.uniform(low, high)

@@ -1,0 +1,78 @@
+"""Small motions about a pose of rest: mass matrix and natural frequencies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.physics.statics import Equilibrium
+from carosac_toolkit.robot import Robot
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Modes:
+    """Six modes per pose, slowest first.
+
+    Attributes:
+        frequency: Undamped natural frequency [Hz], shape (B, 6); negative where the pose is
+            unstable in that mode: its magnitude is then the rate of growth over 2 pi.
+        shape: Columns are twists (linear, angular, in W at the platform origin), normalised to
+            unit modal mass, shape (B, 6, 6).
+    """
+
+    frequency: Array
+    shape: Array
+
+
+def mass_matrix(robot: Robot, rotation: Array) -> Array:
+    r"""Inertia of the platform about its origin.
+
+    .. math:: M = \begin{bmatrix} m 1 & -m [c]_\times \\ m [c]_\times & I_c - m [c]_\times^2
+        \end{bmatrix}, \qquad c = R\, c_P
+
+    Args:
+        robot: Robot description.
+        rotation: Rotation from P to W, shape (B, 3, 3).
+
+    Returns:
+        M in W at the platform origin, shape (B, 6, 6): kinetic energy is v^T M v / 2 for a twist
+        v, linear first. Cables count as weightless here.
+    """
+    center = rotation @ robot.center_of_mass
+    cross = np.zeros((len(center), 3, 3))
+    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -center[:, 2], center[:, 1], -center[:, 0]
+    cross -= cross.swapaxes(1, 2)
+    mass = np.zeros((len(center), 6, 6))
+    mass[:, :3, :3] = robot.mass * np.eye(3)
+    mass[:, 3:, :3] = robot.mass * cross
+    mass[:, :3, 3:] = -robot.mass * cross
+    inertia = rotation @ robot.inertia @ rotation.swapaxes(1, 2)
+    mass[:, 3:, 3:] = inertia - robot.mass * cross @ cross
+    return mass
+
+
+def natural_modes(robot: Robot, equilibrium: Equilibrium) -> Modes:
+    """Undamped small motions of the platform with the winches held.
+
+    The cables follow quasi-statically: their own waves lie far above (tens of Hz for taut ones).
+
+    Args:
+        robot: Robot description.
+        equilibrium: B equilibria of this robot.
+
+    Returns:
+        Frequencies and mode shapes of K x = (2 pi f)^2 M x.
+    """
+    factor = np.linalg.cholesky(mass_matrix(robot, equilibrium.rotation))
+    half = np.linalg.solve(factor, equilibrium.stiffness)
+    symmetric = np.linalg.solve(factor, half.swapaxes(1, 2))
+    values, vectors = np.linalg.eigh(0.5 * (symmetric + symmetric.swapaxes(1, 2)))
+    frequency = np.sign(values) * np.sqrt(np.abs(values)) / (2.0 * np.pi)
+    return Modes(frequency=frequency, shape=np.linalg.solve(factor.swapaxes(1, 2), vectors))
+
+
+def natural_frequencies(robot: Robot, equilibrium: Equilibrium) -> Array:
+    """Frequencies of `natural_modes` [Hz], shape (B, 6), slowest first."""
+    return natural_modes(robot, equilibrium).frequency

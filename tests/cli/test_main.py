@@ -1,0 +1,122 @@
+import json
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from carosac_toolkit import __version__
+from carosac_toolkit.cli.main import main
+
+HEAVY = {"warp", "matplotlib", "pyarrow", "scipy", "pydantic", "numpy", "tyro", "yaml"}
+
+
+def run_python(program):
+    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+
+
+def test_help_lists_the_commands_and_imports_nothing_heavy():
+    program = (
+        "import sys\n"
+        "from carosac_toolkit.cli.main import main\n"
+        "assert main(['--help']) == 0\n"
+        f"print('heavy:', sorted({HEAVY!r} & set(sys.modules)))\n"
+    )
+    done = run_python(program)
+    assert done.returncode == 0, done.stderr
+    assert "heavy: []" in done.stdout
+    assert "  check     Check a robot file" in done.stdout
+    assert "  robots    List the robots" in done.stdout
+
+
+def test_help_takes_under_half_a_second_of_processor_time():
+    before = os.times()
+    for _ in range(2):
+        subprocess.run(
+            [sys.executable, "-m", "carosac_toolkit.cli.main", "--help"],
+            capture_output=True, check=True,
+        )  # fmt: skip
+    after = os.times()
+    spent = (after.children_user - before.children_user) + (
+        after.children_system - before.children_system
+    )
+    assert spent / 2 < 0.5
+
+
+def test_version_is_printed(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == f"carosac {__version__}"
+
+
+def test_no_command_shows_the_help_and_is_bad_input(capsys):
+    assert main([]) == 2
+    assert "usage: carosac COMMAND" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["chek"], "did you mean 'check'"),
+        (["check", "carosacc"], "did you mean 'carosac'"),
+        (["check", "missing.yaml"], "no such file"),
+        (["robots", "--json", "/no/such/folder/x.json"], "--json: got"),
+        (["check", "carosac", "--picture", "/no/such/folder/x.png"], "--picture: got"),
+        (["check", "carosac", "--picture", "x.gif"], "ending in .png"),
+    ],
+)
+def test_bad_input_is_one_message_and_status_two(capsys, words, message):
+    assert main(words) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("carosac: ")
+    assert message in captured.err
+    assert captured.out == ""
+
+
+@pytest.mark.parametrize("words", [["check"], ["robots", "--bogus"], ["robots", "--seed", "x"]])
+def test_wrong_options_end_with_status_two(capsys, words):
+    with pytest.raises(SystemExit) as stopped:
+        main(words)
+    assert stopped.value.code == 2
+
+
+@pytest.mark.parametrize("command", ["robots", "check"])
+def test_every_command_has_help_and_the_common_options(capsys, command):
+    with pytest.raises(SystemExit) as stopped:
+        main([command, "--help"])
+    assert not stopped.value.code
+    text = capsys.readouterr().out
+    assert "--json FILE" in text and "--seed INT" in text
+
+
+def test_bad_robot_file_leaves_no_output(tmp_path, capsys):
+    (tmp_path / "bad.yaml").write_text("schema: carosac-robot/1\n")
+    words = ["check", str(tmp_path / "bad.yaml"), "--json", str(tmp_path / "out.json")]
+    assert main([*words, "--picture", str(tmp_path / "out.png")]) == 2
+    assert "platform: missing" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.yaml"]
+
+
+def test_output_into_a_closed_pipe_is_quiet():
+    done = subprocess.run(
+        f"'{sys.executable}' -m carosac_toolkit.cli.main robots | true",
+        shell=True, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.stderr == ""
+
+
+def test_json_holds_the_numbers_that_are_printed(tmp_path, capsys):
+    start = time.time()
+    assert main(["robots", "--json", str(tmp_path / "robots.json")]) == 0
+    data = json.loads((tmp_path / "robots.json").read_text())
+    assert [robot["name"] for robot in data["robots"]] == [
+        "carosac",
+        "cogiro",
+        "ipanema1",
+        "scampi",
+    ]
+    assert data["robots"][0]["mass_kg"] == 23.655
+    out = capsys.readouterr().out
+    assert all(robot["name"] in out for robot in data["robots"])
+    assert (tmp_path / "robots.json").stat().st_mtime >= start - 1.0
+    assert [path.name for path in tmp_path.iterdir()] == ["robots.json"]
