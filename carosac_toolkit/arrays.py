@@ -52,7 +52,7 @@ def batch(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Array:
     Raises:
         InvalidField: A missing batch axis, a wrong trailing shape or a value that is not finite.
     """
-    array = np.ascontiguousarray(as_floats(name, value))
+    array = as_floats(name, value)
     if array.ndim != 1 + len(trailing) or array.shape[1:] != trailing or len(array) == 0:
         allowed = "(B, " + ", ".join(map(str, trailing)) + ")" if trailing else "(B,)"
         raise InvalidField(name, f"shape {array.shape}", f"shape {allowed}, B >= 1")
@@ -61,7 +61,7 @@ def batch(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Array:
         raise InvalidField(
             f"{name}[{', '.join(map(str, index))}]", array[index], "a finite number"
         )
-    return array
+    return np.ascontiguousarray(array)
 
 
 def set_frozen(instance: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:

@@ -206,7 +206,8 @@ class Robot:
         """Refuse an inertia, rotation, axis or covariance that cannot exist."""
         moments = np.linalg.eigvalsh(self.inertia)
         symmetric = np.allclose(self.inertia, self.inertia.T, rtol=1e-9, atol=1e-12)
-        if not symmetric or moments[0] <= 0.0 or moments[2] > (moments[0] + moments[1]) * (1 + 1e-9):
+        possible = moments[0] > 0.0 and moments[2] <= (moments[0] + moments[1]) * (1 + 1e-9)
+        if not (symmetric and possible):
             raise InvalidField(
                 "inertia",
                 np.array2string(self.inertia, separator=", ").replace("\n", ""),

@@ -143,9 +143,7 @@ def catenary_span(q: wp.vec3d, length: wp.float64, w: wp.float64, ea: wp.float64
     lateral = axial + slope
     cross = -rise / tatb
     out = Span()
-    out.reach = wp.vec3d(
-        q[0] * lateral, q[1] * lateral, rise + (va - HALF * w * length) * axial
-    )
+    out.reach = wp.vec3d(q[0] * lateral, q[1] * lateral, rise + (va - HALF * w * length) * axial)
     cxy = -bend * q[0] * q[1]
     cxz = cross * q[0]
     cyz = cross * q[1]
@@ -178,8 +176,7 @@ def pulley_wrap(q: wp.vec3d, cable: Cable) -> Wrap:
     out.angle_q = (k + cosine * (q / tension)) / (tension * sine)
     out.tangent_point = cable.exit_point + r * ((ONE - cosine) * e + sine * k)
     out.tangent_point_q = r * (
-        wp.outer(leaving, out.angle_q)
-        - (ONE - cosine) / (tension * sine) * wp.outer(side, side)
+        wp.outer(leaving, out.angle_q) - (ONE - cosine) / (tension * sine) * wp.outer(side, side)
     )
     return out
 
@@ -194,21 +191,16 @@ def hang(q: wp.vec3d, anchor: wp.vec3d, unstrained_length: wp.float64, cable: Ca
     wrap = pulley_wrap(q, cable)
     arc = cable.pulley_radius * wrap.angle
     length = unstrained_length + (cable.run_length * (tension / ea) - arc) / strained
-    length_q = (
-        (cable.run_length + arc) / (strained * strained * ea * tension) * q
-        - cable.pulley_radius / strained * wrap.angle_q
-    )
+    length_q = (cable.run_length + arc) / (
+        strained * strained * ea * tension
+    ) * q - cable.pulley_radius / strained * wrap.angle_q
     span = catenary_span(q, length, w, ea)
     out = Hanging()
     out.force = wp.vec3d(q[0], q[1], q[2] - w * length)
     out.closure = anchor + span.reach - wrap.tangent_point
     out.closure_l = span.feed * out.force
-    out.closure_q = (
-        span.compliance + wp.outer(out.closure_l, length_q) - wrap.tangent_point_q
-    )
-    out.force_q = wp.identity(n=3, dtype=wp.float64) - wp.outer(
-        wp.vec3d(ZERO, ZERO, w), length_q
-    )
+    out.closure_q = span.compliance + wp.outer(out.closure_l, length_q) - wrap.tangent_point_q
+    out.force_q = wp.identity(n=3, dtype=wp.float64) - wp.outer(wp.vec3d(ZERO, ZERO, w), length_q)
     out.tangent_point = wrap.tangent_point
     out.free_length = length
     return out
@@ -226,12 +218,16 @@ def taut_tension(chord: wp.float64, span: wp.float64, length: wp.float64, w: wp.
     if strain < ZERO:
         t = wp.min(root, wp.sqrt(b / -strain))
     for _i in range(8):
-        t -= (t * t * (t / ea - strain) - b) / (t * (wp.float64(3.0) * t / ea - TWO * strain) + TINY)
+        t -= (t * t * (t / ea - strain) - b) / (
+            t * (wp.float64(3.0) * t / ea - TWO * strain) + TINY
+        )
     return t
 
 
 @wp.func
-def guess_tension_vector(d: wp.vec3d, length: wp.float64, w: wp.float64, ea: wp.float64) -> wp.vec3d:
+def guess_tension_vector(
+    d: wp.vec3d, length: wp.float64, w: wp.float64, ea: wp.float64
+) -> wp.vec3d:
     """First guess of q for a cable of this length hanging between two points d apart."""
     span = wp.sqrt(d[0] * d[0] + d[1] * d[1])
     chord = wp.sqrt(wp.dot(d, d)) + wp.float64(1.0e-12)

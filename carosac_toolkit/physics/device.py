@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -11,12 +13,11 @@ import warp as wp
 from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable_kernels import Cable
 from carosac_toolkit.physics.platform_kernels import Body
 from carosac_toolkit.robot import Robot
 
-KEPT = 8  # batch sizes remembered per robot and kernel
+KEPT = 12  # sets of buffers remembered per robot
 
 
 def cable_records(robot: Robot) -> NDArray[Any]:
@@ -59,59 +60,88 @@ def upload_robots(robots: Sequence[Robot], device: str) -> tuple[wp.array, wp.ar
 
 
 class Buffers:
-    """Named device arrays of one kernel, with its recorded launch."""
+    """Named device arrays of one kernel, with its recorded launches.
 
-    def __init__(self, device: str, arrays: dict[str, wp.array]) -> None:
+    Hold `lock` from the first `put` to the last `get`: the arrays are shared by all callers.
+    """
+
+    def __init__(self, device: str, shapes: dict[str, tuple[Any, Any]]) -> None:
+        """Allocate.
+
+        Args:
+            device: Warp device name.
+            shapes: Shape and Warp type of each array, by name.
+        """
         self.device = device
-        self.arrays = arrays
-        self.on_host = wp.get_device(device).is_cpu
-        self._views = {k: v.numpy() for k, v in arrays.items()} if self.on_host else {}
-        self.launches: dict[str, Any] = {}
+        self.lock = threading.Lock()
+        self._arrays: dict[str, wp.array] = {
+            name: wp.zeros(shape, dtype=kind, device=device)
+            for name, (shape, kind) in shapes.items()
+        }
+        on_host = wp.get_device(device).is_cpu
+        self._views = {k: v.numpy() for k, v in self._arrays.items()} if on_host else {}
+        self._launches: dict[str, Any] = {}
+
+    @property
+    def launched(self) -> bool:
+        """Whether any kernel has run on these buffers."""
+        return bool(self._launches)
 
     def put(self, name: str, value: Array) -> None:
         """Copy numbers in."""
-        if self.on_host:
+        if self._views:
             self._views[name][...] = value
         else:
-            self.arrays[name].assign(value)
+            array = self._arrays[name]
+            array.assign(np.broadcast_to(value, array.numpy().shape))
 
     def get(self, name: str) -> NDArray[Any]:
         """Copy numbers out."""
-        if self.on_host:
+        if self._views:
             return self._views[name].copy()
-        return self.arrays[name].numpy()  # type: ignore[no-any-return]
+        return self._arrays[name].numpy()  # type: ignore[no-any-return]
 
     def launch(self, key: str, kernel: wp.Kernel, dim: int | tuple[int, ...], *args: Any) -> None:
-        """Run a kernel: recorded at its first use, replayed afterwards. `key` fixes the args."""
-        if key not in self.launches:
-            inputs = [self.arrays[a] if isinstance(a, str) else a for a in args]
-            self.launches[key] = wp.launch(
+        """Run a kernel: recorded at its first use, replayed afterwards.
+
+        Args:
+            key: Stands for kernel, size and arguments, which must not change between calls.
+            kernel: The kernel.
+            dim: Number of threads.
+            args: Kernel arguments; a string names one of the buffers.
+        """
+        if key not in self._launches:
+            inputs = [self._arrays[a] if isinstance(a, str) else a for a in args]
+            self._launches[key] = wp.launch(
                 kernel, dim, inputs=inputs, device=self.device, record_cmd=True
             )
-        self.launches[key].launch()
+        self._launches[key].launch()
 
 
-_robots: WeakKeyDictionary[Robot, dict[Any, Any]] = WeakKeyDictionary()
+_uploads: WeakKeyDictionary[Robot, dict[str, tuple[wp.array, wp.array]]] = WeakKeyDictionary()
+_buffers: WeakKeyDictionary[Robot, OrderedDict[Any, Buffers]] = WeakKeyDictionary()
+_lock = threading.Lock()
 
 
 def device_robot(robot: Robot, device: str) -> tuple[wp.array, wp.array]:
     """Cables (1, n) and body (1,) of a robot on a device, uploaded once."""
-    warp_setup.initialise()
-    kept = _robots.setdefault(robot, {})
-    key = ("robot", device)
-    if key not in kept:
-        kept[key] = upload_robots([robot], device)
-    cables, bodies = kept[key]
-    return cables, bodies
+    with _lock:
+        kept = _uploads.setdefault(robot, {})
+        if device not in kept:
+            kept[device] = upload_robots([robot], device)
+        return kept[device]
 
 
-def kept_buffers(robot: Robot, key: tuple[Any, ...], make: Callable[[], Buffers]) -> Buffers:
-    """Buffers for a robot and a key, made at first use; the oldest go when there are too many."""
-    kept = _robots.setdefault(robot, {})
-    if key not in kept:
-        same = [other for other in kept if other[0] == key[0]]
-        if len(same) >= KEPT:
-            del kept[same[0]]
-        kept[key] = make()
-    buffers: Buffers = kept[key]
-    return buffers
+def kept_buffers(
+    robot: Robot, purpose: str, size: int, device: str, shapes: Callable[[], dict[str, Any]]
+) -> Buffers:
+    """Buffers of a robot for a purpose and batch size; those used longest ago are dropped."""
+    with _lock:
+        kept = _buffers.setdefault(robot, OrderedDict())
+        key = (purpose, size, device)
+        if key not in kept:
+            kept[key] = Buffers(device, shapes())
+        kept.move_to_end(key)
+        if len(kept) > KEPT:
+            kept.popitem(last=False)
+        return kept[key]

@@ -37,6 +37,7 @@ INNER = wp.constant(60)  # steps of one cable
 LIMIT = wp.constant(100)  # steps of the platform
 WARM_LIMIT = wp.constant(20)
 RESIDUAL = wp.constant(wp.float64(1.0e-10))  # of the weight
+FITS = wp.constant(wp.float64(2.0e-14))  # of that length: rounding of the coordinates
 GAP = wp.constant(wp.float64(1.0e-13))  # of the typical cable length
 WARM = wp.constant(1)  # a pose and tension vectors are given; 0: a pose alone
 
@@ -68,7 +69,10 @@ def load_cables(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.fl
                 b: int, body: Body, p: wp.vec3d, r: wp.mat33d, loose: wp.float64,
                 q: wp.array2d(dtype=wp.vec3d), inverse: wp.array2d(dtype=wp.mat33d),
                 tension: wp.array2d(dtype=wp.float64)) -> Loaded:  # fmt: skip
-    """Close the cables to `loose`, add up wrench and stiffness, correct q to first order."""
+    """Close the cables to `loose`, add up wrench and stiffness, correct q to first order.
+
+    A closure of the size of rounding is left alone: a stiff cable would turn it into newtons.
+    """
     out = Loaded()
     out.balance = gravity_balance(body, r)
     for i in range(lengths.shape[1]):
@@ -76,14 +80,14 @@ def load_cables(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.fl
         s = settle(q[b, i], anchor, lengths[b, i], cables[row, i], loose, INNER)
         inverse[b, i] = s.inverse
         out.gap = wp.max(out.gap, wp.length(s.hanging.closure))
-        rest = s.inverse * s.hanging.closure
+        rest = wp.vec3d()
+        if wp.length(s.hanging.closure) > FITS * body.size:
+            rest = s.inverse * s.hanging.closure
         q[b, i] = s.q - rest
         force = s.hanging.force - s.hanging.force_q * rest
         tension[b, i] = wp.length(force)
         k = cable_stiffness(s.hanging, s.inverse)
-        out.balance = add_lever(
-            out.balance.stiffness, out.balance.wrench, anchor - p, force, k
-        )
+        out.balance = add_lever(out.balance.stiffness, out.balance.wrench, anchor - p, force, k)
     return out
 
 
@@ -104,9 +108,7 @@ def relax(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64)
     slope = wp.float64(0.0)
     halvings = int(0)
     while out.converged == 0 and out.steps < limit:
-        here = load_cables(
-            cables, lengths, row, b, body, p, r, loose, q, inverse, tension
-        )
+        here = load_cables(cables, lengths, row, b, body, p, r, loose, q, inverse, tension)
         out.steps += 1
         norm = scaled_norm(here.balance.wrench, body.arm)
         settled = norm <= RESIDUAL * body.weight
@@ -196,9 +198,7 @@ def forward(
         first = cold_start(
             cables, unstrained_length, tension, row, b, body, position[b], rotation[b]
         )
-        start_cables(
-            cables, unstrained_length, row, b, first.position, first.rotation, q, tension
-        )
+        start_cables(cables, unstrained_length, row, b, first.position, first.rotation, q, tension)
         rest = relax(
             cables, unstrained_length, row, b, body, first.position, first.rotation, q, inverse,
             tension, LIMIT,

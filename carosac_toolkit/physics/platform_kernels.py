@@ -68,9 +68,9 @@ def add_lever(stiffness: mat66d, wrench: vec6d, arm: wp.vec3d, force: wp.vec3d,
     moment = wp.cross(arm, force)
     xkx = x * kx
     # Turning the arm of a constant force: symmetric part, which is the whole of it at equilibrium.
-    turn = HALF * (wp.outer(arm, force) + wp.outer(force, arm)) - wp.dot(
-        arm, force
-    ) * wp.identity(n=3, dtype=wp.float64)
+    turn = HALF * (wp.outer(arm, force) + wp.outer(force, arm)) - wp.dot(arm, force) * wp.identity(
+        n=3, dtype=wp.float64
+    )
     out = Balance()
     out.wrench = wrench + vec6d(force[0], force[1], force[2], moment[0], moment[1], moment[2])
     s = stiffness

@@ -93,17 +93,18 @@ def forward_kinematics(
         raise InvalidField(f"unstrained_length[{b}, {i}]", f"{length[b, i]} m", "> 0 m")
     size = len(length)
     _check_guess(guess, size, robot)
-    buffers = _buffers(robot, size, device)
-    buffers.put("unstrained_length", length)
-    warm = _put_guess(robot, buffers, guess, size)
     warp_setup.load(forward_kernels, device)
     cables, bodies = device_robot(robot, device)
-    buffers.launch(
-        f"forward{warm}", forward_kernels.forward, size, cables, bodies, warm,
-        "unstrained_length", "position", "rotation", "q", "inverse", "tension", "stiffness",
-        "residual", "gap", "status", "stable", "iterations",
-    )  # fmt: skip
-    return _equilibrium(robot, buffers)
+    buffers = kept_buffers(robot, "statics", size, device, lambda: _shapes(size, robot.n))
+    with buffers.lock:
+        buffers.put("unstrained_length", length)
+        warm = _put_guess(robot, buffers, guess)
+        buffers.launch(
+            f"forward{warm}", forward_kernels.forward, size, cables, bodies, warm,
+            "unstrained_length", "position", "rotation", "q", "inverse", "tension", "stiffness",
+            "residual", "gap", "status", "stable", "iterations",
+        )  # fmt: skip
+        return _equilibrium(robot, buffers)
 
 
 def inverse_kinematics(
@@ -142,12 +143,13 @@ def inverse_kinematics(
         raise InvalidField("rotation", "a rotation", f"None: {robot.n} cables leave it free")
     _check_guess(guess, size, robot)
     held = _held_rotation(robot, rotation if not free else None, size)
-    buffers = _buffers(robot, size, device)
-    buffers.put("position", where)
-    buffers.put("rotation", guess.rotation if free and guess is not None else held)
     warp_setup.load(inverse_kernels, device)
-    _launch_inverse(robot, buffers, size, free, device)
-    return _equilibrium(robot, buffers)
+    buffers = kept_buffers(robot, "statics", size, device, lambda: _shapes(size, robot.n))
+    with buffers.lock:
+        buffers.put("position", where)
+        buffers.put("rotation", guess.rotation if free and guess is not None else held)
+        _launch_inverse(robot, buffers, size, free, device)
+        return _equilibrium(robot, buffers)
 
 
 def _launch_inverse(robot: Robot, buffers: Buffers, size: int, free: bool, device: str) -> None:
@@ -224,13 +226,11 @@ def _check_guess(guess: Equilibrium | Pose | None, size: int, robot: Robot) -> N
         raise InvalidField("guess", f"{guess.exit_tension.shape[1]} cables", f"{robot.n} cables")
 
 
-def _put_guess(
-    robot: Robot, buffers: Buffers, guess: Equilibrium | Pose | None, size: int
-) -> int:
+def _put_guess(robot: Robot, buffers: Buffers, guess: Equilibrium | Pose | None) -> int:
     """Fill in the start; 1 where tension vectors are known as well."""
     if guess is None:
-        buffers.put("position", np.broadcast_to(robot.home_position, (size, 3)))
-        buffers.put("rotation", np.broadcast_to(robot.home_rotation, (size, 3, 3)))
+        buffers.put("position", robot.home_position)
+        buffers.put("rotation", robot.home_rotation)
         return 0
     buffers.put("position", guess.position)
     buffers.put("rotation", guess.rotation)
@@ -254,28 +254,19 @@ def _held_rotation(robot: Robot, rotation: ArrayLike | None, size: int) -> Array
     return held
 
 
-def _buffers(robot: Robot, size: int, device: str) -> Buffers:
-    """Buffers for a batch of this size, made at its first use."""
-    warp_setup.initialise()
-    n = robot.n
-
-    def make() -> Buffers:
-        per_cable = (size, n)
-        shapes: dict[str, tuple[Any, Any]] = {
-            "position": (size, wp.vec3d), "rotation": (size, wp.mat33d),
-            "stiffness": (size, mat66d), "residual": (size, wp.float64),
-            "gap": (size, wp.float64), "status": (size, int), "stable": (size, int),
-            "iterations": (size, int), "unstrained_length": (per_cable, wp.float64),
-            "tension": (per_cable, wp.float64), "q": (per_cable, wp.vec3d),
-            "inverse": (per_cable, wp.mat33d), "wanted": (per_cable, wp.float64),
-            "lower": (per_cable, wp.float64), "upper": (per_cable, wp.float64),
-            "middle": (per_cable, wp.float64), "column": (per_cable, vec6d),
-            "twist": (per_cable, wp.vec3d), "bound": (per_cable, int),
-        }  # fmt: skip
-        arrays = {k: wp.zeros(s, dtype=t, device=device) for k, (s, t) in shapes.items()}
-        return Buffers(device, arrays)
-
-    return kept_buffers(robot, ("statics", size, device), make)
+def _shapes(size: int, n: int) -> dict[str, tuple[Any, Any]]:
+    """Shape and type of every buffer of a batch."""
+    per_cable = (size, n)
+    return {
+        "position": (size, wp.vec3d), "rotation": (size, wp.mat33d), "stiffness": (size, mat66d),
+        "residual": (size, wp.float64), "gap": (size, wp.float64), "status": (size, int),
+        "stable": (size, int), "iterations": (size, int),
+        "unstrained_length": (per_cable, wp.float64), "tension": (per_cable, wp.float64),
+        "q": (per_cable, wp.vec3d), "inverse": (per_cable, wp.mat33d),
+        "wanted": (per_cable, wp.float64), "lower": (per_cable, wp.float64),
+        "upper": (per_cable, wp.float64), "middle": (per_cable, wp.float64),
+        "column": (per_cable, vec6d), "twist": (per_cable, wp.vec3d), "bound": (per_cable, int),
+    }  # fmt: skip
 
 
 def _equilibrium(robot: Robot, buffers: Buffers) -> Equilibrium:

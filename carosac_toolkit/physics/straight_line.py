@@ -15,11 +15,8 @@ References:
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import warp as wp
@@ -28,11 +25,11 @@ from numpy.typing import ArrayLike, NDArray
 from carosac_toolkit.arrays import Array, batch
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics import straight_line_kernels, warp_setup
+from carosac_toolkit.physics.device import kept_buffers
 from carosac_toolkit.robot import Robot
 
 TOLERANCE = 1e-10  # gradient norm over the longest length that counts as converged [-]
 MAX_ITERATIONS = 200
-_BATCH_SIZES_KEPT = 8  # buffers kept per robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,7 +86,22 @@ def straight_length(
     """
     points = batch("position", position, (3,))
     turns = _rotations(robot, rotation, len(points))
-    return _workspace(robot, len(points)).lengths(points, turns)
+    outputs = ("length", "wrap", "direction", "valid")
+    found = _launch(
+        robot,
+        len(points),
+        straight_line_kernels.straight_lengths,
+        (len(points), robot.n),
+        {"position": points, "rotation": turns},
+        ("position", "rotation", *_GEOMETRY, *outputs),
+        outputs,
+    )
+    return StraightCables(
+        length=found["length"],
+        wrap=found["wrap"],
+        direction=found["direction"],
+        valid=found["valid"] != 0,
+    )
 
 
 def inverse_kinematics(
@@ -149,98 +161,56 @@ def forward_kinematics(
     start = robot.home_position if guess is None else batch("guess", guess, (3,))
     if guess is not None and len(start) != len(targets):
         raise InvalidField("guess", f"shape {start.shape}", f"shape {(len(targets), 3)}")
-    return _workspace(robot, len(targets)).fit(targets, turns, start)
+    outputs = ("position", "residual", "converged", "iterations")
+    found = _launch(
+        robot,
+        len(targets),
+        straight_line_kernels.fit_position,
+        len(targets),
+        {"target": targets, "rotation": turns, "position": start},
+        ("target", "rotation", *_GEOMETRY, wp.float64(TOLERANCE), MAX_ITERATIONS, *outputs),
+        (*outputs, "rotation"),
+    )
+    return StraightLineFit(
+        position=found["position"],
+        rotation=found["rotation"],
+        residual=found["residual"],
+        converged=found["converged"] != 0,
+        iterations=found["iterations"],
+    )
 
 
-class _Workspace:
-    """Buffers and recorded launches of one robot and one batch size: a call allocates little."""
-
-    def __init__(self, robot: Robot, size: int) -> None:
-        warp_setup.load(straight_line_kernels)
-        self._lock = threading.Lock()
-        n = robot.n
-        self._buffers: list[Any] = []  # keeps alive what the views look into
-        self._position, position = self._new((size,), wp.vec3d)
-        self._rotation, rotation = self._new((size,), wp.mat33d)
-        self._target, target = self._new((size, n), wp.float64)
-        self._length, length = self._new((size, n), wp.float64)
-        self._wrap, wrap = self._new((size, n), wp.float64)
-        self._direction, direction = self._new((size, n), wp.vec3d)
-        self._valid, valid = self._new((size, n), wp.int32)
-        self._residual, residual = self._new((size,), wp.float64)
-        self._converged, converged = self._new((size,), wp.int32)
-        self._iterations, iterations = self._new((size,), wp.int32)
-        shape = [
-            self._constant(value, wp.vec3d if value.ndim == 2 else wp.float64)
-            for value in (
-                robot.exit_points, robot.anchor_points, robot.pulley_radius, robot.swivel_axis
-            )
-        ]  # fmt: skip
-        cables = [position, rotation, *shape, length, wrap, direction, valid]
-        self._measure = _record(straight_line_kernels.straight_lengths, (size, n), cables)
-        limits = [wp.float64(TOLERANCE), MAX_ITERATIONS]
-        fit = [target, rotation, *shape, *limits, position, residual, converged, iterations]
-        self._solve = _record(straight_line_kernels.fit_position, (size,), fit)
-
-    def lengths(self, position: Array, rotation: Array) -> StraightCables:
-        """Run `straight_lengths`."""
-        with self._lock:
-            self._position[:] = position
-            self._rotation[:] = rotation
-            self._measure.launch()
-            return StraightCables(
-                length=self._length.copy(),
-                wrap=self._wrap.copy(),
-                direction=self._direction.copy(),
-                valid=self._valid != 0,
-            )
-
-    def fit(self, target: Array, rotation: Array, start: Array) -> StraightLineFit:
-        """Run `fit_position`."""
-        with self._lock:
-            self._target[:] = target
-            self._rotation[:] = rotation
-            self._position[:] = start
-            self._solve.launch()
-            return StraightLineFit(
-                position=self._position.copy(),
-                rotation=self._rotation.copy(),
-                residual=self._residual.copy(),
-                converged=self._converged != 0,
-                iterations=self._iterations.copy(),
-            )
-
-    def _new(self, shape: tuple[int, ...], dtype: Any) -> tuple[NDArray[Any], Any]:
-        """A zeroed Warp array and the numpy view of its memory."""
-        buffer: Any = wp.zeros(shape, dtype=dtype, device="cpu")
-        self._buffers.append(buffer)
-        return buffer.numpy(), buffer
-
-    def _constant(self, value: Array, dtype: Any) -> Any:
-        buffer: Any = wp.array(value, dtype=dtype, device="cpu")
-        self._buffers.append(buffer)
-        return buffer
+def _launch(
+    robot: Robot, size: int, kernel: Any, dim: int | tuple[int, int], inputs: dict[str, Array],
+    arguments: tuple[Any, ...], outputs: tuple[str, ...],
+) -> dict[str, NDArray[Any]]:  # fmt: skip
+    """Copy in, run a kernel, copy out."""
+    warp_setup.load(straight_line_kernels)
+    buffers = kept_buffers(robot, "straight_line", size, "cpu", lambda: _shapes(size, robot.n))
+    with buffers.lock:
+        if not buffers.launched:
+            for name in _GEOMETRY:
+                buffers.put(name, getattr(robot, name))
+        for name, value in inputs.items():
+            buffers.put(name, value)
+        buffers.launch(kernel.key, kernel, dim, *arguments)
+        return {name: buffers.get(name) for name in outputs}
 
 
-def _record(kernel: Any, dim: tuple[int, ...], inputs: list[Any]) -> Any:
-    """Pack a launch once; launching it again costs a fraction of `wp.launch`."""
-    return wp.launch(kernel, dim=dim, inputs=inputs, device="cpu", record_cmd=True)
+def _shapes(size: int, n: int) -> dict[str, tuple[Any, Any]]:
+    """Shape and type of every buffer."""
+    return {
+        "exit_points": (n, wp.vec3d), "anchor_points": (n, wp.vec3d),
+        "pulley_radius": (n, wp.float64), "swivel_axis": (n, wp.vec3d),
+        "position": (size, wp.vec3d), "rotation": (size, wp.mat33d),
+        "target": ((size, n), wp.float64), "length": ((size, n), wp.float64),
+        "wrap": ((size, n), wp.float64), "direction": ((size, n), wp.vec3d),
+        "valid": ((size, n), wp.int32), "residual": (size, wp.float64),
+        "converged": (size, wp.int32), "iterations": (size, wp.int32),
+    }  # fmt: skip
 
 
-_CACHE: WeakKeyDictionary[Robot, OrderedDict[int, _Workspace]] = WeakKeyDictionary()
-_CACHE_LOCK = threading.Lock()
-
-
-def _workspace(robot: Robot, size: int) -> _Workspace:
-    """The workspace of this robot and batch size; the least recently used one is dropped."""
-    with _CACHE_LOCK:
-        kept = _CACHE.setdefault(robot, OrderedDict())
-        if size not in kept:
-            kept[size] = _Workspace(robot, size)
-        kept.move_to_end(size)
-        if len(kept) > _BATCH_SIZES_KEPT:
-            kept.popitem(last=False)
-        return kept[size]
+_GEOMETRY = ("exit_points", "anchor_points", "pulley_radius", "swivel_axis")
 
 
 def _rotations(robot: Robot, rotation: ArrayLike | None, size: int) -> Array:

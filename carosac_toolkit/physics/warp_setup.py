@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +15,7 @@ import warp as wp
 NOTICE_AFTER = 1.0  # [s] of loading before the user is told
 
 _loaded: set[tuple[str, str]] = set()
+_started: list[bool] = []
 
 
 @contextmanager
@@ -25,10 +28,31 @@ def _quiet() -> Iterator[None]:
         wp.config.log_level = level
 
 
+@contextmanager
+def _without_driver_warning() -> Iterator[None]:
+    """Hold back what native start-up code says about a missing GPU driver; pass on the rest."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    with tempfile.TemporaryFile() as caught:
+        os.dup2(caught.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            caught.seek(0)
+            for line in caught:
+                if b"CUDA driver" not in line:
+                    os.write(2, line)
+
+
 def initialise() -> None:
     """Start Warp; harmless when it runs already."""
-    with _quiet():
+    if _started:
+        return
+    with _quiet(), _without_driver_warning():
         wp.init()
+    _started.append(True)
 
 
 def load(module: ModuleType, device: str = "cpu") -> None:
