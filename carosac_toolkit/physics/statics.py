@@ -15,7 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from carosac_toolkit.arrays import Array, batch
 from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import catenary_kernels, forward_kernels, inverse_kernels, warp_setup
+from carosac_toolkit.physics import (
+    catenary_kernels,
+    forward_kernels,
+    inverse_free_kernels,
+    inverse_kernels,
+    warp_setup,
+)
 from carosac_toolkit.physics.cable_kernels import mat66d, vec6d
 from carosac_toolkit.physics.device import Buffers, device_robot, kept_buffers
 from carosac_toolkit.robot import Robot
@@ -144,6 +150,8 @@ def inverse_kinematics(
     _check_guess(guess, size, robot)
     held = _held_rotation(robot, rotation if not free else None, size)
     warp_setup.load(inverse_kernels, device)
+    if free:
+        warp_setup.load(inverse_free_kernels, device)
     buffers = kept_buffers(robot, "statics", size, device, lambda: _shapes(size, robot.n))
     with buffers.lock:
         buffers.put("position", where)
@@ -158,7 +166,7 @@ def _launch_inverse(robot: Robot, buffers: Buffers, size: int, free: bool, devic
     common = (cables, bodies, "position", "rotation", "unstrained_length", "q", "tension", "wanted")
     if free:
         buffers.launch(
-            "free", inverse_kernels.inverse_free, size, *common,
+            "free", inverse_free_kernels.inverse_free, size, *common,
             "column", "twist", "bound", "status", "iterations",
         )  # fmt: skip
     else:

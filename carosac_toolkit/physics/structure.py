@@ -10,9 +10,7 @@ from carosac_toolkit.physics.straight_line import straight_length
 from carosac_toolkit.robot import Robot
 
 
-def structure_matrix(
-    robot: Robot, position: ArrayLike, rotation: ArrayLike | None = None
-) -> Array:
+def structure_matrix(robot: Robot, position: ArrayLike, rotation: ArrayLike | None = None) -> Array:
     r"""Map cable tensions to the wrench they apply to the platform.
 
     With unit vector u_i from anchor point to tangent point, both expressed in W,

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import straight_line
+from carosac_toolkit.physics import device, straight_line
 from carosac_toolkit.physics.straight_line import (
     forward_kinematics,
     inverse_kinematics,
@@ -283,4 +283,4 @@ def test_many_batch_sizes_keep_few_buffers():
     robot = simple_robot()
     for size in range(1, 30):
         inverse_kinematics(robot, np.tile(robot.home_position, (size, 1)))
-    assert len(straight_line._CACHE[robot]) <= 8
+    assert len(device._buffers[robot]) <= device.KEPT

@@ -1,0 +1,59 @@
+# Everything runs in .venv, which `make setup` makes. `make help` lists the targets.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.set-up
+RESULTS := carosac-results
+JOBS ?= 2
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint bench bars docs clean
+
+help:  ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-7s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup: $(STAMP)  ## install the toolkit and all it needs into .venv
+	@echo "Set-up is complete. The command is $(BIN)/carosac, the interpreter $(BIN)/python."
+
+$(STAMP): pyproject.toml constraints.txt
+	@echo "1/3 Making a virtual environment in $(VENV)."
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@echo "2/3 Installing the toolkit in place, with its dependencies and the tools for tests,"
+	@echo "    documentation and learning, at the versions of constraints.txt."
+	@echo "    This takes some minutes and about 3 GB of disk."
+	@PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install -qq \
+		--constraint constraints.txt --editable '.[dev,docs,learn]'
+	@echo "3/3 Checking that the installed packages fit together."
+	@$(BIN)/python -m pip check
+	@touch $@
+
+demo: setup  ## score the models on a bundled synthetic recording, with pictures
+	@echo "Scoring each model on the bundled recording 'synthetic'. Kernels are compiled at the"
+	@echo "first run, which takes up to a minute; later runs find them cached."
+	$(BIN)/carosac validate synthetic --output $(RESULTS)/demo
+	@echo
+	@echo "Pictures and report (open report.html in a browser):"
+	@ls -1 $(RESULTS)/demo/*.png $(RESULTS)/demo/*.html
+
+test: setup  ## run the whole test suite
+	@$(BIN)/python -m tests.warm_kernels
+	$(BIN)/python -m pytest -q -n $(JOBS) --dist loadfile
+
+lint: setup  ## check style, formatting and types
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+bench: setup  ## measure the speed of the statics
+	$(BIN)/python -m benchmarks.statics
+
+bars: setup  ## run the slow acceptance measurements; figures go to benchmarks/RESULTS.md
+	$(BIN)/python -m benchmarks.bars
+
+docs: setup  ## build the documentation into docs/_build
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
+	@echo "Open docs/_build/index.html"
+
+clean:  ## remove what the other targets made, but not .venv
+	rm -rf $(RESULTS) docs/_build build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,0 +1,1 @@
+"""Speed and acceptance measurements, run by hand; results in RESULTS.md."""

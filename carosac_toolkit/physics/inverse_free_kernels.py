@@ -1,0 +1,274 @@
+"""Inverse kinematics with the rotation free (fewer than six cables).
+
+A Newton method on the conditions of optimality (Lagrange multipliers y of the six balances) finds
+the least squared tensions within the limits, starting from a stable rest on straight cables.
+"""
+
+import warp as wp
+
+from carosac_toolkit.physics.cable_kernels import HALF, ONE, TINY, TWO, ZERO, Cable, vec6d
+from carosac_toolkit.physics.inverse_kernels import (
+    CONVERGED,
+    FAILED,
+    INFEASIBLE,
+    LIMIT,
+    RESIDUAL,
+    STEADY,
+    first_tensions,
+    pull_cables,
+)
+from carosac_toolkit.physics.platform_kernels import (
+    Body,
+    anchor_of,
+    mat66d,
+    orthonormal,
+    rotation_of,
+    scaled_norm,
+)
+from carosac_toolkit.physics.start_kernels import Straight, cold_start, straight_to
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+mat99d = wp.types.matrix((9, 9), wp.float64)
+vec9d = wp.types.vector(9, wp.float64)
+
+ROUNDS = wp.constant(4)  # of fitting straight cables to the position
+
+
+@wp.func
+def solve9(matrix: mat99d, right: vec9d) -> vec9d:
+    """Gaussian elimination with partial pivoting."""
+    a = matrix
+    x = right
+    for j in range(9):
+        p = int(j)
+        for i in range(j + 1, 9):
+            if wp.abs(a[i, j]) > wp.abs(a[p, j]):
+                p = i
+        for k in range(9):
+            above = a[j, k]
+            a[j, k] = a[p, k]
+            a[p, k] = above
+        above = x[j]
+        x[j] = x[p]
+        x[p] = above
+        pivot = a[j, j] + TINY
+        for i in range(j + 1, 9):
+            f = a[i, j] / pivot
+            for k in range(j, 9):
+                a[i, k] = a[i, k] - f * a[j, k]
+            x[i] = x[i] - f * x[j]
+    for back in range(9):
+        j = 8 - back
+        s = x[j]
+        for k in range(j + 1, 9):
+            s -= a[j, k] * x[k]
+        x[j] = s / (a[j, j] + TINY)
+    return x
+
+
+@wp.func
+def dual_gradient(
+    straight: Straight, arm: wp.vec3d, dual_force: wp.vec3d, dual_moment: wp.vec3d
+) -> wp.vec3d:
+    """Gradient of u . (y_f + y_m x arm) under a rotation of the platform, straight cable."""
+    v = dual_force + wp.cross(dual_moment, arm)
+    h = wp.cross(straight.unit, dual_moment) - straight.bend * v
+    return wp.cross(arm, h)
+
+
+@wp.func
+def dual_gradient_sum(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: wp.vec3d,
+                      r: wp.mat33d, tension: wp.array2d(dtype=wp.float64), dual_force: wp.vec3d,
+                      dual_moment: wp.vec3d) -> wp.vec3d:  # fmt: skip
+    """Gradient of y . wrench under a rotation of the platform."""
+    weight = wp.vec3d(ZERO, ZERO, -body.weight)
+    out = wp.cross(r * body.center_of_mass, wp.cross(weight, dual_moment))
+    for i in range(tension.shape[1]):
+        arm = r * cables[row, i].anchor_point
+        s = straight_to(cables[row, i], p + arm)
+        out += tension[b, i] * dual_gradient(s, arm, dual_force, dual_moment)
+    return out
+
+
+@wp.func
+def dual_curvature(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: wp.vec3d,
+                   r: wp.mat33d, tension: wp.array2d(dtype=wp.float64), dual_force: wp.vec3d,
+                   dual_moment: wp.vec3d) -> wp.mat33d:  # fmt: skip
+    """Minus the second derivative of y . wrench for the rotation, by central differences."""
+    h = wp.float64(1.0e-4)
+    out = wp.mat33d()
+    for axis in range(3):
+        tilt = wp.vec3d()
+        tilt[axis] = h
+        plus = dual_gradient_sum(
+            cables, row, b, body, p, rotation_of(tilt) * r, tension, dual_force, dual_moment
+        )
+        minus = dual_gradient_sum(
+            cables, row, b, body, p, rotation_of(-tilt) * r, tension, dual_force, dual_moment
+        )
+        change = (minus - plus) / (TWO * h)
+        for k in range(3):
+            out[k, axis] = change[k]
+    return HALF * (out + wp.transpose(out))
+
+
+@wp.func
+def optimality_row(column: vec6d, twist: wp.vec3d) -> vec9d:
+    """How a cable's tension follows multipliers and rotation."""
+    return vec9d(
+        column[0], column[1], column[2], column[3], column[4], column[5],
+        twist[0], twist[1], twist[2],
+    )  # fmt: skip
+
+
+@wp.func
+def optimality_step(cables: wp.array2d(dtype=Cable), row: int, b: int, balance_wrench: vec6d,
+                    stiffness: mat66d, arm: wp.float64, curvature: wp.mat33d, ridge: wp.float64,
+                    tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
+                    twist: wp.array2d(dtype=wp.vec3d), bound: wp.array2d(dtype=int)) -> vec9d:  # fmt: skip
+    """Newton step (new multipliers, rotation) for the set of cables now held at their limits."""
+    matrix = mat99d()
+    right = vec9d()
+    for i in range(6):
+        lever = wp.where(i < 3, ONE, arm)
+        right[i] = -balance_wrench[i] / lever
+        matrix[i, i] = wp.float64(1.0e-13)
+        for j in range(3):
+            matrix[i, 6 + j] = -stiffness[i, 3 + j] / lever
+            matrix[6 + j, i] = -stiffness[i, 3 + j] / lever
+    for i in range(3):
+        for j in range(3):
+            matrix[6 + i, 6 + j] = -curvature[i, j]
+        matrix[6 + i, 6 + i] = matrix[6 + i, 6 + i] - ridge
+    for i in range(tension.shape[1]):
+        line = optimality_row(column[b, i], twist[b, i])
+        if bound[b, i] == 0:
+            matrix = matrix + wp.outer(line, line)
+            right = right + tension[b, i] * line
+        else:
+            held = wp.where(
+                bound[b, i] == 1, cables[row, i].tension_min, cables[row, i].tension_max
+            )
+            right = right - (held - tension[b, i]) * line
+    return solve9(matrix, right)
+
+
+@wp.struct
+class Choice:
+    """Tensions that a Newton step leads to."""
+
+    changed: int  # the set of cables at their limits changed
+    slope: wp.float64  # of the squared tensions along the step [N^2]
+    jump: wp.float64  # largest change of a tension [N]
+
+
+@wp.func
+def choose(cables: wp.array2d(dtype=Cable), row: int, b: int, step: vec9d,
+           tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
+           twist: wp.array2d(dtype=wp.vec3d), bound: wp.array2d(dtype=int),
+           wanted: wp.array2d(dtype=wp.float64)) -> Choice:  # fmt: skip
+    """Clip the tensions of a step; note which cables sit at a limit."""
+    out = Choice()
+    for i in range(tension.shape[1]):
+        t = wp.dot(optimality_row(column[b, i], twist[b, i]), step)
+        side = int(0)
+        if t < cables[row, i].tension_min:
+            side = 1
+        if t > cables[row, i].tension_max:
+            side = 2
+        if side != bound[b, i]:
+            out.changed = 1
+        bound[b, i] = side
+        t = wp.clamp(t, cables[row, i].tension_min, cables[row, i].tension_max)
+        wanted[b, i] = t
+        out.slope += tension[b, i] * (t - tension[b, i])
+        out.jump = wp.max(out.jump, wp.abs(t - tension[b, i]))
+    return out
+
+
+@wp.kernel
+def inverse_free(
+    cables: wp.array2d(dtype=Cable),
+    bodies: wp.array(dtype=Body),
+    position: wp.array(dtype=wp.vec3d),
+    rotation: wp.array(dtype=wp.mat33d),
+    unstrained_length: wp.array2d(dtype=wp.float64),
+    q: wp.array2d(dtype=wp.vec3d),
+    tension: wp.array2d(dtype=wp.float64),
+    wanted: wp.array2d(dtype=wp.float64),
+    column: wp.array2d(dtype=vec6d),
+    twist: wp.array2d(dtype=wp.vec3d),
+    bound: wp.array2d(dtype=int),
+    status: wp.array(dtype=int),
+    iterations: wp.array(dtype=int),
+):
+    """Rotation free: least squared tensions in equilibrium, from a stable rest nearby."""
+    b = wp.tid()
+    n = tension.shape[1]
+    row = wp.min(b, cables.shape[0] - 1)
+    body = bodies[wp.min(b, bodies.shape[0] - 1)]
+    p = position[b]
+    r = rotation[b]
+    for _round in range(ROUNDS):
+        for i in range(n):
+            s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
+            unstrained_length[b, i] = s.length
+        nearby = cold_start(cables, unstrained_length, tension, row, b, body, p, r)
+        r = nearby.rotation
+    first_tensions(cables, row, b, p, r, tension, unstrained_length, q)
+    for i in range(n):
+        bound[b, i] = 0
+    dual_force = wp.vec3d()
+    dual_moment = wp.vec3d()
+    count = int(0)
+    result = int(-1)
+    while result < 0:
+        here = pull_cables(cables, row, b, body, p, r, tension, unstrained_length, q, column)
+        count += 1
+        norm = scaled_norm(here.balance.wrench, body.arm)
+        curvature = dual_curvature(cables, row, b, body, p, r, tension, dual_force, dual_moment)
+        for i in range(n):
+            arm = r * cables[row, i].anchor_point
+            s = straight_to(cables[row, i], p + arm)
+            twist[b, i] = dual_gradient(s, arm, dual_force, dual_moment)
+        ridge = wp.float64(0.0)
+        step = vec9d()
+        choice = Choice()
+        tries = int(0)
+        searching = bool(True)
+        while searching:
+            step = optimality_step(
+                cables, row, b, here.balance.wrench, here.balance.stiffness, body.arm, curvature,
+                ridge, tension, column, twist, bound,
+            )  # fmt: skip
+            choice = choose(cables, row, b, step, tension, column, twist, bound, wanted)
+            tries += 1
+            searching = choice.changed == 1 and tries < 12
+            # At balance a step must not raise the tensions: lean towards smaller rotations.
+            rising = choice.slope > wp.float64(1.0e-6) * body.weight * body.weight
+            balanced = norm < wp.float64(1.0e-3) * body.weight
+            if not searching and rising and balanced and ridge < wp.float64(1.0e8) * body.weight:
+                ridge = wp.max(ridge * wp.float64(4.0), body.weight * body.arm)
+                tries = 0
+                searching = True
+        turn = wp.vec3d(step[6], step[7], step[8])
+        angle = wp.length(turn)
+        scale = wp.min(ONE, wp.float64(0.2) / (angle + TINY))
+        dual_force = wp.vec3d(step[0], step[1], step[2])
+        dual_moment = wp.vec3d(step[3], step[4], step[5]) / body.arm
+        steady = choice.jump <= STEADY * body.weight and angle <= STEADY * wp.float64(10.0)
+        if norm <= RESIDUAL * body.weight and steady and choice.changed == 0:
+            result = CONVERGED
+        elif count >= LIMIT:
+            result = FAILED
+            for i in range(n):
+                if bound[b, i] != 0:
+                    result = INFEASIBLE
+        else:
+            for i in range(n):
+                tension[b, i] = tension[b, i] + scale * (wanted[b, i] - tension[b, i])
+            r = orthonormal(rotation_of(scale * turn) * r)
+    rotation[b] = r
+    status[b] = result
+    iterations[b] = count

@@ -1,0 +1,6 @@
+"""How well models explain a recording: run open loop on its lengths, scored on its poses."""
+
+from carosac_toolkit.validation.procedure import DEFAULT_MODELS, validate
+from carosac_toolkit.validation.result import ModelResult, ValidationResult
+
+__all__ = ["DEFAULT_MODELS", "ModelResult", "ValidationResult", "validate"]

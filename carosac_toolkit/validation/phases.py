@@ -1,0 +1,79 @@
+"""When the winches rest, and how fast things change, from samples at any times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+
+REST_SPEED = 0.01  # [m/s]: fastest cable that still counts as resting
+REST_DURATION = 0.5  # [s]: shortest rest
+SLOPE_WINDOW = 0.15  # [s] before and after a sample
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Phases:
+    """Rests and moves of a run.
+
+    A sample rests where no measured cable length changes faster than `REST_SPEED` for at least
+    `REST_DURATION`. The platform may still sway then: this is about what the winches do.
+
+    Attributes:
+        resting: shape (N,).
+        rests: First and one past the last sample of each rest.
+    """
+
+    resting: NDArray[np.bool_]
+    rests: tuple[tuple[int, int], ...]
+
+
+def find_phases(time: Array, length: Array) -> Phases:
+    """Tell rests from moves.
+
+    Args:
+        time: Strictly increasing [s], shape (N,).
+        length: Cable lengths [m], shape (N, n).
+    """
+    slow = np.abs(slope(time, length)).max(axis=1) < REST_SPEED
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(int)))
+    runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    rests = tuple((a, b) for a, b in runs if time[b - 1] - time[a] >= REST_DURATION)
+    resting = np.zeros(len(time), dtype=np.bool_)
+    for first, end in rests:
+        resting[first:end] = True
+    return Phases(resting=resting, rests=rests)
+
+
+def slope(time: Array, value: Array, window: float = SLOPE_WINDOW) -> Array:
+    """Rate of change at each sample, exact for straight lines and little moved by noise.
+
+    The mean of the samples up to `window` later less the mean of those up to `window` earlier,
+    at least one each, over the distance of their mean times; one-sided at the ends.
+
+    Args:
+        time: Strictly increasing [s], shape (N,).
+        value: shape (N, K).
+        window: [s].
+
+    Returns:
+        Rate [unit of value per s], shape (N, K).
+    """
+    count = len(time)
+    if count < 2:
+        return np.zeros(value.shape)
+    index = np.arange(count)
+    first = np.minimum(np.searchsorted(time, time - window), np.maximum(index - 1, 0))
+    last = np.maximum(
+        np.searchsorted(time, time + window, side="right"), np.minimum(index + 2, count)
+    )
+    before_end = np.maximum(index, 1)  # at the first sample, the sample itself
+    after_start = np.minimum(index + 1, count - 1)
+    both = np.column_stack([time - time[0], value - value[0]])
+    total = np.concatenate([np.zeros((1, both.shape[1])), np.cumsum(both, axis=0)])
+    after = (total[last] - total[after_start]) / (last - after_start)[:, None]
+    before = (total[before_end] - total[first]) / (before_end - first)[:, None]
+    change = after - before
+    return np.asarray(change[:, 1:] / change[:, :1])

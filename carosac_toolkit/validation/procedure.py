@@ -1,0 +1,223 @@
+"""Run models over a recording and score them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.recording import Recording
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.validation.cable_lengths import length_at_tension
+from carosac_toolkit.validation.diagnostics import find_delay, find_sway, rest_frequencies
+from carosac_toolkit.validation.phases import find_phases, slope
+from carosac_toolkit.validation.result import ModelResult, ValidationResult
+from carosac_toolkit.validation.run import ModelRun, build_model, load_model, run_open_loop
+from carosac_toolkit.validation.scores import rotation_angle, score_lengths, score_poses
+from carosac_toolkit.values import Pose
+
+DEFAULT_MODELS = ("straight_line", "kinematic_solver")
+
+
+def validate(
+    recording: Recording,
+    robot: Robot,
+    models: Sequence[str] = DEFAULT_MODELS,
+    *,
+    start: int = 0,
+    stop: int | None = None,
+    seed: int = 0,
+) -> ValidationResult:
+    """Score models on a recording: open loop on its lengths, against its measured poses.
+
+    Each model gets the measurements in order from sample 0, poses withheld; `start` and `stop`
+    limit what is scored. Samples without a measured pose nearby are left out and counted. A model
+    that raises costs its own scores only.
+
+    Args:
+        recording: With measured poses and unstrained lengths.
+        robot: What the models are built for, with as many cables as the recording.
+        models: Names of estimators, or ``module:Class``; each once.
+        start: First sample to score.
+        stop: One past the last; None: to the end.
+        seed: Given to every model.
+
+    Returns:
+        Scores and diagnostics per model.
+
+    Raises:
+        InvalidField: An unknown model, a range outside the recording, another number of cables, a
+            recording without poses in the range or with relative lengths.
+    """
+    targets = check_inputs(recording, robot, models, start=start, stop=stop)
+    end = len(recording.time) if stop is None else stop
+    poses = recording.pose_at(recording.time[start:end])
+    index = start + np.flatnonzero(poses.valid)
+    measured = Pose(
+        position=poses.pose.position[poses.valid],
+        rotation=poses.pose.rotation[poses.valid],
+        time=recording.time[index],
+    )
+    phases = find_phases(recording.time, recording.unstrained_length)
+    rests = _kept(phases.rests, index)
+    scoring = _Scoring(recording, robot, index, measured, phases.resting[index], rests)
+    return ValidationResult(
+        robot=robot,
+        start=start,
+        stop=end,
+        seed=seed,
+        index=index,
+        time=recording.time[index],
+        measured=measured,
+        resting=phases.resting[index],
+        rests=rests,
+        models={name: scoring.result(name, target, end, seed) for name, target in targets.items()},
+        natural_frequency=rest_frequencies(robot, recording.unstrained_length[index], rests),
+        exit_point_distance=_distance(recording, robot),
+    )
+
+
+def check_inputs(
+    recording: Recording,
+    robot: Robot,
+    models: Sequence[str],
+    *,
+    start: int = 0,
+    stop: int | None = None,
+) -> dict[str, Any]:
+    """Refuse what cannot be validated; see `validate`.
+
+    Returns:
+        What builds each model, by name.
+    """
+    targets = {name: load_model(name) for name in models}
+    if not targets or len(targets) < len(models):
+        raise InvalidField("models", list(models), "at least one, each once")
+    recording.require_cables(robot)
+    if recording.metadata.length_kind != "unstrained":
+        allowed = "'unstrained': relative lengths fix no pose; calibrate the robot first"
+        raise InvalidField("length_kind", repr(recording.metadata.length_kind), allowed)
+    count = len(recording.time)
+    end = count if stop is None else stop
+    if not 0 <= start < count:
+        raise InvalidField("start", start, f"0 <= start < {count}, the number of samples")
+    if not start < end <= count:
+        allowed = f"start = {start} < stop <= {count}, the number of samples"
+        raise InvalidField("stop", end, allowed)
+    if not recording.pose_at(recording.time[start:end]).valid.any():
+        raise InvalidField("poses", f"none in samples {start}:{end}", "samples with measured poses")
+    return targets
+
+
+class _Scoring:
+    """Everything that the scores of all models share."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        robot: Robot,
+        index: NDArray[np.int64],
+        measured: Pose,
+        resting: NDArray[np.bool_],
+        rests: tuple[tuple[int, int], ...],
+    ) -> None:
+        self._recording = recording
+        self._robot = robot
+        self._index = index
+        self._measured = measured
+        self._resting = resting
+        self._rests = rests
+        poses = recording.poses
+        assert poses is not None
+        rates = slope(poses.time, poses.position)
+        when = recording.time[index]
+        columns = [np.interp(when, poses.time, rates[:, axis]) for axis in range(3)]
+        self._velocity = np.column_stack(columns)  # (S, 3)
+
+    def result(self, name: str, target: Any, stop: int, seed: int) -> ModelResult:
+        """Run and score one model."""
+        try:
+            run = run_open_loop(build_model(target, self._robot, seed), self._recording, stop)
+        except Exception as error:  # a user's model may raise anything; the others go on
+            reason = f"{type(error).__name__}: {error}".splitlines()[0]
+            return ModelResult(name=name, reason=reason)
+        return self._score(name, run)
+
+    def _score(self, name: str, run: ModelRun) -> ModelResult:
+        """Score one run."""
+        pose = Pose(position=run.position[self._index], rotation=run.rotation[self._index])
+        error = pose.position - self._measured.position
+        angle = rotation_angle(self._measured.rotation, pose.rotation)
+        good = run.converged[self._index]
+        if not good.any():
+            return ModelResult(name=name, reason="it found no pose at any of the samples")
+        moving, resting = good & ~self._resting, good & self._resting
+        length_error, sag, stretch = self._lengths(run, good)
+        delay = find_delay(error[moving], self._velocity[moving])
+        rest_error = np.where(good[:, None], error, 0.0)
+        return ModelResult(
+            name=name,
+            pose=pose,
+            converged=good,
+            scores=score_poses(error[good], angle[good]),
+            moving=score_poses(error[moving], angle[moving]),
+            resting=score_poses(error[resting], angle[resting]),
+            rmse_with_failures=float(score_poses(error, angle).rmse[3]),
+            length_error=length_error,
+            length_scores=score_lengths(length_error),
+            sag=sag,
+            stretch=stretch,
+            delay=delay,
+            rmse_without_delay=self._undelayed(error, angle, moving, delay.seconds),
+            sway=find_sway(self._recording.time[self._index], rest_error, self._solved_rests(good)),
+            update_time=float(np.median(run.seconds[1:] if len(run.seconds) > 1 else run.seconds)),
+        )
+
+    def _lengths(
+        self, run: ModelRun, good: NDArray[np.bool_]
+    ) -> tuple[Array, float | None, float | None]:
+        """Length errors (S, n), mean sag and mean stretch of a model with tensions [m]."""
+        from carosac_toolkit.physics.straight_line import straight_length
+
+        known = self._recording.unstrained_length[self._index]
+        position, rotation = self._measured.position, self._measured.rotation
+        if run.tension is None:
+            straight = straight_length(self._robot, position, rotation)
+            predicted = np.where(straight.valid & good[:, None], straight.length, np.nan)
+            return known - predicted, None, None
+        tension = np.where(good[:, None], run.tension[self._index], np.nan)
+        cables = length_at_tension(self._robot, position, rotation, tension)
+        if not cables.valid.any():
+            return known - cables.unstrained_length, None, None
+        sag, stretch = float(np.nanmean(cables.sag)), float(np.nanmean(cables.stretch))
+        return known - cables.unstrained_length, sag, stretch
+
+    def _undelayed(
+        self, error: Array, angle: Array, moving: NDArray[np.bool_], delay: Array
+    ) -> float:
+        """RMSE in norm of the samples in motion with the part of a delay taken out [m]."""
+        rest = error - np.nan_to_num(delay) * self._velocity
+        return float(score_poses(rest[moving], angle[moving]).rmse[3])
+
+    def _solved_rests(self, good: NDArray[np.bool_]) -> list[tuple[int, int]]:
+        """Rests of which a model solved every sample."""
+        return [(a, b) for a, b in self._rests if good[a:b].all()]
+
+
+def _kept(
+    rests: Sequence[tuple[int, int]], index: NDArray[np.int64]
+) -> tuple[tuple[int, int], ...]:
+    """Rests counted in the samples that are scored."""
+    ends = [(int(np.searchsorted(index, a)), int(np.searchsorted(index, b))) for a, b in rests]
+    return tuple((a, b) for a, b in ends if b > a)
+
+
+def _distance(recording: Recording, robot: Robot) -> float | None:
+    """Largest distance of a measured exit point from the robot's [m]."""
+    if recording.exit_points is None:
+        return None
+    return float(np.linalg.norm(recording.exit_points - robot.exit_points, axis=1).max())

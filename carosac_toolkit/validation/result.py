@@ -1,0 +1,160 @@
+"""What `validate` found, as values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.validation.diagnostics import Delay, Sway
+from carosac_toolkit.validation.phases import REST_DURATION, REST_SPEED
+from carosac_toolkit.validation.scores import LengthScores, PoseScores
+from carosac_toolkit.values import Pose
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModelResult:
+    """How one model did; S samples had a measured pose, n cables.
+
+    Scores are over the samples that the model solved. A model that raised has `reason` and every
+    other field None.
+
+    Attributes:
+        name: As it was asked for.
+        reason: Why it has no scores, or None where it has.
+        pose: What it believed.
+        converged: Where it says that it found a pose, shape (S,); it keeps its last one elsewhere.
+        scores: Of all samples.
+        moving: Of those in motion.
+        resting: Of those at rest.
+        rmse_with_failures: In norm, over all S samples, kept poses included [m].
+        length_error: Measured minus predicted unstrained length [m], shape (S, n). Predicted is the
+            length at the *measured* pose of a straight cable (chord and wrapped arc) or, for a
+            model with tensions, of a hanging cable that pulls with the model's tension there, so
+            that sag and stretch count; NaN where there is none.
+        length_scores: Of `length_error`.
+        sag: Mean over samples and cables of the length as it hangs less the chord [m]; None for a
+            model without tensions.
+        stretch: Mean elongation of cable and run [m]; None for a model without tensions.
+        delay: Apparent delay, from the samples in motion.
+        rmse_without_delay: What `moving` would be, in norm, without that delay [m].
+        sway: Swing of the error at rest, or None where the rests are too short.
+        update_time: Median wall time of an update [s].
+    """
+
+    name: str
+    reason: str | None = None
+    pose: Pose | None = None
+    converged: NDArray[np.bool_] | None = None
+    scores: PoseScores | None = None
+    moving: PoseScores | None = None
+    resting: PoseScores | None = None
+    rmse_with_failures: float = np.nan
+    length_error: Array | None = None
+    length_scores: LengthScores | None = None
+    sag: float | None = None
+    stretch: float | None = None
+    delay: Delay | None = None
+    rmse_without_delay: float = np.nan
+    sway: Sway | None = None
+    update_time: float = np.nan
+
+    @property
+    def failures(self) -> int:
+        """Samples without a pose of this model's own."""
+        return 0 if self.converged is None else int((~self.converged).sum())
+
+    def data(self, cables: tuple[str, ...]) -> dict[str, Any]:
+        """All numbers under names with units, ready for JSON; a model that raised has nulls."""
+        if self.scores is None or self.length_scores is None or self.delay is None:
+            axes = dict.fromkeys(("x", "y", "z", "norm"))
+            empty: dict[str, Any] = {key: axes for key in ("rmse_m", "mae_m", "max_m")}
+            nothing = {"orientation_rmse_rad": None, "length_rmse_m": None}
+            return {"error": self.reason, **empty, **nothing}
+        return {
+            "error": None,
+            **self.scores.data(),
+            "length_rmse_m": self.length_scores.rmse,
+            "failures": self.failures,
+            "rmse_with_failures_m": self.rmse_with_failures,
+            "moving": self.moving.data() if self.moving else None,
+            "resting": self.resting.data() if self.resting else None,
+            "length": self.length_scores.data(cables),
+            "mean_sag_m": self.sag,
+            "mean_stretch_m": self.stretch,
+            **self.delay.data(),
+            "moving_rmse_without_delay_m": self.rmse_without_delay,
+            "sway": self.sway.data() if self.sway else None,
+            "median_update_s": self.update_time,
+        }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ValidationResult:
+    """Models against a recording; S of the samples start <= i < stop have a measured pose.
+
+    Attributes:
+        robot: The robot that the models were given.
+        start: First sample that could be scored.
+        stop: One past the last.
+        seed: Of everything random in the models.
+        index: Which samples have a measured pose, shape (S,).
+        time: Of these samples [s], shape (S,).
+        measured: Measured poses at these times.
+        resting: Whether the winches rest, shape (S,).
+        rests: First and one past the last of these samples for each rest.
+        models: By name, in the order asked for.
+        natural_frequency: What statics predicts at the rests [Hz], medians, slowest first, (6,);
+            None where there is no rest or no stable equilibrium.
+        exit_point_distance: Largest distance of an exit point measured in the run from the
+            robot's [m], or None where none was measured.
+    """
+
+    robot: Robot
+    start: int
+    stop: int
+    seed: int
+    index: NDArray[np.int64]
+    time: Array
+    measured: Pose
+    resting: NDArray[np.bool_]
+    rests: tuple[tuple[int, int], ...]
+    models: Mapping[str, ModelResult]
+    natural_frequency: Array | None = None
+    exit_point_distance: float | None = None
+
+    @property
+    def samples(self) -> int:
+        """Samples that were scored, for a model without failures."""
+        return len(self.index)
+
+    @property
+    def unscored(self) -> int:
+        """Samples of the range without a measured pose nearby."""
+        return self.stop - self.start - self.samples
+
+    def data(self) -> dict[str, Any]:
+        """All numbers under names with units, ready for JSON."""
+        names = self.robot.cable_names
+        return {
+            "samples": self.samples,
+            "samples_without_pose": self.unscored,
+            "samples_resting": int(self.resting.sum()),
+            "start": self.start,
+            "stop": self.stop,
+            "seed": self.seed,
+            "robot": self.robot.name,
+            "rest": {
+                "count": len(self.rests),
+                "speed_below_m_per_s": REST_SPEED,
+                "for_at_least_s": REST_DURATION,
+                "natural_frequencies_Hz": self.natural_frequency,
+            },
+            "exit_point_distance_m": self.exit_point_distance,
+            "models": {name: model.data(names) for name, model in self.models.items()},
+        }

@@ -1,0 +1,118 @@
+"""One model run open loop over a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.protocols import Estimator
+from carosac_toolkit.recording import Recording
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Belief, Command, Measurement
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModelRun:
+    """What a model believed after each of K samples.
+
+    Attributes:
+        position: Platform origin in W [m], shape (K, 3).
+        rotation: Rotation from P to W, shape (K, 3, 3).
+        tension: At the platform [N], shape (K, n), NaN where it had none; None: it has no forces.
+        converged: Whether the model itself found a pose, shape (K,).
+        seconds: Wall time of each update [s], shape (K,); the first is the reset.
+    """
+
+    position: Array
+    rotation: Array
+    tension: Array | None
+    converged: NDArray[np.bool_]
+    seconds: Array
+
+
+def load_model(name: str) -> Any:
+    """Import an estimator by its entry-point name or as ``module:Class``.
+
+    Raises:
+        InvalidField: There is none of this name, or it has no ``build``.
+    """
+    from carosac_toolkit.registry import load
+
+    target = load("estimators", name)
+    if not callable(getattr(target, "build", None)):
+        raise InvalidField("estimator", repr(name), "something with build(robot, settings, *, seed)")
+    return target
+
+
+def build_model(target: Any, robot: Robot, seed: int) -> Estimator:
+    """Build an estimator with its default settings for a robot."""
+    settings = getattr(target, "Settings", None)
+    built: Estimator = target.build(robot, settings() if settings is not None else None, seed=seed)
+    return built
+
+
+def run_open_loop(model: Estimator, recording: Recording, stop: int) -> ModelRun:
+    """Feed a model the samples 0 <= i < stop in order, measured poses withheld.
+
+    The command given with sample i is the newest recorded one that is not later than the sample;
+    where the recording has none, it is the measured lengths of the sample before.
+
+    Args:
+        model: The estimator.
+        recording: N length samples.
+        stop: One past the last sample, <= N.
+    """
+    beliefs: list[Belief] = []
+    seconds = np.empty(stop)
+    previous = None
+    for index in range(stop):
+        measurement = recording.measurement(index)
+        command = _command(recording, measurement, previous)
+        start = perf_counter()
+        belief = (
+            model.update(beliefs[-1], command, measurement) if beliefs else model.reset(measurement)
+        )
+        seconds[index] = perf_counter() - start
+        beliefs.append(belief)
+        previous = measurement
+    tension = [_tension(belief, recording.n) for belief in beliefs]
+    return ModelRun(
+        position=np.concatenate([belief.position for belief in beliefs]),
+        rotation=np.concatenate([belief.rotation for belief in beliefs]),
+        tension=None if np.isnan(tension).all() else np.array(tension),
+        converged=np.array([_converged(belief) for belief in beliefs]),
+        seconds=seconds,
+    )
+
+
+def _command(
+    recording: Recording, measurement: Measurement, previous: Measurement | None
+) -> Command:
+    """The command applied when a measurement was taken."""
+    now = measurement.time
+    channel = recording.command
+    if channel is not None:
+        index = int(np.searchsorted(channel.time, now[0], side="right")) - 1
+        if index >= 0:
+            return Command(time=now, unstrained_length=channel.value[index : index + 1])
+    last = previous or measurement
+    return Command(time=now, unstrained_length=last.unstrained_length)
+
+
+def _tension(belief: Belief, n: int) -> Array:
+    """Tensions of a belief, shape (n,); NaN where there are none."""
+    if belief.tension is None:
+        return np.full(n, np.nan)
+    return np.asarray(belief.tension, dtype=np.float64)[0]
+
+
+def _converged(belief: Belief) -> bool:
+    """Whether a model says that it found this pose; a model that does not say so counts as sure."""
+    said = getattr(belief.memory, "converged", None)
+    return True if said is None else bool(np.all(said))
