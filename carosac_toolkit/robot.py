@@ -158,7 +158,7 @@ class Robot:
         arrays = {k: v for k, v in record.items() if isinstance(v, np.ndarray)}
         rest = {k: v for k, v in record.items() if k not in arrays}
         with Path(path).open("wb") as stream:
-            np.savez(stream, __fields__=np.array(json.dumps(rest)), **arrays)
+            np.savez(stream, allow_pickle=False, __fields__=np.array(json.dumps(rest)), **arrays)
 
     @classmethod
     def from_npz(cls, path: str | Path) -> Robot:

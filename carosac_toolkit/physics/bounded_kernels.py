@@ -34,7 +34,8 @@ class Clipped:
 @wp.func
 def clipped_tensions(column: wp.array2d(dtype=vec6d), lower: wp.array2d(dtype=wp.float64),
                      upper: wp.array2d(dtype=wp.float64), middle: wp.array2d(dtype=wp.float64),
-                     b: int, dual: vec6d, tension: wp.array2d(dtype=wp.float64)) -> Clipped:  # fmt: skip
+                     b: int, dual: vec6d,
+                     tension: wp.array2d(dtype=wp.float64)) -> Clipped:  # fmt: skip
     """Tensions t(y), their wrench and the slope of the wrench."""
     out = Clipped()
     for i in range(column.shape[1]):
@@ -76,7 +77,8 @@ def search_length(column: wp.array2d(dtype=vec6d), lower: wp.array2d(dtype=wp.fl
 @wp.func
 def bounded_tensions(column: wp.array2d(dtype=vec6d), lower: wp.array2d(dtype=wp.float64),
                      upper: wp.array2d(dtype=wp.float64), middle: wp.array2d(dtype=wp.float64),
-                     b: int, target: vec6d, tension: wp.array2d(dtype=wp.float64)) -> int:  # fmt: skip
+                     b: int, target: vec6d,
+                     tension: wp.array2d(dtype=wp.float64)) -> int:  # fmt: skip
     """Solve one problem; 1 where A t = b to rounding, 0 where no such t was found."""
     whole = mat66d()
     free_wrench = vec6d()

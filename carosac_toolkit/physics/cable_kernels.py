@@ -118,12 +118,10 @@ def catenary_span(q: wp.vec3d, length: wp.float64, w: wp.float64, ea: wp.float64
     vb = q[2] - w * length
     ta = wp.sqrt(h2 + va * va)
     tb = wp.sqrt(h2 + vb * vb)
-    # Mirror so that the end with the larger |V| is on top: u + v >= 0, u - v = w L.
-    u = va
+    # v and tv belong to the end with the smaller |V|, seen as the lower one: v + wL >= |v|.
     v = vb
     tv = tb
     if va + vb < ZERO:
-        u = -vb
         v = -va
         tv = ta
     if v >= ZERO:
@@ -209,7 +207,7 @@ def hang(q: wp.vec3d, anchor: wp.vec3d, unstrained_length: wp.float64, cable: Ca
 @wp.func
 def taut_tension(chord: wp.float64, span: wp.float64, length: wp.float64, w: wp.float64,
                  ea: wp.float64) -> wp.float64:  # fmt: skip
-    """Mean tension of a shallow cable: the positive root of T^3/EA - s T^2 = b, b = (w h L/c)^2/24."""
+    """Mean tension of a shallow cable: T^3/EA - s T^2 = (w h L/c)^2 / 24."""
     strain = (chord - length) / length
     load = w * span * length / chord
     b = load * load / wp.float64(24.0)

@@ -3,8 +3,6 @@
 import warp as wp
 
 from carosac_toolkit.physics.cable_kernels import (
-    HALF,
-    TINY,
     ZERO,
     Cable,
     catenary_span,

@@ -98,8 +98,10 @@ class Buffers:
     def get(self, name: str) -> NDArray[Any]:
         """Copy numbers out."""
         if self._views:
-            return self._views[name].copy()
-        return self._arrays[name].numpy()  # type: ignore[no-any-return]
+            view: NDArray[Any] = self._views[name]
+            return view.copy()
+        found: NDArray[Any] = self._arrays[name].numpy()
+        return found
 
     def launch(self, key: str, kernel: wp.Kernel, dim: int | tuple[int, ...], *args: Any) -> None:
         """Run a kernel: recorded at its first use, replayed afterwards.

@@ -126,7 +126,8 @@ def optimality_row(column: vec6d, twist: wp.vec3d) -> vec9d:
 def optimality_step(cables: wp.array2d(dtype=Cable), row: int, b: int, balance_wrench: vec6d,
                     stiffness: mat66d, arm: wp.float64, curvature: wp.mat33d, ridge: wp.float64,
                     tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
-                    twist: wp.array2d(dtype=wp.vec3d), bound: wp.array2d(dtype=int)) -> vec9d:  # fmt: skip
+                    twist: wp.array2d(dtype=wp.vec3d),
+                    bound: wp.array2d(dtype=int)) -> vec9d:  # fmt: skip
     """Newton step (new multipliers, rotation) for the set of cables now held at their limits."""
     matrix = mat99d()
     right = vec9d()
@@ -187,6 +188,55 @@ def choose(cables: wp.array2d(dtype=Cable), row: int, b: int, step: vec9d,
     return out
 
 
+@wp.struct
+class Found:
+    """A Newton step and the tensions it leads to."""
+
+    step: vec9d
+    choice: Choice
+
+
+@wp.func
+def search(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, wrench: vec6d,
+           stiffness: mat66d, curvature: wp.mat33d, balanced: bool,
+           tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
+           twist: wp.array2d(dtype=wp.vec3d), bound: wp.array2d(dtype=int),
+           wanted: wp.array2d(dtype=wp.float64)) -> Found:  # fmt: skip
+    """Newton step for the right set of cables at their limits.
+
+    At balance a step must not raise the squared tensions: there a ridge on the rotation grows
+    until it does not, so that the end is a minimum and no other stationary point.
+    """
+    out = Found()
+    ridge = wp.float64(0.0)
+    tries = int(0)
+    searching = bool(True)
+    while searching:
+        out.step = optimality_step(
+            cables, row, b, wrench, stiffness, body.arm, curvature, ridge, tension, column, twist,
+            bound,
+        )  # fmt: skip
+        out.choice = choose(cables, row, b, out.step, tension, column, twist, bound, wanted)
+        tries += 1
+        searching = out.choice.changed == 1 and tries < 12
+        rising = out.choice.slope > wp.float64(1.0e-6) * body.weight * body.weight
+        steep = ridge >= wp.float64(1.0e8) * body.weight
+        if not searching and rising and balanced and not steep:
+            ridge = wp.max(ridge * wp.float64(4.0), body.weight * body.arm)
+            tries = 0
+            searching = True
+    return out
+
+
+@wp.func
+def verdict(bound: wp.array2d(dtype=int), b: int) -> int:
+    """Why no answer was found: limits in the way, or the iteration."""
+    for i in range(bound.shape[1]):
+        if bound[b, i] != 0:
+            return INFEASIBLE
+    return FAILED
+
+
 @wp.kernel
 def inverse_free(
     cables: wp.array2d(dtype=Cable),
@@ -232,26 +282,12 @@ def inverse_free(
             arm = r * cables[row, i].anchor_point
             s = straight_to(cables[row, i], p + arm)
             twist[b, i] = dual_gradient(s, arm, dual_force, dual_moment)
-        ridge = wp.float64(0.0)
-        step = vec9d()
-        choice = Choice()
-        tries = int(0)
-        searching = bool(True)
-        while searching:
-            step = optimality_step(
-                cables, row, b, here.balance.wrench, here.balance.stiffness, body.arm, curvature,
-                ridge, tension, column, twist, bound,
-            )  # fmt: skip
-            choice = choose(cables, row, b, step, tension, column, twist, bound, wanted)
-            tries += 1
-            searching = choice.changed == 1 and tries < 12
-            # At balance a step must not raise the tensions: lean towards smaller rotations.
-            rising = choice.slope > wp.float64(1.0e-6) * body.weight * body.weight
-            balanced = norm < wp.float64(1.0e-3) * body.weight
-            if not searching and rising and balanced and ridge < wp.float64(1.0e8) * body.weight:
-                ridge = wp.max(ridge * wp.float64(4.0), body.weight * body.arm)
-                tries = 0
-                searching = True
+        found = search(
+            cables, row, b, body, here.balance.wrench, here.balance.stiffness, curvature,
+            norm < wp.float64(1.0e-3) * body.weight, tension, column, twist, bound, wanted,
+        )  # fmt: skip
+        choice = found.choice
+        step = found.step
         turn = wp.vec3d(step[6], step[7], step[8])
         angle = wp.length(turn)
         scale = wp.min(ONE, wp.float64(0.2) / (angle + TINY))
@@ -261,10 +297,7 @@ def inverse_free(
         if norm <= RESIDUAL * body.weight and steady and choice.changed == 0:
             result = CONVERGED
         elif count >= LIMIT:
-            result = FAILED
-            for i in range(n):
-                if bound[b, i] != 0:
-                    result = INFEASIBLE
+            result = verdict(bound, b)
         else:
             for i in range(n):
                 tension[b, i] = tension[b, i] + scale * (wanted[b, i] - tension[b, i])

@@ -55,7 +55,7 @@ def rotation_of(v: wp.vec3d) -> wp.mat33d:
 
 @wp.func
 def orthonormal(r: wp.mat33d) -> wp.mat33d:
-    """Remove the rounding that products of rotations collect (one Newton step of the polar form)."""
+    """Remove the rounding that products of rotations collect (Newton step of the polar form)."""
     return wp.float64(1.5) * r - HALF * (r * wp.transpose(r) * r)
 
 

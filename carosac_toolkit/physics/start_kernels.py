@@ -127,7 +127,7 @@ def minimise(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float
 def cold_start(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
                multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: Body,
                p0: wp.vec3d, r0: wp.mat33d) -> Start:  # fmt: skip
-    """Rest on straight inextensible cables, to about a millimetre; leaves tensions in multiplier."""
+    """Rest on straight inextensible cables, to about a millimetre; tensions in multiplier."""
     out = Start()
     out.position = p0
     out.rotation = r0

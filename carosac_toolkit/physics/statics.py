@@ -29,7 +29,7 @@ from carosac_toolkit.values import Pose
 
 RESIDUAL = 1e-9  # of the weight: a larger wrench left over is no equilibrium
 GAP = 1e-10  # [m]: a larger closure is no equilibrium
-REASONS = ("not converged", "converged", "no tensions within the limits")
+REASONS = ("not converged", "converged", "no tensions within the limits found")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -83,7 +83,7 @@ def test_agrees_with_an_independent_equilibrium(robot):
 
 def test_slack_cable_is_reported_and_hangs():
     robot = simple_robot()
-    length = rest_poses(robot, 1).unstrained_length + [[0.5, 0.0, 0.0, 0.0]]
+    length = rest_poses(robot, 1).unstrained_length + np.array([[0.5, 0.0, 0.0, 0.0]])
     found = statics.forward_kinematics(robot, length)
     assert found.converged[0]
     assert found.slack[0].tolist()[0]
@@ -297,7 +297,7 @@ def test_infeasible_is_reported_and_nothing_is_clipped():
     assert (found.position == beyond).all()
     weak = replace(eight_cable_robot(), tension_max=np.full(8, 12.0), tension_min=np.full(8, 10.0))
     held = statics.inverse_kinematics(weak, weak.home_position[None])
-    assert statics.REASONS[held.status[0]] == "no tensions within the limits"
+    assert statics.REASONS[held.status[0]] == "no tensions within the limits found"
 
 
 def test_home_of_a_symmetric_robot_is_its_centre():

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import device, straight_line
+from carosac_toolkit.physics import device
 from carosac_toolkit.physics.straight_line import (
     forward_kinematics,
     inverse_kinematics,

@@ -68,7 +68,7 @@ def test_conditions_of_optimality_hold():
 def test_no_load_and_a_mean_reference_give_the_mean():
     """The published check of the reference algorithms: zero wrench, limits 1 to 10: all 5.5 N."""
     robot = eight_cable_robot()
-    symmetric = structure_matrix(robot, np.zeros((1, 3)) + [0.0, 0.0, 1.0])
+    symmetric = structure_matrix(robot, np.array([[0.0, 0.0, 1.0]]))
     balanced = np.einsum("bij,j->bi", symmetric, np.full(8, 5.5))
     found = tension_distribution.solve(symmetric, -balanced, 1.0, 10.0, reference=5.5)
     assert found.tension[0] == pytest.approx(np.full(8, 5.5), abs=1e-9)

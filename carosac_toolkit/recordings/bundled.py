@@ -1,0 +1,47 @@
+"""Recordings that come with the toolkit, by name."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from importlib.resources import files
+from pathlib import Path
+
+from carosac_toolkit.errors import InvalidField
+
+_SUFFIX = ".parquet"
+
+
+def list_recordings() -> tuple[str, ...]:
+    """Name the recordings that come with the toolkit, sorted."""
+    names = [entry.name for entry in _folder().iterdir()]
+    return tuple(sorted(name.removesuffix(_SUFFIX) for name in names if name.endswith(_SUFFIX)))
+
+
+def find_recording(name_or_path: str | Path) -> Path:
+    """Return the file of a bundled recording, or the path as it is.
+
+    Args:
+        name_or_path: A bundled name, or a path: anything with a suffix or a folder in it, and any
+            file that exists.
+
+    Raises:
+        InvalidField: A bare name that is neither bundled nor a file.
+    """
+    path = Path(name_or_path)
+    text = str(name_or_path)
+    if isinstance(name_or_path, Path) or path.suffix or "/" in text or "\\" in text:
+        return path
+    names = list_recordings()
+    if text in names:
+        return _folder() / f"{text}{_SUFFIX}"
+    if path.exists():
+        return path
+    close = get_close_matches(text, names, n=1)
+    hint = f"; did you mean '{close[0]}'?" if close else ""
+    allowed = f"one of {list(names)}, or a path to a .parquet, .csv or .mat file{hint}"
+    raise InvalidField("recording", f"'{text}'", allowed)
+
+
+def _folder() -> Path:
+    """Where they lie."""
+    return Path(str(files("carosac_toolkit") / "recordings" / "data"))

@@ -1,0 +1,54 @@
+"""Every example, and the program in the README, runs as a reader would run it."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("[0-9]*.py"))
+SECONDS = 60.0
+LINES = 100
+
+
+def run(program: Path, folder: Path) -> str:
+    done = subprocess.run(
+        [sys.executable, str(program)], capture_output=True, text=True, cwd=folder, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_there_are_examples():
+    assert EXAMPLES
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_example_is_short_and_draws_one_picture_and_prints_one_number(example, tmp_path):
+    assert len(example.read_text(encoding="utf-8").splitlines()) < LINES
+    start = time.perf_counter()
+    printed = run(example, tmp_path)
+    assert time.perf_counter() - start < SECONDS
+    pictures = list(tmp_path.iterdir())
+    assert [picture.name for picture in pictures] == [f"{example.stem}.png"]
+    assert pictures[0].read_bytes().startswith(b"\x89PNG") and pictures[0].stat().st_size > 10_000
+    assert len(printed.splitlines()) == 1 and re.search(r"\d", printed)
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_example_prints_the_same_number_every_time(example, tmp_path):
+    assert run(example, tmp_path) == run(example, tmp_path)
+
+
+def test_program_in_the_readme_prints_what_the_readme_says(tmp_path):
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    found = re.search(r"```python\n(.*?)```.*?```text\n(.*?)```", text, re.DOTALL)
+    assert found is not None
+    program = tmp_path / "readme.py"
+    program.write_text(found[1], encoding="utf-8")
+    assert run(program, tmp_path) == found[2]

@@ -1,0 +1,61 @@
+"""The files around the code agree with each other."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from importlib.metadata import requires
+from pathlib import Path
+
+import yaml
+
+import carosac_toolkit
+from tests.warm_kernels import kernel_modules
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def test_one_version_everywhere():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    versions = {PROJECT["project"]["version"], carosac_toolkit.__version__, citation["version"]}
+    assert len(versions) == 1
+
+
+def test_changelog_has_unreleased_on_top_with_entries():
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    sections = re.split(r"^## ", text, flags=re.MULTILINE)[1:]
+    assert sections[0].startswith("[Unreleased]")
+    assert re.search(r"^- \S", sections[0], re.MULTILINE)
+
+
+def test_mypy_leaves_out_exactly_the_kernels():
+    overrides = PROJECT["tool"]["mypy"]["overrides"]
+    skipped = {name for entry in overrides if "follow_imports" in entry for name in entry["module"]}
+    files = (ROOT / "carosac_toolkit").rglob("*_kernels.py")
+    kernels = {".".join(path.relative_to(ROOT).with_suffix("").parts) for path in files}
+    assert skipped - {"warp.*"} == kernels
+    assert set(kernel_modules()) <= kernels
+
+
+def test_every_dependency_is_pinned_and_explained():
+    pins = (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    pinned = {plain(line.partition("==")[0]) for line in pins.splitlines() if "==" in line}
+    explained = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8").lower()
+    needed = {re.split(r"[^\w.-]", line)[0] for line in requires("carosac-toolkit") or []}
+    assert {name for name in needed if plain(name) not in pinned} == set()
+    assert {name for name in needed if name.lower() not in explained} == set()
+
+
+def plain(name: str) -> str:
+    """A distribution's name as indexes compare it."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def test_links_inside_the_project_lead_somewhere():
+    broken = []
+    for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]:
+        for target in re.findall(r"\]\(([^)\s#]+)", page.read_text(encoding="utf-8")):
+            if "://" not in target and not (page.parent / target).exists():
+                broken.append(f"{page.relative_to(ROOT)}: {target}")
+    assert broken == []
