@@ -5,8 +5,9 @@ and always writes the same numbers.
 
 The plant is the bundled robot ``carosac`` with parameters drawn at random. Its winches follow
 commands that were computed for the nominal robot; the platform hangs in static equilibrium on
-catenaries, plus the small motion about it (sway): with M, K mass and stiffness at the equilibrium
-of each instant, C the damping of cables and air, xi and a twist and acceleration of the equilibrium,
+catenaries, plus the small motion d about it (sway). With M and K, mass and stiffness at the
+equilibrium of each instant, C the damping of cables and air (D: of air alone), xi and a twist and
+acceleration of the equilibrium,
 
     M d'' + C d' + K d = -M a - D xi + wind.
 
@@ -113,10 +114,8 @@ def perturbed(robot: Robot, rng: np.random.Generator) -> Robot:
     )
 
 
-def commanded(
-    robot: Robot, settings: Settings, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Times [s], shape (N,), and commanded lengths [m], (N, n): static ones of the nominal robot."""
+def commanded(robot: Robot, settings: Settings, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Times [s], (N,), and commanded lengths [m], (N, n), which suit the nominal robot at rest."""
     drawn = ct.trajectories.draws.draw_points(robot, rng, count=settings.points, distance_min=1.2)
     middle = (robot.workspace_min + robot.workspace_max) / 2
     points = np.vstack([robot.home_position, middle + 0.85 * (drawn - middle)])
@@ -196,9 +195,7 @@ def newmark(mass: Array, damping: Array, stiffness: Array, load: Array, step: fl
         predicted_x = x + step * v + 0.25 * step**2 * a
         predicted_v = v + 0.5 * step * a
         matrix = mass[k] + 0.5 * step * damping[k] + 0.25 * step**2 * stiffness[k]
-        a = np.linalg.solve(
-            matrix, load[k] - damping[k] @ predicted_v - stiffness[k] @ predicted_x
-        )
+        a = np.linalg.solve(matrix, load[k] - damping[k] @ predicted_v - stiffness[k] @ predicted_x)
         x, v = predicted_x + 0.25 * step**2 * a, predicted_v + 0.5 * step * a
         path[k] = x
     return path

@@ -58,9 +58,7 @@ def batch(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Array:
         raise InvalidField(name, f"shape {array.shape}", f"shape {allowed}, B >= 1")
     if not np.isfinite(array).all():
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise InvalidField(
-            f"{name}[{', '.join(map(str, index))}]", array[index], "a finite number"
-        )
+        raise InvalidField(f"{name}[{', '.join(map(str, index))}]", array[index], "a finite number")
     return np.ascontiguousarray(array)
 
 

@@ -20,3 +20,4 @@ autodoc_preserve_defaults = True
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 88
+suppress_warnings = ["ref.python"]  # words such as n in "shape (B, n)" are no references

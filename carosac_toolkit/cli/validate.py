@@ -24,7 +24,6 @@ from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.robot_file import list_robots, load_robot
 from carosac_toolkit.validation import DEFAULT_MODELS, ValidationResult, validate
 from carosac_toolkit.validation.findings import conclusions
-from carosac_toolkit.validation.procedure import check_inputs
 from carosac_toolkit.validation.report import Context, check_folder, write_report
 from carosac_toolkit.validation.tables import (
     CAUSE_HEADER,
@@ -64,9 +63,8 @@ def run(options: Options) -> CommandResult:
     recording = load_recording(path)
     robot_name = _robot_name(options.robot, recording)
     robot = load_robot(robot_name)
-    limits = {"start": options.start, "stop": options.stop}
-    check_inputs(recording, robot, options.models, **limits)
-    result = validate(recording, robot, options.models, **limits, seed=options.seed)
+    start, stop = options.start, options.stop
+    result = validate(recording, robot, options.models, start=start, stop=stop, seed=options.seed)
     said = conclusions(result)
     _print(options.recording, recording, result, said)
     context = Context(

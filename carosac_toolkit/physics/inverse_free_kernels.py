@@ -159,9 +159,20 @@ def optimality_step(cables: wp.array2d(dtype=Cable), row: int, b: int, balance_w
 class Choice:
     """Tensions that a Newton step leads to."""
 
-    changed: int  # the set of cables at their limits changed
+    changed: int  # the set of cables held at a limit changed
+    inside: int  # no cable is, was or wants to be beyond a limit
     slope: wp.float64  # of the squared tensions along the step [N^2]
     jump: wp.float64  # largest change of a tension [N]
+
+
+@wp.func
+def beyond(cable: Cable, tension: wp.float64) -> int:
+    """1 below the lower limit, 2 above the upper one, 0 between."""
+    if tension < cable.tension_min:
+        return 1
+    if tension > cable.tension_max:
+        return 2
+    return 0
 
 
 @wp.func
@@ -169,22 +180,42 @@ def choose(cables: wp.array2d(dtype=Cable), row: int, b: int, step: vec9d,
            tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
            twist: wp.array2d(dtype=wp.vec3d), bound: wp.array2d(dtype=int),
            wanted: wp.array2d(dtype=wp.float64)) -> Choice:  # fmt: skip
-    """Clip the tensions of a step; note which cables sit at a limit."""
+    """Tensions of a step, and which cables to hold at a limit.
+
+    n tensions and 3 rotations fulfil 6 balances, so no more than n - 3 cables can be held. Those
+    held already stay while their multiplier keeps them there; then the worst offender joins. Other
+    offenders go where the balance takes them: the end is judged by the limits again.
+    """
     out = Choice()
+    out.inside = 1
+    held = int(0)
+    worst = int(-1)
+    most = wp.float64(0.0)
     for i in range(tension.shape[1]):
+        cable = cables[row, i]
         t = wp.dot(optimality_row(column[b, i], twist[b, i]), step)
-        side = int(0)
-        if t < cables[row, i].tension_min:
-            side = 1
-        if t > cables[row, i].tension_max:
-            side = 2
-        if side != bound[b, i]:
+        side = beyond(cable, t)
+        if side != 0 or bound[b, i] != 0 or beyond(cable, tension[b, i]) != 0:
+            out.inside = 0
+        if bound[b, i] != 0 and side != bound[b, i]:
+            bound[b, i] = 0
             out.changed = 1
-        bound[b, i] = side
-        t = wp.clamp(t, cables[row, i].tension_min, cables[row, i].tension_max)
+        if bound[b, i] != 0:
+            held += 1
+            t = wp.clamp(t, cable.tension_min, cable.tension_max)
+        elif side != 0:
+            offence = wp.max(cable.tension_min - t, t - cable.tension_max)
+            if offence > most:
+                most = offence
+                worst = i
+        t = wp.max(t, wp.float64(0.2) * tension[b, i])
         wanted[b, i] = t
         out.slope += tension[b, i] * (t - tension[b, i])
         out.jump = wp.max(out.jump, wp.abs(t - tension[b, i]))
+    if worst >= 0 and held < tension.shape[1] - 3:
+        line = optimality_row(column[b, worst], twist[b, worst])
+        bound[b, worst] = beyond(cables[row, worst], wp.dot(line, step))
+        out.changed = 1
     return out
 
 
@@ -221,7 +252,8 @@ def search(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, wrench
         searching = out.choice.changed == 1 and tries < 12
         rising = out.choice.slope > wp.float64(1.0e-6) * body.weight * body.weight
         steep = ridge >= wp.float64(1.0e8) * body.weight
-        if not searching and rising and balanced and not steep:
+        free = out.choice.inside == 1
+        if not searching and rising and balanced and free and not steep:
             ridge = wp.max(ridge * wp.float64(4.0), body.weight * body.arm)
             tries = 0
             searching = True
@@ -229,12 +261,15 @@ def search(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, wrench
 
 
 @wp.func
-def verdict(bound: wp.array2d(dtype=int), b: int) -> int:
-    """Why no answer was found: limits in the way, or the iteration."""
-    for i in range(bound.shape[1]):
-        if bound[b, i] != 0:
+def verdict(cables: wp.array2d(dtype=Cable), row: int, b: int,
+            tension: wp.array2d(dtype=wp.float64)) -> int:  # fmt: skip
+    """Judge tensions by their limits."""
+    for i in range(tension.shape[1]):
+        cable = cables[row, i]
+        slip = wp.float64(1.0e-9) * cable.tension_max
+        if tension[b, i] < cable.tension_min - slip or tension[b, i] > cable.tension_max + slip:
             return INFEASIBLE
-    return FAILED
+    return CONVERGED
 
 
 @wp.kernel
@@ -295,9 +330,9 @@ def inverse_free(
         dual_moment = wp.vec3d(step[3], step[4], step[5]) / body.arm
         steady = choice.jump <= STEADY * body.weight and angle <= STEADY * wp.float64(10.0)
         if norm <= RESIDUAL * body.weight and steady and choice.changed == 0:
-            result = CONVERGED
+            result = verdict(cables, row, b, tension)
         elif count >= LIMIT:
-            result = verdict(bound, b)
+            result = wp.where(verdict(cables, row, b, wanted) == INFEASIBLE, INFEASIBLE, FAILED)
         else:
             for i in range(n):
                 tension[b, i] = tension[b, i] + scale * (wanted[b, i] - tension[b, i])

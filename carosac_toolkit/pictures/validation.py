@@ -53,7 +53,8 @@ def draw_violins(result: ValidationResult) -> Figure:
     panels = figure.subplots(1, 4, sharey=False)
     for column, axes in enumerate(panels):
         for place, (model, color) in enumerate(models.values()):
-            error = _error(result, model)[model.converged]
+            error = _error(result, model)
+            error = error[np.isfinite(error[:, 0])]
             size = np.linalg.norm(error, axis=1) if column == 3 else np.abs(error[:, column])
             _violin(axes, size * 1e3, place, color)
         axes.set_title("norm" if column == 3 else "xyz"[column], fontsize=10)
@@ -75,11 +76,11 @@ def draw_time_series(result: ValidationResult) -> Figure:
     time = result.time
     for axis, name in enumerate("xyz"):
         place, below = panels[2 * axis], panels[2 * axis + 1]
-        place.plot(time, result.measured.position[:, axis], color=MEASURED, lw=1.6, label="measured")
+        known = result.measured.position[:, axis]
+        place.plot(time, known, color=MEASURED, lw=1.6, label="measured")
         for label, (model, color) in models.items():
             place.plot(time, _positions(model)[:, axis], color=color, lw=1.0, label=label)
-            gap = np.where(model.converged, _error(result, model)[:, axis], np.nan)
-            below.plot(time, gap * 1e3, color=color, lw=1.0)
+            below.plot(time, _error(result, model)[:, axis] * 1e3, color=color, lw=1.0)
         below.axhline(0.0, color=MEASURED, lw=0.6)
         place.set_ylabel(f"{name} [m]")
         below.set_ylabel(f"error in {name} [mm]")
@@ -88,8 +89,9 @@ def draw_time_series(result: ValidationResult) -> Figure:
             axes.margins(x=0.005)
     for axes in panels:
         for k, (first, end) in enumerate(result.rests):
-            label = "winches at rest" if k == 0 and axes is panels[0] else None
-            axes.axvspan(time[first], time[end - 1], color=REST, lw=0, zorder=0, label=label)
+            shade = axes.axvspan(time[first], time[end - 1], color=REST, lw=0, zorder=0)
+            if k == 0 and axes is panels[0]:
+                shade.set_label("winches at rest")
     figure.align_ylabels(panels)
     panels[-1].set_xlabel("time [s]")
     figure.suptitle("Measured and modelled position, and error (model minus measured), over time")
@@ -105,7 +107,7 @@ def draw_length_errors(result: ValidationResult) -> Figure:
     each, everything = figure.subplots(1, 2, width_ratios=(1.7, 1.0))
     count = max(len(models), 1)
     width = 0.8 / count
-    errors = [1e3 * model.length_error for model, _ in models.values()]
+    errors = [_length_error(model) for model, _ in models.values()]
     pooled = np.concatenate([error[np.isfinite(error)] for error in errors] or [np.zeros(0)])
     bins = np.histogram_bin_edges(pooled, bins=40)
     for place, (error, (_, color)) in enumerate(zip(errors, models.values(), strict=True)):
@@ -163,9 +165,14 @@ def _positions(model: ModelResult) -> Array:
 
 
 def _error(result: ValidationResult, model: ModelResult) -> Array:
-    """Model minus measured position [m], shape (S, 3)."""
-    assert model.pose is not None
-    return model.pose.position - result.measured.position
+    """Model minus measured position [m], shape (S, 3), NaN where the model found none."""
+    return _positions(model) - result.measured.position
+
+
+def _length_error(model: ModelResult) -> Array:
+    """Measured minus predicted lengths [mm], shape (S, n)."""
+    assert model.length_error is not None
+    return np.asarray(1e3 * model.length_error)
 
 
 def _limits(paths: list[Array]) -> Array:
@@ -206,8 +213,8 @@ def _violin(
         root = float(np.sqrt((values**2).mean()))
         axes.hlines(root, place - 0.25 * width, place + 0.25 * width, color=color, lw=2.0)
         axes.annotate(
-            f"{root:.1f}" if root >= 0.1 else f"{root:.1g}", (place + 0.27 * width, root), xytext=(2, 0),
-            textcoords="offset points", va="center", fontsize=8,
+            f"{root:.1f}" if root >= 0.1 else f"{root:.1g}", (place + 0.27 * width, root),
+            xytext=(2, 0), textcoords="offset points", va="center", fontsize=8,
         )  # fmt: skip
 
 

@@ -145,9 +145,7 @@ def _swing(
     return left, np.sqrt(square / len(parts))
 
 
-def rest_frequencies(
-    robot: Robot, length: Array, rests: Sequence[tuple[int, int]]
-) -> Array | None:
+def rest_frequencies(robot: Robot, length: Array, rests: Sequence[tuple[int, int]]) -> Array | None:
     """Natural frequencies [Hz] that statics predicts at the rests, medians, slowest first, (6,).
 
     Args:

@@ -146,9 +146,7 @@ def _sag(best: ModelResult) -> Iterator[str]:
     if best.sag is None or best.stretch is None or best.length_scores is None:
         return
     sag, total = best.sag * 1e3, best.length_scores.rmse * 1e3
-    verdict = (
-        "sag is too small to explain it" if sag < 0.3 * total else "sag must be in the model"
-    )
+    verdict = "sag is too small to explain it" if sag < 0.3 * total else "sag must be in the model"
     yield (
         f"Sag lengthens a cable by {sag:.2f} mm and tension by {best.stretch * 1e3:.2f} mm on "
         f"average; the length error is {total:.1f} mm: {verdict}."

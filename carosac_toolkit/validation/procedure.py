@@ -53,7 +53,7 @@ def validate(
         InvalidField: An unknown model, a range outside the recording, another number of cables, a
             recording without poses in the range or with relative lengths.
     """
-    targets = check_inputs(recording, robot, models, start=start, stop=stop)
+    targets = _check_inputs(recording, robot, models, start=start, stop=stop)
     end = len(recording.time) if stop is None else stop
     poses = recording.pose_at(recording.time[start:end])
     index = start + np.flatnonzero(poses.valid)
@@ -81,7 +81,7 @@ def validate(
     )
 
 
-def check_inputs(
+def _check_inputs(
     recording: Recording,
     robot: Robot,
     models: Sequence[str],

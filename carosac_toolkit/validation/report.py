@@ -37,7 +37,8 @@ CAPTIONS = {
     "pose: straight cables for a model without tensions, hanging and stretched ones otherwise.",
 }
 _STYLE = """
-body{font:15px/1.5 system-ui,sans-serif;color:#202020;max-width:1180px;margin:2em auto;padding:0 1em}
+body{font:15px/1.5 system-ui,sans-serif;color:#202020;max-width:1180px;margin:2em auto;
+padding:0 1em}
 h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}
 .wide{overflow-x:auto}table{border-collapse:collapse;font-size:13px}
 th,td{padding:3px 8px;text-align:right;border-bottom:1px solid #e2e2e2;white-space:nowrap}
@@ -75,7 +76,8 @@ def check_folder(option: str, folder: Path) -> None:
     if not existing.is_dir():
         raise InvalidField(option, f"'{folder}'", f"a folder below a folder; {existing} is a file")
     if not os.access(existing, os.W_OK | os.X_OK):
-        raise InvalidField(option, f"'{folder}'", f"a folder that can be written; {existing} cannot")
+        allowed = f"a folder that can be written; {existing} cannot"
+        raise InvalidField(option, f"'{folder}'", allowed)
 
 
 def write_report(

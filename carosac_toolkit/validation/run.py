@@ -46,7 +46,8 @@ def load_model(name: str) -> Any:
 
     target = load("estimators", name)
     if not callable(getattr(target, "build", None)):
-        raise InvalidField("estimator", repr(name), "something with build(robot, settings, *, seed)")
+        allowed = "something with build(robot, settings, *, seed)"
+        raise InvalidField("estimator", repr(name), allowed)
     return target
 
 
@@ -109,7 +110,8 @@ def _tension(belief: Belief, n: int) -> Array:
     """Tensions of a belief, shape (n,); NaN where there are none."""
     if belief.tension is None:
         return np.full(n, np.nan)
-    return np.asarray(belief.tension, dtype=np.float64)[0]
+    tension: Array = np.asarray(belief.tension, dtype=np.float64)[0]
+    return tension
 
 
 def _converged(belief: Belief) -> bool:

@@ -65,10 +65,10 @@ def _cause(model: ModelResult) -> tuple[str, ...]:
     """Numbers of one model."""
     if model.length_scores is None or model.delay is None:
         return (model.name, *["-"] * (len(CAUSE_HEADER) - 1))
-    sway = "-"
-    if model.sway is not None:
-        sway = f"{model.sway.axis} {model.sway.amplitude * 1e3:.0f} mm {model.sway.frequency:.2f} Hz"
-        sway += "" if model.sway.clear else " (unclear)"
+    swing, sway = model.sway, "-"
+    if swing is not None:
+        sway = f"{swing.axis} {swing.amplitude * 1e3:.0f} mm {swing.frequency:.2f} Hz"
+        sway += "" if swing.clear else " (unclear)"
     return (
         model.name,
         str(model.failures),
@@ -85,7 +85,7 @@ def _delays(model: ModelResult) -> list[str]:
     """Delay per axis with its standard deviation [ms]."""
     assert model.delay is not None
     pairs = zip(1e3 * model.delay.seconds, 1e3 * model.delay.deviation, strict=True)
-    return [f"{value:.0f} +-{deviation:.0f}" if value == value else "-" for value, deviation in pairs]
+    return [f"{v:.0f} +-{d:.1f}" if np.isfinite(v) else "-" for v, d in pairs]
 
 
 def _mm(value: float | None, form: str = "{:.1f}") -> str:

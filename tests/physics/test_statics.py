@@ -401,3 +401,20 @@ def test_a_rotation_that_is_none_is_refused():
     robot = eight_cable_robot()
     with pytest.raises(InvalidField, match=r"rotation\[0\]: got no rotation"):
         statics.inverse_kinematics(robot, robot.home_position[None], -np.eye(3)[None])
+
+
+def test_a_narrow_window_between_two_limits_is_found():
+    """At the edge of the workspace one cable sits at its limit and its neighbour just inside.
+
+    Solutions there found by an independent search (scipy, straight cables): 59.6 degrees of tilt.
+    """
+    robot = replace(
+        ct.load_robot("carosac"), linear_density=np.full(4, 1e-9), axial_stiffness=np.full(4, 1e12)
+    )
+    found = statics.inverse_kinematics(
+        robot, [[2.38281903, -2.68838803, 2.80748534], [2.38356982, -3.37925167, 2.62224951]]
+    )
+    assert found.converged.tolist() == [True, False]
+    assert found.tension[0] == pytest.approx([5.0, 183.6, 161.5, 5.1], abs=0.05)
+    tilt = np.degrees(np.arccos(found.rotation[0, 2, 2]))
+    assert tilt == pytest.approx(59.6, abs=0.05)

@@ -1,0 +1,37 @@
+"""Check that what is imported is the wheel in a given environment, whole with its data."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from importlib.resources import files
+from pathlib import Path
+
+PACKAGES = ("carosac_toolkit", "baselines", "sim_warp", "learned", "calibration")
+DATA = ("py.typed", "robots/carosac.yaml", "recordings/data/synthetic_carosac.parquet")
+
+
+def main() -> None:
+    """Fail with an assertion where something is missing or comes from elsewhere."""
+    environment = Path(sys.argv[1]).resolve()
+    for name in PACKAGES:
+        found = Path(str(import_module(name).__file__)).resolve()
+        assert found.is_relative_to(environment), f"{name} comes from {found}"
+    toolkit = files("carosac_toolkit")
+    for name in DATA:
+        assert toolkit.joinpath(name).is_file(), f"{name} is not in the wheel"
+
+    import carosac_toolkit as ct
+    from carosac_toolkit.recordings.bundled import list_recordings
+
+    assert set(ct.list_robots()) == {"carosac", "cogiro", "ipanema1", "scampi"}
+    for robot in ct.list_robots():
+        ct.load_robot(robot)
+    assert list_recordings()
+    licences = list(environment.rglob("carosac_toolkit-*.dist-info/licenses/LICENSE"))
+    assert len(licences) == 1, licences
+    print(f"the wheel in {environment.name} is whole: {', '.join(PACKAGES)}")
+
+
+if __name__ == "__main__":
+    main()
