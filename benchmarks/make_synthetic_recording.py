@@ -96,12 +96,12 @@ def perturbed(robot: Robot, rng: np.random.Generator) -> Robot:
     """Draw the plant about the nominal robot, as in condition nominal-1 of the comparisons."""
     n = robot.n
 
-    def factor(deviation: float, size: int | None = None) -> Array | float:
+    def factor(deviation: float, size: int = 1) -> Array:
         return np.clip(1.0 + deviation * rng.standard_normal(size), 0.2, None)
 
     return replace(
         robot,
-        mass=robot.mass * factor(0.03),
+        mass=robot.mass * float(factor(0.03)[0]),
         center_of_mass=robot.center_of_mass + 0.01 * rng.standard_normal(3),
         inertia=robot.inertia * factor(0.10),
         axial_stiffness=robot.axial_stiffness * factor(0.20),
@@ -175,7 +175,8 @@ def cable_damping(robot: Robot, position: Array, rotation: Array, length: Array)
     unit = cable / np.linalg.norm(cable, axis=-1, keepdims=True)
     structure = np.concatenate([unit, np.cross(arm, unit)], axis=-1)  # (N, n, 6)
     per_rate = robot.axial_damping / (length + robot.run_length)  # [N s/m]
-    return np.einsum("bni,bn,bnj->bij", structure, per_rate, structure)
+    damping: Array = np.einsum("bni,bn,bnj->bij", structure, per_rate, structure)
+    return damping
 
 
 def wind(count: int, step: float, rng: np.random.Generator) -> Array:
@@ -211,7 +212,7 @@ def recorded(
     rotation: Array,
 ) -> ct.Recording:
     """What encoders and motion capture say, at the rate of the recording."""
-    when = np.arange(0.1, time[-1], 1.0 / settings.rate)
+    when = np.round(np.arange(0.1, float(time[-1]), 1.0 / settings.rate, dtype=np.float64), 6)
     encoder = CubicSpline(time, length)(when - settings.encoder_delay)
     encoder += 0.005 * rng.standard_normal(length.shape[1])
     encoder += 0.0002 * rng.standard_normal(encoder.shape)
@@ -221,11 +222,11 @@ def recorded(
     quaternion = (turned * Rotation.from_matrix(rotation[late])).as_quat(scalar_first=True)
     now = np.searchsorted(time, when + 1e-9) - 1
     return ct.Recording(
-        time=np.round(when, 6),
+        time=when,
         unstrained_length=np.round(np.round(encoder / 5e-5) * 5e-5, 6),
-        command=Stamped(time=np.round(when, 6), value=np.round(command[now], 6)),
+        command=Stamped(time=when, value=np.round(command[now], 6)),
         poses=PoseSamples(
-            time=np.round(when, 6),
+            time=when,
             position=np.round(noisy, 5),
             quaternion=np.round(quaternion, 6),
         ),

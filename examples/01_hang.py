@@ -75,7 +75,7 @@ text = "\n".join(f"{name}  tilt {angle:.0f}°" for name, angle in zip("ABC", til
 side.text(0.02, 0.04, text, transform=side.transAxes)
 figure.colorbar(cables, ax=[side, front], label="cable tension at the platform [N]", shrink=0.8)
 
-filled = area.contourf(x, z, error.reshape(x.shape), levels=np.arange(0, 801, 50), cmap="viridis")
+filled = area.contourf(x, z, error.reshape(x.shape), levels=np.arange(0, 851, 50), cmap="viridis")
 figure.colorbar(filled, ax=area, label="position error [mm]", shrink=0.8)
 area.set(xlabel="x [m]", ylabel="z [m]", aspect="equal", title="Error of a straight-line model")
 figure.savefig("01_hang.png", dpi=120)

@@ -113,11 +113,14 @@ def find_sway(time: Array, error: Array, rests: Sequence[tuple[int, int]]) -> Sw
     lowest, highest = 0.75 / float(np.median(spans)), min(FREQUENCY_MAX, 0.4 / step)
     if highest <= lowest:
         return None
-    grid = np.arange(lowest, highest, 0.05 / float(spans.max()))
+    step = 0.05 / float(spans.max())
+    grid = np.arange(lowest, highest, step)
     left = np.array([_swing(time, error, parts, frequency)[0] for frequency in grid])
-    frequencies = grid[np.argmin(left, axis=0)]
-    amplitudes = [_swing(time, error, parts, f)[1][k] for k, f in enumerate(frequencies)]
-    axis = int(np.argmax(amplitudes))
+    best = grid[np.argmin(left, axis=0)]
+    axis = int(np.argmax([_swing(time, error, parts, f)[1][k] for k, f in enumerate(best)]))
+    fine = best[axis] + step * np.linspace(-1.0, 1.0, 41)
+    residual, amplitude = np.swapaxes([_swing(time, error, parts, f) for f in fine], 0, 1)
+    chosen = int(np.argmin(residual[:, axis]))
     total = sum(float(((e := error[a:b, axis]) - e.mean()) @ (e - e.mean())) for a, b in parts)
     if total <= 0.0:
         return None
@@ -125,9 +128,9 @@ def find_sway(time: Array, error: Array, rests: Sequence[tuple[int, int]]) -> Sw
     ratio = (count - len(parts)) / (count - 3 * len(parts))
     return Sway(
         axis=AXES[axis],
-        frequency=float(frequencies[axis]),
-        amplitude=float(amplitudes[axis]),
-        explained=float(1.0 - left[:, axis].min() / total * ratio),
+        frequency=float(fine[chosen]),
+        amplitude=float(amplitude[chosen, axis]),
+        explained=float(1.0 - residual[chosen, axis] / total * ratio),
     )
 
 

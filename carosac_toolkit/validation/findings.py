@@ -13,6 +13,7 @@ DELAY_MIN = 3e-3  # [s]
 OFFSET_MIN = 2e-3  # [m]
 OFFSET_SHARE = 0.1  # of the RMSE in norm
 EXIT_POINT_MAX = 0.01  # [m]
+NATURAL_MAX = 0.25  # of the observed frequency: farther is no agreement
 
 
 def conclusions(result: ValidationResult) -> list[str]:
@@ -97,8 +98,10 @@ def _sway(result: ValidationResult, best: ModelResult) -> Iterator[str]:
         nearest = float(natural[np.argmin(np.abs(natural - sway.frequency))])
         text += (
             f" (observed {sway.frequency:.2f} Hz; nearest natural frequency of the robot there "
-            f"{nearest:.2f} Hz)"
+            f"{nearest:.2f} Hz"
         )
+        far = abs(nearest - sway.frequency) > NATURAL_MAX * sway.frequency
+        text += ": check its centre of mass and inertia)" if far else ")"
     yield text + "."
 
 

@@ -1,0 +1,201 @@
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import carosac_toolkit as ct
+from carosac_toolkit.cli.main import main
+from carosac_toolkit.recordings.bundled import find_recording, list_recordings
+from carosac_toolkit.robot_file import robot_text
+from tests.validation.models import NAME
+
+BUNDLED = "synthetic_carosac"
+
+
+@pytest.fixture(autouse=True)
+def in_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """A short piece of the bundled recording, as CSV."""
+    path = tmp_path_factory.mktemp("recording") / "short.csv"
+    ct.load_recording(find_recording(BUNDLED)).slice(0, 200).save(path)
+    return path
+
+
+def names(folder):
+    return sorted(path.name for path in Path(folder).rglob("*"))
+
+
+def test_the_contract_of_the_json_and_the_files(short, capsys):
+    assert main(["validate", str(short), "--json", "x.json", "--output", "out"]) == 0
+    data = json.loads(Path("x.json").read_text())
+    assert data["samples"] == 200
+    assert list(data["models"]) == ["straight_line", "kinematic_solver"]
+    for model in data["models"].values():
+        for key in ("rmse_m", "mae_m", "max_m"):
+            assert set(model[key]) == {"x", "y", "z", "norm"}
+            assert all(isinstance(value, float) for value in model[key].values())
+            for part in ("moving", "resting"):
+                assert set(model[part][key]) == {"x", "y", "z", "norm"}
+        assert model["orientation_rmse_rad"] > 0.0 and model["length_rmse_m"] > 0.0
+        assert model["error"] is None and model["failures"] == 0
+    assert names("out") == [
+        "error_violins.png", "length_errors.png", "paths.png", "report.html", "time_series.png",
+    ]  # fmt: skip
+    out = capsys.readouterr().out
+    for model in data["models"].values():
+        assert f"{model['rmse_m']['norm'] * 1e3:.1f}" in out
+    assert all(f"* {line}" in out for line in data["conclusions"])
+
+
+def test_the_report_stands_alone_and_says_where_it_comes_from(short):
+    assert main(["validate", str(short), "--output", "out", "--seed", "4"]) == 0
+    text = Path("out/report.html").read_text()
+    assert len(re.findall('src="data:image/png;base64,', text)) == 4
+    assert not re.findall(r'(?:src|href)="(?!data:)', text) and "url(" not in text
+    for word in ("SYNTHETIC", "Apache-2.0", "seed", "--seed 4", "--robot carosac", ct.__version__):
+        assert word in text
+    assert "kinematic_solver" in text and "resting" in text
+
+
+def test_a_second_call_replaces_the_report_and_leaves_other_files(short):
+    Path("out").mkdir()
+    Path("out/mine.txt").write_text("keep")
+    for models in (["straight_line"], ["kinematic_solver"]):
+        assert main(["validate", str(short), "--output", "out", "--models", *models]) == 0
+    assert Path("out/mine.txt").read_text() == "keep"
+    assert "straight_line" not in Path("out/report.html").read_text()
+    assert not [name for name in names(".") if name.startswith(".")]
+
+
+def test_the_same_call_gives_the_same_numbers(short):
+    for name in ("a.json", "b.json"):
+        assert main(["validate", str(short), "--json", name]) == 0
+    one, other = (json.loads(Path(name).read_text()) for name in ("a.json", "b.json"))
+    for model in (*one["models"].values(), *other["models"].values()):
+        model.pop("median_update_s")
+    assert one == other
+    assert "report.html" in names("carosac-results/validate/short")
+
+
+def test_a_failing_model_costs_its_own_row_and_is_a_negative_answer(short, capsys):
+    words = ["validate", str(short), "--models", f"{NAME}:Raising", "kinematic_solver"]
+    assert main([*words, "--json", "x.json"]) == 1
+    captured = capsys.readouterr()
+    assert f"{NAME}:Raising failed: RuntimeError: no luck" in captured.err
+    data = json.loads(Path("x.json").read_text())["models"]
+    assert data[f"{NAME}:Raising"]["rmse_m"]["norm"] is None
+    assert data["kinematic_solver"]["rmse_m"]["norm"] > 0.0
+
+
+def test_without_any_model_left_the_report_still_says_why(short):
+    assert main(["validate", str(short), "--models", f"{NAME}:Raising", "--output", "out"]) == 1
+    assert names("out") == ["report.html"]
+    assert "RuntimeError: no luck" in Path("out/report.html").read_text()
+
+
+def make_files(short):
+    """Faulty inputs, by name."""
+    lines = short.read_text().splitlines()
+    row = next(i for i, line in enumerate(lines) if line[0].isdigit()) + 7
+    cells = lines[row].split(",")
+    cells[2] = "nan"
+    Path("nan.csv").write_text("\n".join([*lines[:row], ",".join(cells), *lines[row + 1 :]]) + "\n")
+    Path("cut.csv").write_text("\n".join(lines[:-3]) + "\n")
+    Path("notes.txt").write_text("hello")
+    Path("a_file").write_text("hello")
+    Path("folder.csv").mkdir()
+    Path("bad.yaml").write_text(robot_text("carosac").replace("mass: 23.655 kg", "mass: -1 kg"))
+    header = ",".join(line for line in lines if line.startswith("time_s"))
+    columns = [c for c in header.split(",") if not c.startswith(("position", "quaternion"))]
+    picks = [header.split(",").index(c) for c in columns]
+    body = [[line.split(",")[i] for i in picks] for line in lines[-20:]]
+    Path("blind.csv").write_text("\n".join([",".join(columns), *map(",".join, body)]) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["missing.csv"], "missing.csv: no such file"),
+        (["synthetic_carosak"], "did you mean 'synthetic_carosac'"),
+        (["nothing"], "recording: got 'nothing'; allowed: one of ['synthetic_carosac']"),
+        (["notes.txt"], "suffix"),
+        (["folder.csv"], "this is a folder"),
+        (["nan.csv"], "nan; allowed: a finite number"),
+        (["cut.csv"], "the file is cut"),
+        (["blind.csv"], "--robot: got nothing; allowed: the recording names no robot"),
+        (["blind.csv", "--robot", "carosac"], "poses: got None"),
+        (["SHORT", "--robot", "carosacc"], "did you mean 'carosac'"),
+        (["SHORT", "--robot", "missing.yaml"], "missing.yaml: no such file"),
+        (["SHORT", "--robot", "bad.yaml"], "bad.yaml: 1 fault"),
+        (["SHORT", "--robot", "ipanema1"], "4 cables; allowed: 8 cables"),
+        (["SHORT", "--start", "50", "--stop", "50"], "stop: got 50"),
+        (["SHORT", "--start", "60", "--stop", "50"], "stop: got 50"),
+        (["SHORT", "--start", "200"], "start: got 200; allowed: 0 <= start < 200"),
+        (["SHORT", "--start", "-1"], "start: got -1"),
+        (["SHORT", "--stop", "201"], "stop: got 201"),
+        (["SHORT", "--models", "kinematic_solvr"], "did you mean 'kinematic_solver'"),
+        (["SHORT", "--models", "no.such.module:X"], "cannot import no.such.module"),
+        (["SHORT", "--models", f"{NAME}:Unbuildable"], "something with build("),
+        (["SHORT", "--models", "straight_line", "straight_line"], "each once"),
+        (["SHORT", "--output", "a_file"], "--output: got 'a_file'; allowed: a folder"),
+        (["SHORT", "--output", "a_file/below"], "a_file is a file"),
+        (["SHORT", "--json", "no/such/x.json"], "--json: got"),
+    ],
+)
+def test_bad_input_is_one_message_and_status_two_and_nothing_is_written(
+    words, message, short, capsys
+):
+    make_files(short)
+    before = names(".")
+    words = [str(short) if word == "SHORT" else word for word in words]
+    outputs = [] if "--json" in words else ["--json", "x.json"]
+    assert main(["validate", *words, *outputs]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("carosac: ") and captured.err.count("carosac: ") == 1
+    assert message in captured.err
+    assert captured.out == ""
+    assert names(".") == before
+
+
+def test_the_robot_of_the_real_recording_is_known_by_its_exit_points(real_data, capsys):
+    for suffix in ("csv", "mat"):
+        path = real_data / f"scampi_run_part.{suffix}"
+        assert main(["validate", str(path), "--json", "x.json", "--start", "500"]) == 0
+        data = json.loads(Path("x.json").read_text())
+        assert data["robot"] == "scampi" and data["samples"] == 100
+
+
+def test_bundled_recordings_are_small_labelled_and_found_by_name():
+    assert list_recordings() == (BUNDLED,)
+    assert find_recording("synthetic") == find_recording(BUNDLED)
+    path = find_recording(BUNDLED)
+    assert path.stat().st_size < 300_000
+    recording = ct.load_recording(path)
+    assert recording.metadata.robot == "carosac"
+    assert recording.metadata.description.startswith("SYNTHETIC")
+
+
+def test_the_bundled_recording_is_what_its_script_makes():
+    from benchmarks.make_synthetic_recording import Settings, make_recording
+
+    kept, made = ct.load_recording(find_recording(BUNDLED)), make_recording(Settings())
+    assert made.metadata.description == kept.metadata.description
+    np.testing.assert_array_equal(made.time, kept.time)
+    np.testing.assert_allclose(made.unstrained_length, kept.unstrained_length, atol=6e-5)
+    np.testing.assert_allclose(made.poses.position, kept.poses.position, atol=3e-5)
+
+
+def test_the_bundled_recording_shows_delay_and_sway():
+    assert main(["validate", "synthetic", "--json", "x.json"]) == 0
+    data = json.loads(Path("x.json").read_text())["models"]
+    solver = data["kinematic_solver"]
+    assert solver["rmse_m"]["norm"] < 0.5 * data["straight_line"]["rmse_m"]["norm"]
+    assert solver["sway"]["clear"] and solver["sway"]["axis"] == "x"
+    assert solver["delay_s"]["y"] == pytest.approx(0.030, abs=3e-3)
+    assert solver["delay_s"]["z"] == pytest.approx(0.030, abs=3e-3)

@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+
+from carosac_toolkit.validation import validate
+from carosac_toolkit.validation.findings import conclusions
+from tests.validation.models import NAME
+from tests.validation.runs import ROBOT, perfect, shifted
+
+KS = "kinematic_solver"
+
+
+def said(recording, models=(KS,)):
+    return " ".join(conclusions(validate(recording, ROBOT, list(models))))
+
+
+def test_nothing_is_blamed_where_nothing_is_wrong():
+    text = said(perfect(), ("straight_line", KS))
+    assert "kinematic_solver comes nearest" in text
+    for word in ("sways", "late", "offset", "found no pose"):
+        assert word not in text
+
+
+def test_a_delay_is_named_with_its_size():
+    assert "poses are late against the lengths, by 30, 30, 30 ms" in said(perfect(0.03))
+    assert "not of the same time, by -20, -20, -20 ms" in said(perfect(-0.02))
+
+
+def test_sway_is_named_with_its_period():
+    recording = perfect()
+    swing = np.zeros((len(recording.time), 3))
+    swing[:, 0] = 0.05 * np.sin(2 * np.pi * 0.5 * recording.time)
+    text = said(shifted(recording, swing))
+    assert "swings by 50 mm with a period of 2.0" in text
+    assert "does not go away when the winches stop" in text
+    assert "nearest natural frequency" in text
+
+
+def test_a_constant_error_is_an_offset():
+    text = said(shifted(perfect(), [0.02, 0.0, 0.0]))
+    assert "constant (x -20.0 mm)" in text
+    assert "sways" not in text
+
+
+def test_failures_and_their_price_are_named():
+    text = said(perfect(), (f"{NAME}:Failing", f"{NAME}:Raising"))
+    assert "found no pose at" in text and "has no scores: RuntimeError: no luck" in text
+
+
+def test_another_robot_is_suspected():
+    from dataclasses import replace
+
+    moved = replace(perfect(), exit_points=ROBOT.exit_points + np.array([0.05, 0.0, 0.0]))
+    assert "exit points lie up to 50 mm" in said(moved)
+    near = replace(perfect(), exit_points=ROBOT.exit_points + 1e-3)
+    assert "exit points" not in said(near)
+
+
+@pytest.mark.parametrize("models", [(f"{NAME}:Raising",)])
+def test_without_any_score_only_the_reason_is_left(models):
+    assert said(perfect(), models) == f"{models[0]} has no scores: RuntimeError: no luck."
