@@ -28,7 +28,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(BIN)/python -m pip check
 	@touch $@
 
-demo: setup  ## score the models on a bundled synthetic recording, with pictures
+demo: $(STAMP)  ## score the models on a bundled synthetic recording, with pictures
 	@echo "Scoring each model on the bundled recording 'synthetic'. Kernels are compiled at the"
 	@echo "first run, which takes up to a minute; later runs find them cached."
 	$(BIN)/carosac validate synthetic --output $(RESULTS)/demo
@@ -36,22 +36,22 @@ demo: setup  ## score the models on a bundled synthetic recording, with pictures
 	@echo "Pictures and report (open report.html in a browser):"
 	@ls -1 $(RESULTS)/demo/*.png $(RESULTS)/demo/*.html
 
-test: setup  ## run the whole test suite
+test: $(STAMP)  ## run the whole test suite
 	@$(BIN)/python -m tests.warm_kernels
 	$(BIN)/python -m pytest -q -n $(JOBS) --dist loadfile
 
-lint: setup  ## check style, formatting and types
+lint: $(STAMP)  ## check style, formatting and types
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
-bench: setup  ## measure the speed of the statics
+bench: $(STAMP)  ## measure the speed of the statics
 	$(BIN)/python -m benchmarks.statics
 
-bars: setup  ## run the slow acceptance measurements; figures go to benchmarks/RESULTS.md
+bars: $(STAMP)  ## run the slow acceptance measurements; figures go to benchmarks/RESULTS.md
 	$(BIN)/python -m benchmarks.bars
 
-docs: setup  ## build the documentation into docs/_build
+docs: $(STAMP)  ## build the documentation into docs/_build
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
 	@echo "Open docs/_build/index.html"
 

@@ -51,6 +51,7 @@ class Span:
     reach: wp.vec3d  # anchor to tangent point [m]
     compliance: wp.mat33d  # d reach / d q at constant length [m/N]
     feed: wp.float64  # d reach / d length = feed * f [1/N]
+    stretch: wp.float64  # elongation, the integral of T / EA [m]
 
 
 @wp.struct
@@ -151,6 +152,8 @@ def catenary_span(q: wp.vec3d, length: wp.float64, w: wp.float64, ea: wp.float64
         cxz, cyz, axial + bend * h2,
     )  # fmt: skip
     out.feed = ONE / ea + ONE / tb
+    mean = HALF * (length * (ta + tb) + (va + vb) * rise)
+    out.stretch = HALF * (mean + h2 * slope) / ea
     return out
 
 

@@ -10,6 +10,8 @@ from carosac_toolkit.physics.cable_kernels import (
     hang,
     settle,
 )
+from carosac_toolkit.physics.cable_tension_kernels import guess_pull, pull
+from carosac_toolkit.physics.platform_kernels import anchor_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -70,3 +72,33 @@ def cable_points(
         part = state.free_length * wp.float64(k) / wp.float64(last)
         span = catenary_span(q[b, i], part, cable.weight_per_length, cable.axial_stiffness)
         points[b, i, k] = state.tangent_point - span.reach
+
+
+@wp.kernel
+def cables_of_tension(
+    cables: wp.array2d(dtype=Cable),
+    position: wp.array(dtype=wp.vec3d),
+    rotation: wp.array(dtype=wp.mat33d),
+    tension: wp.array2d(dtype=wp.float64),
+    unstrained_length: wp.array2d(dtype=wp.float64),
+    sag: wp.array2d(dtype=wp.float64),
+    stretch: wp.array2d(dtype=wp.float64),
+    closure: wp.array2d(dtype=wp.float64),
+    mismatch: wp.array2d(dtype=wp.float64),
+):
+    """One cable per thread that reaches its anchor point and pulls there with a given tension."""
+    b, i = wp.tid()
+    cable = cables[wp.min(b, cables.shape[0] - 1), i]
+    anchor = anchor_of(cable, position[b], rotation[b])
+    found = pull(
+        guess_pull(anchor, tension[b, i], cable), anchor, tension[b, i], cable,
+        wp.float64(1.0e-14), 60,
+    )  # fmt: skip
+    free = found.hanging.free_length
+    span = catenary_span(found.q, free, cable.weight_per_length, cable.axial_stiffness)
+    strain = wp.length(found.q) / cable.axial_stiffness
+    unstrained_length[b, i] = found.unstrained_length
+    sag[b, i] = free + span.stretch - wp.length(found.hanging.tangent_point - anchor)
+    stretch[b, i] = span.stretch + cable.run_length * strain / (wp.float64(1.0) + strain)
+    closure[b, i] = wp.length(found.hanging.closure)
+    mismatch[b, i] = wp.abs(found.mismatch)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics.cable_lengths import length_at_tension
 from carosac_toolkit.recording import Recording
 from carosac_toolkit.robot import Robot
-from carosac_toolkit.validation.cable_lengths import length_at_tension
 from carosac_toolkit.validation.diagnostics import find_delay, find_sway, rest_frequencies
 from carosac_toolkit.validation.phases import find_phases, slope
 from carosac_toolkit.validation.result import ModelResult, ValidationResult

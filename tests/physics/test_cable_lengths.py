@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.physics import statics
-from carosac_toolkit.validation.cable_lengths import length_at_tension
+from carosac_toolkit.physics.cable_lengths import length_at_tension
 from tests.robots import eight_cable_robot, simple_robot, with_pulleys
 
 
