@@ -98,11 +98,11 @@ def recording() -> list[list[str]]:
     rows = []
     for label, robot in (("authors' moment", authors), ("bundled scampi", bundled)):
         result = validate(ct.load_recording(path), robot, ["kinematic_solver"])
-        score = result.models["kinematic_solver"]
-        axes = " / ".join(f"{score.rmse[k] * 1e3:.1f}" for k in ("x", "y", "z"))
+        rmse = result.data()["models"]["kinematic_solver"]["rmse_m"]
+        axes = " / ".join(f"{rmse[k] * 1e3:.1f}" for k in ("x", "y", "z"))
         rows.append(
             [f"KS on the real recording, {label}", "31.7 / 10.7 / 11.2, 35.3 mm +- 1.5",
-             f"{axes}, {score.rmse['norm'] * 1e3:.1f} mm"]
+             f"{axes}, {rmse['norm'] * 1e3:.1f} mm"]
         )  # fmt: skip
     return rows
 
