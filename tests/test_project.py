@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 import tomllib
 from importlib.metadata import requires
 from pathlib import Path
 
+import pytest
 import yaml
 
 import carosac_toolkit
+from carosac_toolkit.robot_file import parse_robot
 from tests.warm_kernels import kernel_modules
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -59,3 +63,22 @@ def test_links_inside_the_project_lead_somewhere():
             if "://" not in target and not (page.parent / target).exists():
                 broken.append(f"{page.relative_to(ROOT)}: {target}")
     assert broken == []
+
+
+def test_robot_file_in_the_docs_is_right():
+    text = (ROOT / "docs" / "robot-yaml.md").read_text(encoding="utf-8")
+    example = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)
+    assert example is not None
+    assert parse_robot(example[1]).n == 4
+
+
+@pytest.mark.parametrize("page", ["robot-yaml", "statics", "trajectories"])
+def test_programs_in_the_docs_run(page, tmp_path):
+    text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    programs = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    assert programs
+    for program in programs:
+        done = subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, cwd=tmp_path
+        )
+        assert done.returncode == 0, done.stderr
