@@ -13,6 +13,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable_kernels import Cable
 from carosac_toolkit.physics.platform_kernels import Body
 from carosac_toolkit.robot import Robot
@@ -123,6 +125,21 @@ class Buffers:
 _uploads: WeakKeyDictionary[Robot, dict[str, tuple[wp.array, wp.array]]] = WeakKeyDictionary()
 _buffers: WeakKeyDictionary[Robot, OrderedDict[Any, Buffers]] = WeakKeyDictionary()
 _lock = threading.Lock()
+
+
+def check_call(robot: Robot, device: str) -> None:
+    """Refuse what is no robot, and a device that is not there.
+
+    Raises:
+        InvalidField: Names the argument.
+    """
+    if not isinstance(robot, Robot):
+        raise InvalidField("robot", repr(robot), "a Robot; load_robot(name or file) gives one")
+    if device != "cpu":
+        warp_setup.initialise()
+        known = [str(found) for found in wp.get_devices()]
+        if device not in [*known, "cuda"] or (device == "cuda" and len(known) < 2):
+            raise InvalidField("device", repr(device), f"one of {known}")
 
 
 def device_robot(robot: Robot, device: str) -> tuple[wp.array, wp.array]:

@@ -23,7 +23,7 @@ from carosac_toolkit.physics import (
     warp_setup,
 )
 from carosac_toolkit.physics.cable_kernels import mat66d, vec6d
-from carosac_toolkit.physics.device import Buffers, device_robot, kept_buffers
+from carosac_toolkit.physics.device import Buffers, check_call, device_robot, kept_buffers
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Pose
 
@@ -44,8 +44,11 @@ class Equilibrium:
         residual: Norm of the wrench left over, moments divided by the largest lever arm [N], (B,).
         gap: Largest distance by which a cable misses its anchor point [m], shape (B,).
         converged: Whether this is an equilibrium that fulfils what was asked, shape (B,).
-        stable: Whether the stiffness at constant lengths is positive definite, shape (B,).
+        stable: Whether it is at rest and the stiffness at constant lengths is positive definite,
+            shape (B,).
         slack: Whether a tension is below `tension_min`, shape (B, n).
+        in_winch_range: Whether a length lies within the winch's, shape (B, n); lengths are not
+            limited by the solvers, which know no winches.
         stiffness: -d wrench / d (translation, rotation vector) in W at the platform origin, at
             constant lengths, shape (B, 6, 6): blocks in N/m, N, N and N m.
         exit_tension: Tension vector at the exit, pointing from platform to exit [N], (B, n, 3).
@@ -62,6 +65,7 @@ class Equilibrium:
     converged: NDArray[np.bool_]
     stable: NDArray[np.bool_]
     slack: NDArray[np.bool_]
+    in_winch_range: NDArray[np.bool_]
     stiffness: Array
     exit_tension: Array
     status: NDArray[np.int32]
@@ -93,6 +97,7 @@ def forward_kinematics(
         InvalidField: A wrong shape, a length that is not finite and positive, or a guess of
             another batch size.
     """
+    check_call(robot, device)
     length = batch("unstrained_length", unstrained_length, (robot.n,))
     if (length <= 0.0).any():
         b, i = (int(k) for k in np.argwhere(length <= 0.0)[0])
@@ -142,6 +147,7 @@ def inverse_kinematics(
     Raises:
         InvalidField: A wrong shape, numbers that are not finite, or a rotation for n < 6.
     """
+    check_call(robot, device)
     where = batch("position", position, (3,))
     size = len(where)
     free = robot.n < 6
@@ -225,9 +231,11 @@ def sag(robot: Robot, equilibrium: Equilibrium, *, samples: int = 101) -> Array:
 
 
 def _check_guess(guess: Equilibrium | Pose | None, size: int, robot: Robot) -> None:
-    """Refuse a guess of another batch size or robot."""
+    """Refuse a guess of another kind, batch size or robot."""
     if guess is None:
         return
+    if not isinstance(guess, Equilibrium | Pose):
+        raise InvalidField("guess", type(guess).__name__, "an Equilibrium, a Pose or None")
     if len(guess.position) != size:
         raise InvalidField("guess", f"{len(guess.position)} poses", f"{size}, as the batch")
     if isinstance(guess, Equilibrium) and guess.exit_tension.shape[1] != robot.n:
@@ -280,19 +288,21 @@ def _shapes(size: int, n: int) -> dict[str, tuple[Any, Any]]:
 def _equilibrium(robot: Robot, buffers: Buffers) -> Equilibrium:
     """Copy the answer out and judge it."""
     tension = buffers.get("tension")
+    length = buffers.get("unstrained_length")
     residual, gap, status = (buffers.get(k) for k in ("residual", "gap", "status"))
     sound = (residual <= RESIDUAL * robot.weight) & (gap <= GAP)
     converged = (status == 1) & sound
     return Equilibrium(
         position=buffers.get("position"),
         rotation=buffers.get("rotation"),
-        unstrained_length=buffers.get("unstrained_length"),
+        unstrained_length=length,
         tension=tension,
         residual=residual,
         gap=gap,
         converged=converged,
-        stable=buffers.get("stable") == 1,
+        stable=(buffers.get("stable") == 1) & sound,
         slack=tension < robot.tension_min * (1.0 - 1e-9),
+        in_winch_range=(length >= robot.length_min) & (length <= robot.length_max),
         stiffness=buffers.get("stiffness"),
         exit_tension=buffers.get("q"),
         status=np.where(converged, 1, np.where(status == 1, 0, status)).astype(np.int32),

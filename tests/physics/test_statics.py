@@ -295,6 +295,7 @@ def test_infeasible_is_reported_and_nothing_is_clipped():
     assert not found.converged.any()
     assert [statics.REASONS[s] for s in found.status] == [statics.REASONS[2]] * 2
     assert (found.position == beyond).all()
+    assert not found.stable[0]
     weak = replace(eight_cable_robot(), tension_max=np.full(8, 12.0), tension_min=np.full(8, 10.0))
     held = statics.inverse_kinematics(weak, weak.home_position[None])
     assert statics.REASONS[held.status[0]] == "no tensions within the limits found"
@@ -395,6 +396,24 @@ def test_run_length_softens_and_lengthens():
 def test_bad_arguments_are_named(call, message):
     with pytest.raises(InvalidField, match=message):
         call(simple_robot())
+
+
+def test_wrong_kinds_of_arguments_are_named():
+    robot = simple_robot()
+    with pytest.raises(InvalidField, match=r"robot: got 'carosac'; allowed: a Robot; load_robot"):
+        statics.forward_kinematics("carosac", [[9.0] * 4])
+    with pytest.raises(InvalidField, match=r"guess: got list; allowed: an Equilibrium, a Pose"):
+        statics.forward_kinematics(robot, [[9.0] * 4], guess=[0.0, 0.0, 1.0])
+    with pytest.raises(InvalidField, match=r"device: got 'tpu'; allowed: one of \['cpu'"):
+        statics.inverse_kinematics(robot, [[0.4, -1.8, 2.2]], device="tpu")
+
+
+def test_winch_range_is_reported_and_limits_nothing():
+    robot = replace(simple_robot(), length_max=np.full(4, 9.15))
+    found = statics.inverse_kinematics(robot, [[0.4, -1.8, 2.2]])
+    assert found.converged[0]
+    assert (found.in_winch_range[0] == (found.unstrained_length[0] <= 9.15)).all()
+    assert found.in_winch_range.any() and not found.in_winch_range.all()
 
 
 def test_a_rotation_that_is_none_is_refused():
