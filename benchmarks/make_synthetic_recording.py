@@ -1,4 +1,4 @@
-"""Make the bundled recording ``synthetic_carosac``: a simulated run of a robot we know wrongly.
+"""Make the bundled recording ``synthetic``: a simulated run of a robot we know wrongly.
 
 Run it from the project's root: ``python benchmarks/make_synthetic_recording.py``. It takes seconds
 and always writes the same numbers.
@@ -32,7 +32,7 @@ from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Stamped
 
-TARGET = Path("carosac_toolkit/recordings/data/synthetic_carosac.parquet")
+TARGET = Path("carosac_toolkit/recordings/data/synthetic.parquet")
 DESCRIPTION = (
     "SYNTHETIC: made by a program, not measured. Straight minimum-snap moves with rests in the "
     "workspace of robot carosac. The plant is that robot with seeded random errors (one standard "

@@ -62,6 +62,23 @@ def batch(name: str, value: ArrayLike, trailing: tuple[int, ...]) -> Array:
     return np.ascontiguousarray(array)
 
 
+def check_rotations(name: str, rotation: Array) -> None:
+    """Refuse matrices that are no rotations.
+
+    Args:
+        name: Field name for the error message.
+        rotation: Shape (B, 3, 3), finite.
+
+    Raises:
+        InvalidField: Names the first one that is not orthonormal or mirrors.
+    """
+    product = rotation @ rotation.swapaxes(1, 2)
+    bad = (np.abs(product - np.eye(3)).max(axis=(1, 2)) > 1e-6) | (np.linalg.det(rotation) < 0.0)
+    if bad.any():
+        index = int(np.argmax(bad))
+        raise InvalidField(f"{name}[{index}]", "no rotation matrix", "R R^T = 1, det +1")
+
+
 def set_frozen(instance: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
     """Replace the named fields of a frozen dataclass by their `frozen_array`."""
     for name, shape in shapes.items():

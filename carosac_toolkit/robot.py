@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -121,10 +122,10 @@ class Robot:
 
     def __post_init__(self) -> None:
         """Freeze every array and check every number that physics relies on."""
-        object.__setattr__(self, "cable_names", tuple(self.cable_names))
+        self._check_names()
         n = self.n
-        if n == 0:
-            raise InvalidField("cable_names", "no cable", "at least one cable")
+        for name in _SCALARS:
+            object.__setattr__(self, name, _scalar(name, getattr(self, name)))
         set_frozen(self, {name: (n, 3) for name in ("exit_points", "anchor_points", "swivel_axis")})
         set_frozen(self, {name: (n,) for name in _PER_CABLE})
         set_frozen(self, {name: (3,) for name in _VECTORS})
@@ -157,8 +158,13 @@ class Robot:
         record = asdict(self)
         arrays = {k: v for k, v in record.items() if isinstance(v, np.ndarray)}
         rest = {k: v for k, v in record.items() if k not in arrays}
-        with Path(path).open("wb") as stream:
+        target = Path(path)
+        if not target.parent.is_dir():
+            raise MissingFile(target.parent, "the folder must exist")
+        temporary = target.with_name(target.name + ".part")
+        with temporary.open("wb") as stream:
             np.savez(stream, allow_pickle=False, __fields__=np.array(json.dumps(rest)), **arrays)
+        temporary.replace(target)
 
     @classmethod
     def from_npz(cls, path: str | Path) -> Robot:
@@ -170,15 +176,24 @@ class Robot:
         """
         if not Path(path).is_file():
             raise MissingFile(path)
-        with np.load(path, allow_pickle=False) as data:
-            if "__fields__" not in data:
-                raise InvalidField("path", path, "a file written by Robot.to_npz")
-            record = json.loads(str(data["__fields__"]))
-            record |= {k: data[k] for k in data.files if k != "__fields__"}
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                record = json.loads(str(data["__fields__"]))
+                record |= {k: data[k] for k in data.files if k != "__fields__"}
+        except (ValueError, KeyError, OSError, EOFError, BadZipFile) as error:
+            raise InvalidField("path", path, "a file written by Robot.to_npz") from error
         unknown = set(record) ^ {field.name for field in fields(cls)}
         if unknown:
             raise InvalidField("path", path, f"the fields of Robot; differing: {sorted(unknown)}")
         return cls(**record)
+
+    def _check_names(self) -> None:
+        """Refuse cable names that are missing, doubled or no list of texts."""
+        names = self.cable_names
+        listed = isinstance(names, list | tuple) and all(isinstance(x, str) for x in names)
+        if not listed or not names or len(set(names)) != len(names):
+            raise InvalidField("cable_names", repr(names), "at least one cable, all names different")
+        object.__setattr__(self, "cable_names", tuple(names))
 
     def _check_signs(self) -> None:
         """Refuse numbers that must be positive, or not negative."""
@@ -223,6 +238,9 @@ class Robot:
             index = int(np.argmax(bad))
             raise InvalidField(f"swivel_axis[{index}]", self.swivel_axis[index], "a unit vector")
         if self.exit_covariance is not None:
+            mirrored = self.exit_covariance.swapaxes(1, 2)
+            if not np.allclose(self.exit_covariance, mirrored, rtol=1e-9, atol=1e-18):
+                raise InvalidField("exit_covariance", "a matrix", "symmetric matrices")
             smallest = np.linalg.eigvalsh(self.exit_covariance)[:, 0]
             if (smallest < -1e-15).any():
                 index = int(np.argmin(smallest))
@@ -231,6 +249,14 @@ class Robot:
                 )
 
 
+def _scalar(name: str, value: object) -> float:
+    """One number, or an error that names the field."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
+        raise InvalidField(name, repr(value), "a number")
+    return float(value)
+
+
+_SCALARS = ("mass", "drag", "angular_drag", "gravity")
 _PER_CABLE = (
     "pulley_radius", "run_length", "linear_density", "axial_stiffness", "axial_damping",
     "cable_diameter", "tension_min", "tension_max", "speed_max", "acceleration_max", "winch_lag",

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from carosac_toolkit.arrays import Array, frozen_array
+from carosac_toolkit.arrays import Array, check_rotations, frozen_array
 
 
 def _freeze(instance: Any, **shapes: tuple[int, ...]) -> None:
@@ -55,6 +55,7 @@ class Pose:
         """Freeze the arrays."""
         batch = len(self.position)
         _freeze(self, position=(batch, 3), rotation=(batch, 3, 3), time=(batch,))
+        check_rotations("rotation", self.rotation)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -172,6 +173,7 @@ class Belief:
         b = len(self.position)
         _freeze(self, time=(b,), position=(b, 3), rotation=(b, 3, 3), twist=(b, 6))
         _freeze(self, covariance=(b, 12, 12))
+        check_rotations("rotation", self.rotation)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

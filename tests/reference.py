@@ -181,6 +181,42 @@ def cable_closure(robot: Robot, unstrained_length: Array, anchor: Array, force: 
     return np.asarray(anchor + reach - tangent_point)
 
 
+def cable_wrench(
+    robot: Robot, unstrained_length: Array, position: Array, rotation: Array, exit_tension: Array
+) -> Array:
+    """Wrench on the platform at its origin, weight included [N, N m], shape (6,).
+
+    The cables of given lengths are closed by Newton on `cable_closure` from a first guess.
+
+    Args:
+        robot: Robot description, n cables.
+        unstrained_length: [m], shape (n,).
+        position: Platform origin in W [m], shape (3,).
+        rotation: Rotation from P to W, shape (3, 3).
+        exit_tension: First guess of the tension vectors at the exits [N], shape (n, 3).
+    """
+    arm = robot.anchor_points @ rotation.T
+    force = np.array(exit_tension, dtype=LONG)
+    force[:, 2] -= robot.weight_per_length * unstrained_length
+    for _ in range(12):
+        gap = cable_closure(robot, unstrained_length, position + arm, force)
+        slope = np.zeros((robot.n, 3, 3))
+        for j in range(3):
+            step = np.zeros(3)
+            step[j] = 1e-3
+            ends = [
+                cable_closure(robot, unstrained_length, position + arm, force + sign * step)
+                for sign in (1.0, -1.0)
+            ]
+            slope[:, :, j] = (ends[0] - ends[1]) / 2e-3
+        change = np.linalg.solve(slope, np.asarray(gap, dtype=np.float64)[..., None])[..., 0]
+        force = force - change
+    total = np.asarray(force, dtype=np.float64)
+    weight = np.array([0.0, 0.0, -robot.weight])
+    moment = np.cross(arm, total).sum(axis=0) + np.cross(rotation @ robot.center_of_mass, weight)
+    return np.concatenate([total.sum(axis=0) + weight, moment])
+
+
 def _plus(vertical: Array, tension: Array, horizontal2: Array) -> Array:
     """V + T without cancellation where V < 0."""
     away = np.where(vertical < 0, tension - vertical, LONG(1))

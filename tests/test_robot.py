@@ -6,6 +6,7 @@ import pytest
 import carosac_toolkit as ct
 from carosac_toolkit.errors import MissingFile
 from carosac_toolkit.robot import RigidBody, combine_bodies
+from tests.robots import simple_robot
 
 
 def rod(mass, length, center):
@@ -98,3 +99,29 @@ def test_weights_follow_from_masses_and_gravity():
     robot = ct.load_robot("scampi")
     assert robot.weight == pytest.approx(43.164, rel=1e-12)
     assert robot.weight_per_length == pytest.approx(0.1034955, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mass": "abc"}, r"mass: got 'abc'; allowed: a number"),
+        ({"mass": True}, r"mass: got True; allowed: a number"),
+        ({"gravity": np.array([9.81])}, r"gravity: got array.*; allowed: a number"),
+        ({"cable_names": "abcd"}, r"cable_names: got 'abcd'; allowed: at least one cable"),
+        ({"cable_names": ("a", "b", "b", "c")}, r"all names different"),
+    ],
+)
+def test_wrong_kinds_are_named(change, message):
+    with pytest.raises(ct.InvalidField, match=message):
+        simple_robot(**change)
+
+
+def test_a_file_that_is_no_robot_is_refused_and_none_is_half_written(tmp_path):
+    text = tmp_path / "robot.npz"
+    text.write_text("no robot")
+    with pytest.raises(ct.InvalidField, match=r"a file written by Robot\.to_npz"):
+        ct.Robot.from_npz(text)
+    with pytest.raises(ct.CarosacError, match="the folder must exist"):
+        simple_robot().to_npz(tmp_path / "missing" / "robot.npz")
+    simple_robot().to_npz(tmp_path / "good.npz")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["good.npz", "robot.npz"]

@@ -20,18 +20,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.physics import braking_kernels, warp_setup
-from carosac_toolkit.physics.device import Buffers
 from carosac_toolkit.robot import Robot
 
 SETTLE_SLACK = 1e-9  # by how much a shortened step may end beyond what was asked for [m]
 BOX_SLACK = 1e-9  # what the straight-line position is known to [m]
 _EPSILON = 2.0**-52
-_GEOMETRY = ("exit_points", "anchor_points", "pulley_radius", "swivel_axis")
-_LIMITS = ("length_min", "length_max", "speed_max", "acceleration_max")
 _STATE = ("length", "speed", "acceleration", "position")
+_PER_CABLE = (
+    "length", "speed", "acceleration", "asked", "pace", "actual", "brake_length", "base_length",
+    "base_speed", "base_acceleration", "share", "base_end", "walk_length", "walk_speed",
+    "walk_acceleration", "sent_length", "sent_speed", "sent_acceleration", "low", "high", "peak",
+)  # fmt: skip
 
 
 class Motion(NamedTuple):
@@ -113,18 +116,32 @@ class Brakes:
             box: Whether the straight-line position must stay in the workspace box.
         """
         warp_setup.load(braking_kernels)
-        self.steps_max = most_steps(robot, jerk_max, period)
-        self._rules = _rules(robot, period, jerk_max, jump_max, box, self.steps_max)
-        self._rotation = wp.mat33d(robot.home_rotation)
-        self._size = size
-        self._buffers = Buffers("cpu", _shapes(size, robot.n))
-        for name in (*_GEOMETRY, *_LIMITS):
-            self._buffers.put(name, getattr(robot, name))
+        self.slack = Slack.of(robot, jerk_max, period)
+        rules = braking_kernels.Rules()
+        rules.period, rules.jerk_max, rules.jump_max = period, jerk_max, jump_max
+        _fill_rules(rules, robot, self.slack)
+        rules.steps_max, rules.use_box = most_steps(robot, jerk_max, period), int(box)
+        work = braking_kernels.Work()
+        arrays = {
+            name: wp.zeros((size, robot.n), dtype=wp.float64, device="cpu") for name in _PER_CABLE
+        }
+        arrays |= {
+            k: wp.zeros(size, dtype=wp.vec3d, device="cpu") for k in ("position", "sent_position")
+        }
+        arrays["outside"] = wp.zeros(size, dtype=wp.float64, device="cpu")
+        arrays["use_actual"] = wp.zeros(1, dtype=wp.int32, device="cpu")
+        for name, array in arrays.items():
+            setattr(work, name, array)
+        self._views: dict[str, NDArray[Any]] = {k: a.numpy() for k, a in arrays.items()}
+        self._launches = {
+            kernel.key: wp.launch(kernel, size, inputs=[work, rules], device="cpu", record_cmd=True)
+            for kernel in (
+                braking_kernels.limit_step, braking_kernels.brake_all, braking_kernels.look_ahead
+            )
+        }  # fmt: skip
 
-    def limit(
-        self, motion: Motion, asked: Array, pace: Array, actual: Array | None
-    ) -> tuple[Motion, Array]:
-        """The asked step, or the farthest admissible one on the way to it.
+    def limit(self, motion: Motion, asked: Array, pace: Array, actual: Array | None) -> Motion:
+        """The asked step where it is admissible, else one as far towards it as is.
 
         Args:
             motion: Where the winches are, admissible.
@@ -133,31 +150,21 @@ class Brakes:
             actual: Measured lengths [m], shape (B, n), or None: the jump limit does not count.
 
         Returns:
-            The motion after the step, and for each row how far it is on the way from the next step
-            of the controlled stop (0) to the asked step (1), shape (B,).
+            The motion after the step.
         """
         self._put(motion)
-        self._buffers.put("asked", asked)
-        self._buffers.put("pace", pace)
-        self._buffers.put("use_actual", np.float64(actual is not None))
+        self._views["asked"][...] = asked
+        self._views["pace"][...] = pace
+        self._views["use_actual"][...] = actual is not None
         if actual is not None:
-            self._buffers.put("actual", actual)
-        self._buffers.launch(
-            "limit", braking_kernels.limit_step, self._size, *_STATE, self._rotation, "asked",
-            "pace", "actual", "use_actual", *_GEOMETRY, *_LIMITS, self._rules, "brake", "walk",
-            "walk_length", "sent_position", "sent_length", "sent_speed", "sent_acceleration",
-            "factor",
-        )  # fmt: skip
-        return self._sent(), self._buffers.get("factor")
+            self._views["actual"][...] = actual
+        self._launches["limit_step"].launch()
+        return self._sent()
 
     def stop(self, motion: Motion) -> Motion:
         """The next step of the controlled stop."""
         self._put(motion)
-        self._buffers.launch(
-            "stop", braking_kernels.brake_all, self._size, *_STATE, self._rotation, *_GEOMETRY,
-            "acceleration_max", self._rules, "sent_position", "sent_length", "sent_speed",
-            "sent_acceleration",
-        )  # fmt: skip
+        self._launches["brake_all"].launch()
         return self._sent()
 
     def look_ahead(self, motion: Motion) -> Extremes:
@@ -166,22 +173,17 @@ class Brakes:
         A row that exceeds a speed or an acceleration now is looked at where it is now only.
         """
         self._put(motion)
-        self._buffers.put("first", np.stack(motion[:3], axis=-1))
-        self._buffers.launch(
-            "look_ahead", braking_kernels.look_ahead, self._size, "first", "position",
-            self._rotation, *_GEOMETRY, "speed_max", "acceleration_max", self._rules, "walk",
-            "walk_length", "low", "high", "peak", "outside",
-        )  # fmt: skip
-        return Extremes(*(self._buffers.get(name) for name in ("low", "high", "peak", "outside")))
+        self._launches["look_ahead"].launch()
+        return Extremes(*(self._views[name].copy() for name in ("low", "high", "peak", "outside")))
 
     def _put(self, motion: Motion) -> None:
         """Copy a motion in."""
         for name, value in zip(_STATE, motion, strict=True):
-            self._buffers.put(name, value)
+            self._views[name][...] = value
 
     def _sent(self) -> Motion:
         """Copy the motion after a step out."""
-        return Motion(*(self._buffers.get(f"sent_{name}") for name in _STATE))
+        return Motion(*(self._views[f"sent_{name}"].copy() for name in _STATE))
 
 
 def most_steps(robot: Robot, jerk_max: float, period: float) -> int:
@@ -192,34 +194,14 @@ def most_steps(robot: Robot, jerk_max: float, period: float) -> int:
     return int(np.ceil(2.0 * (ramps + speed / (a_max * period)).max())) + 100
 
 
-def _rules(
-    robot: Robot, period: float, jerk_max: float, jump_max: float, box: bool, steps_max: int
-) -> Any:
-    """Limits that all cables share, for the kernels."""
-    rules = braking_kernels.Rules()
-    slack = Slack.of(robot, jerk_max, period)
-    rules.period, rules.jerk_max, rules.jump_max = period, jerk_max, jump_max
+def _fill_rules(rules: Any, robot: Robot, slack: Slack) -> None:
+    """Geometry, limits of the robot and slacks, for the kernels."""
+    for name in ("exit_points", "anchor_points", "swivel_axis"):
+        setattr(rules, name, wp.array(getattr(robot, name), dtype=wp.vec3d, device="cpu"))
+    for name in ("pulley_radius", "length_min", "length_max", "speed_max", "acceleration_max"):
+        setattr(rules, name, wp.array(getattr(robot, name), dtype=wp.float64, device="cpu"))
+    rules.rotation = wp.mat33d(robot.home_rotation)
+    rules.box_min, rules.box_max = wp.vec3d(robot.workspace_min), wp.vec3d(robot.workspace_max)
     rules.length_slack, rules.speed_slack = slack.length, slack.speed
     rules.acceleration_slack, rules.jerk_slack = slack.acceleration, slack.jerk
     rules.settle_slack, rules.box_slack = SETTLE_SLACK, BOX_SLACK
-    rules.steps_max, rules.use_box = steps_max, int(box)
-    rules.box_min, rules.box_max = wp.vec3d(robot.workspace_min), wp.vec3d(robot.workspace_max)
-    return rules
-
-
-def _shapes(size: int, n: int) -> dict[str, tuple[Any, Any]]:
-    """Shape and type of every buffer."""
-    shapes: dict[str, tuple[Any, Any]] = {
-        "exit_points": (n, wp.vec3d), "anchor_points": (n, wp.vec3d),
-        "pulley_radius": (n, wp.float64), "swivel_axis": (n, wp.vec3d),
-        "position": (size, wp.vec3d), "sent_position": (size, wp.vec3d),
-        "use_actual": (1, wp.int32), "factor": (size, wp.float64), "outside": (size, wp.float64),
-        "brake": ((size, n, 4), wp.float64), "walk": ((size, n, 3), wp.float64),
-        "first": ((size, n, 3), wp.float64),
-    }  # fmt: skip
-    shapes |= {name: (n, wp.float64) for name in _LIMITS}
-    per_cable = (
-        "length", "speed", "acceleration", "asked", "pace", "actual", "walk_length", "sent_length",
-        "sent_speed", "sent_acceleration", "low", "high", "peak",
-    )  # fmt: skip
-    return shapes | {name: ((size, n), wp.float64) for name in per_cable}

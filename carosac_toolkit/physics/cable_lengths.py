@@ -45,7 +45,8 @@ def length_at_tension(
 ) -> CableLengths:
     """Length of each cable that reaches a pose and pulls there with a given tension.
 
-    Of the two cables that may do so, a taut and a deeply sagging one, the taut one is meant.
+    Of the two cables that may do so, a taut and a deeply sagging one, the taut one is meant; below
+    the least tension with which a cable can hang there, there is none.
 
     Args:
         robot: Robot description, n cables.
@@ -73,15 +74,16 @@ def length_at_tension(
         wp.array(np.where(known, asked, 1.0), dtype=wp.float64, device=device),
     ]
     outputs = [wp.zeros(shape, dtype=wp.float64, device=device) for _ in range(5)]
+    taut = wp.zeros(shape, dtype=int, device=device)
     wp.launch(
         catenary_kernels.cables_of_tension,
         shape,
-        inputs=[cables, *inputs, *outputs],
+        inputs=[cables, *inputs, *outputs, taut],
         device=device,
     )
     length, sag, stretch, closure, mismatch = (a.numpy() for a in outputs)
     valid = known & (closure <= CLOSURE) & (mismatch <= MISMATCH * np.where(known, asked, 1.0))
-    valid &= length > 0.0
+    valid &= (length > 0.0) & (taut.numpy() == 1)
     return CableLengths(
         unstrained_length=np.where(valid, length, np.nan),
         sag=np.where(valid, sag, np.nan),

@@ -10,7 +10,7 @@ from carosac_toolkit.physics.cable_kernels import (
     hang,
     settle,
 )
-from carosac_toolkit.physics.cable_tension_kernels import guess_pull, pull
+from carosac_toolkit.physics.cable_tension_kernels import pull_down
 from carosac_toolkit.physics.platform_kernels import anchor_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -85,15 +85,13 @@ def cables_of_tension(
     stretch: wp.array2d(dtype=wp.float64),
     closure: wp.array2d(dtype=wp.float64),
     mismatch: wp.array2d(dtype=wp.float64),
+    taut: wp.array2d(dtype=int),
 ):
     """One cable per thread that reaches its anchor point and pulls there with a given tension."""
     b, i = wp.tid()
     cable = cables[wp.min(b, cables.shape[0] - 1), i]
     anchor = anchor_of(cable, position[b], rotation[b])
-    found = pull(
-        guess_pull(anchor, tension[b, i], cable), anchor, tension[b, i], cable,
-        wp.float64(1.0e-14), 60,
-    )  # fmt: skip
+    found = pull_down(anchor, tension[b, i], cable)
     free = found.hanging.free_length
     span = catenary_span(found.q, free, cable.weight_per_length, cable.axial_stiffness)
     strain = wp.length(found.q) / cable.axial_stiffness
@@ -102,3 +100,4 @@ def cables_of_tension(
     stretch[b, i] = span.stretch + cable.run_length * strain / (wp.float64(1.0) + strain)
     closure[b, i] = wp.length(found.hanging.closure)
     mismatch[b, i] = wp.abs(found.mismatch)
+    taut[b, i] = found.taut

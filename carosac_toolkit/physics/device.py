@@ -20,6 +20,7 @@ from carosac_toolkit.physics.platform_kernels import Body
 from carosac_toolkit.robot import Robot
 
 KEPT = 12  # sets of buffers remembered per robot
+KEPT_SIZE = 4096  # larger batches allocate anew: their solve takes far longer
 
 
 def cable_records(robot: Robot) -> NDArray[Any]:
@@ -83,6 +84,7 @@ class Buffers:
         on_host = wp.get_device(device).is_cpu
         self._views = {k: v.numpy() for k, v in self._arrays.items()} if on_host else {}
         self._launches: dict[str, Any] = {}
+        self.length_scale = 1.0  # typical cable length of the robot [m]
 
     @property
     def launched(self) -> bool:
@@ -154,12 +156,20 @@ def device_robot(robot: Robot, device: str) -> tuple[wp.array, wp.array]:
 def kept_buffers(
     robot: Robot, purpose: str, size: int, device: str, shapes: Callable[[], dict[str, Any]]
 ) -> Buffers:
-    """Buffers of a robot for a purpose and batch size; those used longest ago are dropped."""
+    """Buffers of a robot for a purpose and batch size; small ones are kept for the next call."""
+
+    def make() -> Buffers:
+        buffers = Buffers(device, shapes())
+        buffers.length_scale = float(body_record(robot)["size"])
+        return buffers
+
+    if size > KEPT_SIZE:
+        return make()
     with _lock:
         kept = _buffers.setdefault(robot, OrderedDict())
         key = (purpose, size, device)
         if key not in kept:
-            kept[key] = Buffers(device, shapes())
+            kept[key] = make()
         kept.move_to_end(key)
         if len(kept) > KEPT:
             kept.popitem(last=False)

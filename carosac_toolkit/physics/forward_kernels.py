@@ -13,6 +13,8 @@ from carosac_toolkit.physics.cable_kernels import (
     ZERO,
     Cable,
     guess_cable,
+    hang,
+    inverse33,
     settle,
     vec6d,
 )
@@ -39,7 +41,9 @@ WARM_LIMIT = wp.constant(20)
 RESIDUAL = wp.constant(wp.float64(1.0e-10))  # of the weight
 FITS = wp.constant(wp.float64(2.0e-14))  # of that length: rounding of the coordinates
 GAP = wp.constant(wp.float64(1.0e-13))  # of the typical cable length
-WARM = wp.constant(1)  # a pose and tension vectors are given; 0: a pose alone
+COLD = wp.constant(0)  # no guess: the pose given is home
+NEAR = wp.constant(1)  # a pose is given
+WARM = wp.constant(2)  # a pose and tension vectors are given
 
 
 @wp.struct
@@ -164,6 +168,24 @@ def start_cables(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.f
             q[b, i] = guess_cable(anchor, lengths[b, i], cable)
 
 
+@wp.func
+def is_near(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64), row: int,
+            b: int, p: wp.vec3d, r: wp.mat33d, q: wp.array2d(dtype=wp.vec3d)) -> bool:  # fmt: skip
+    """Whether closing the cables at a guess changes no tension vector by more than twice itself.
+
+    Stiff cables on a guess some millimetres away would start from forces that mean nothing. With
+    fewer than six cables the platform gives way, and Newton copes.
+    """
+    if lengths.shape[1] < 6:
+        return True
+    for i in range(lengths.shape[1]):
+        state = hang(q[b, i], anchor_of(cables[row, i], p, r), lengths[b, i], cables[row, i])
+        change = inverse33(state.closure_q) * state.closure
+        if not wp.length(change) <= TWO * wp.length(q[b, i]):
+            return False
+    return True
+
+
 @wp.kernel
 def forward(
     cables: wp.array2d(dtype=Cable),
@@ -188,7 +210,14 @@ def forward(
     body = bodies[wp.min(b, bodies.shape[0] - 1)]
     rest = Rest()
     steps = int(0)
+    if start == NEAR:
+        for i in range(unstrained_length.shape[1]):
+            anchor = anchor_of(cables[row, i], position[b], rotation[b])
+            q[b, i] = guess_cable(anchor, unstrained_length[b, i], cables[row, i])
+    near = start != COLD
     if start == WARM:
+        near = is_near(cables, unstrained_length, row, b, position[b], rotation[b], q)
+    if near:
         rest = relax(
             cables, unstrained_length, row, b, body, position[b], rotation[b], q, inverse,
             tension, WARM_LIMIT,

@@ -7,6 +7,7 @@ the least squared tensions within the limits, starting from a stable rest on str
 import warp as wp
 
 from carosac_toolkit.physics.cable_kernels import HALF, ONE, TINY, TWO, ZERO, Cable, vec6d
+from carosac_toolkit.physics.cable_tension_kernels import MARGIN, WIDE_MARGIN
 from carosac_toolkit.physics.inverse_kernels import (
     CONVERGED,
     FAILED,
@@ -16,6 +17,7 @@ from carosac_toolkit.physics.inverse_kernels import (
     STEADY,
     first_tensions,
     pull_cables,
+    set_limits,
 )
 from carosac_toolkit.physics.platform_kernels import (
     Body,
@@ -33,6 +35,8 @@ mat99d = wp.types.matrix((9, 9), wp.float64)
 vec9d = wp.types.vector(9, wp.float64)
 
 ROUNDS = wp.constant(4)  # of fitting straight cables to the position
+ATTEMPTS = wp.constant(6)  # rotations to start from, the later ones only where the first fails
+TILT = wp.constant(wp.float64(0.7))  # [rad]
 
 
 @wp.func
@@ -123,8 +127,9 @@ def optimality_row(column: vec6d, twist: wp.vec3d) -> vec9d:
 
 
 @wp.func
-def optimality_step(cables: wp.array2d(dtype=Cable), row: int, b: int, balance_wrench: vec6d,
-                    stiffness: mat66d, arm: wp.float64, curvature: wp.mat33d, ridge: wp.float64,
+def optimality_step(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64),
+                    b: int, balance_wrench: vec6d, stiffness: mat66d, arm: wp.float64,
+                    curvature: wp.mat33d, ridge: wp.float64,
                     tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
                     twist: wp.array2d(dtype=wp.vec3d),
                     bound: wp.array2d(dtype=int)) -> vec9d:  # fmt: skip
@@ -148,9 +153,7 @@ def optimality_step(cables: wp.array2d(dtype=Cable), row: int, b: int, balance_w
             matrix = matrix + wp.outer(line, line)
             right = right + tension[b, i] * line
         else:
-            held = wp.where(
-                bound[b, i] == 1, cables[row, i].tension_min, cables[row, i].tension_max
-            )
+            held = wp.where(bound[b, i] == 1, lower[b, i], upper[b, i])
             right = right - (held - tension[b, i]) * line
     return solve9(matrix, right)
 
@@ -166,17 +169,18 @@ class Choice:
 
 
 @wp.func
-def beyond(cable: Cable, tension: wp.float64) -> int:
+def beyond(lower: wp.float64, upper: wp.float64, tension: wp.float64) -> int:
     """1 below the lower limit, 2 above the upper one, 0 between."""
-    if tension < cable.tension_min:
+    if tension < lower:
         return 1
-    if tension > cable.tension_max:
+    if tension > upper:
         return 2
     return 0
 
 
 @wp.func
-def choose(cables: wp.array2d(dtype=Cable), row: int, b: int, step: vec9d,
+def choose(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64), b: int,
+           step: vec9d,
            tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
            twist: wp.array2d(dtype=wp.vec3d), bound: wp.array2d(dtype=int),
            wanted: wp.array2d(dtype=wp.float64)) -> Choice:  # fmt: skip
@@ -192,29 +196,30 @@ def choose(cables: wp.array2d(dtype=Cable), row: int, b: int, step: vec9d,
     worst = int(-1)
     most = wp.float64(0.0)
     for i in range(tension.shape[1]):
-        cable = cables[row, i]
+        low = lower[b, i]
+        high = upper[b, i]
         t = wp.dot(optimality_row(column[b, i], twist[b, i]), step)
-        side = beyond(cable, t)
-        if side != 0 or bound[b, i] != 0 or beyond(cable, tension[b, i]) != 0:
+        side = beyond(low, high, t)
+        if side != 0 or bound[b, i] != 0 or beyond(low, high, tension[b, i]) != 0:
             out.inside = 0
         if bound[b, i] != 0 and side != bound[b, i]:
             bound[b, i] = 0
             out.changed = 1
         if bound[b, i] != 0:
             held += 1
-            t = wp.clamp(t, cable.tension_min, cable.tension_max)
+            t = wp.clamp(t, low, high)
         elif side != 0:
-            offence = wp.max(cable.tension_min - t, t - cable.tension_max)
+            offence = wp.max(low - t, t - high)
             if offence > most:
                 most = offence
                 worst = i
-        t = wp.max(t, wp.float64(0.2) * tension[b, i])
+        t = wp.max(t, wp.max(wp.float64(0.2) * tension[b, i], HALF * low))
         wanted[b, i] = t
         out.slope += tension[b, i] * (t - tension[b, i])
         out.jump = wp.max(out.jump, wp.abs(t - tension[b, i]))
     if worst >= 0 and held < tension.shape[1] - 3:
         line = optimality_row(column[b, worst], twist[b, worst])
-        bound[b, worst] = beyond(cables[row, worst], wp.dot(line, step))
+        bound[b, worst] = beyond(lower[b, worst], upper[b, worst], wp.dot(line, step))
         out.changed = 1
     return out
 
@@ -228,7 +233,8 @@ class Found:
 
 
 @wp.func
-def search(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, wrench: vec6d,
+def search(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64), b: int,
+           body: Body, wrench: vec6d,
            stiffness: mat66d, curvature: wp.mat33d, balanced: bool,
            tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
            twist: wp.array2d(dtype=wp.vec3d), bound: wp.array2d(dtype=int),
@@ -244,10 +250,10 @@ def search(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, wrench
     searching = bool(True)
     while searching:
         out.step = optimality_step(
-            cables, row, b, wrench, stiffness, body.arm, curvature, ridge, tension, column, twist,
-            bound,
+            lower, upper, b, wrench, stiffness, body.arm, curvature, ridge, tension, column,
+            twist, bound,
         )  # fmt: skip
-        out.choice = choose(cables, row, b, out.step, tension, column, twist, bound, wanted)
+        out.choice = choose(lower, upper, b, out.step, tension, column, twist, bound, wanted)
         tries += 1
         searching = out.choice.changed == 1 and tries < 12
         rising = out.choice.slope > wp.float64(1.0e-6) * body.weight * body.weight
@@ -261,15 +267,80 @@ def search(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, wrench
 
 
 @wp.func
-def verdict(cables: wp.array2d(dtype=Cable), row: int, b: int,
+def verdict(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64), b: int,
             tension: wp.array2d(dtype=wp.float64)) -> int:  # fmt: skip
     """Judge tensions by their limits."""
     for i in range(tension.shape[1]):
-        cable = cables[row, i]
-        slip = wp.float64(1.0e-9) * cable.tension_max
-        if tension[b, i] < cable.tension_min - slip or tension[b, i] > cable.tension_max + slip:
+        slip = wp.float64(1.0e-9) * upper[b, i]
+        if tension[b, i] < lower[b, i] - slip or tension[b, i] > upper[b, i] + slip:
             return INFEASIBLE
     return CONVERGED
+
+
+@wp.struct
+class Outcome:
+    """Where one search ended."""
+
+    rotation: wp.mat33d
+    status: int
+    steps: int
+
+
+@wp.func
+def optimise(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: wp.vec3d,
+             r0: wp.mat33d, lower: wp.array2d(dtype=wp.float64),
+             upper: wp.array2d(dtype=wp.float64), lengths: wp.array2d(dtype=wp.float64),
+             q: wp.array2d(dtype=wp.vec3d), tension: wp.array2d(dtype=wp.float64),
+             wanted: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
+             twist: wp.array2d(dtype=wp.vec3d),
+             bound: wp.array2d(dtype=int)) -> Outcome:  # fmt: skip
+    """Newton on the conditions of optimality from one rotation and its first tensions."""
+    n = tension.shape[1]
+    out = Outcome()
+    out.rotation = r0
+    out.status = -1
+    dual_force = wp.vec3d()
+    dual_moment = wp.vec3d()
+    while out.status < 0:
+        r = out.rotation
+        here = pull_cables(cables, row, b, body, p, r, tension, lengths, q, column)
+        out.steps += 1
+        norm = scaled_norm(here.balance.wrench, body.arm)
+        curvature = dual_curvature(cables, row, b, body, p, r, tension, dual_force, dual_moment)
+        for i in range(n):
+            arm = r * cables[row, i].anchor_point
+            s = straight_to(cables[row, i], p + arm)
+            twist[b, i] = dual_gradient(s, arm, dual_force, dual_moment)
+        found = search(
+            lower, upper, b, body, here.balance.wrench, here.balance.stiffness, curvature,
+            norm < wp.float64(1.0e-3) * body.weight, tension, column, twist, bound, wanted,
+        )  # fmt: skip
+        step = found.step
+        turn = wp.vec3d(step[6], step[7], step[8])
+        angle = wp.length(turn)
+        dual_force = wp.vec3d(step[0], step[1], step[2])
+        dual_moment = wp.vec3d(step[3], step[4], step[5]) / body.arm
+        steady = found.choice.jump <= STEADY * body.weight and angle <= wp.float64(10.0) * STEADY
+        if norm <= RESIDUAL * body.weight and steady and found.choice.changed == 0:
+            out.status = verdict(lower, upper, b, tension)
+        elif out.steps >= LIMIT:
+            refused = verdict(lower, upper, b, wanted) == INFEASIBLE
+            out.status = wp.where(refused, INFEASIBLE, FAILED)
+        else:
+            scale = wp.min(ONE, wp.float64(0.2) / (angle + TINY))
+            for i in range(n):
+                tension[b, i] = tension[b, i] + scale * (wanted[b, i] - tension[b, i])
+            out.rotation = orthonormal(rotation_of(scale * turn) * r)
+    return out
+
+
+@wp.func
+def start_rotation(attempt: int, rotation: wp.mat33d) -> wp.mat33d:
+    """The rotation that was given, twice, then four tilted ones."""
+    tilt = wp.vec3d()
+    if attempt > 1:
+        tilt[attempt % 2] = wp.where(attempt > 3, -TILT, TILT)
+    return rotation_of(tilt) * rotation
 
 
 @wp.kernel
@@ -282,61 +353,46 @@ def inverse_free(
     q: wp.array2d(dtype=wp.vec3d),
     tension: wp.array2d(dtype=wp.float64),
     wanted: wp.array2d(dtype=wp.float64),
+    lower: wp.array2d(dtype=wp.float64),
+    upper: wp.array2d(dtype=wp.float64),
     column: wp.array2d(dtype=vec6d),
     twist: wp.array2d(dtype=wp.vec3d),
     bound: wp.array2d(dtype=int),
     status: wp.array(dtype=int),
     iterations: wp.array(dtype=int),
 ):
-    """Rotation free: least squared tensions in equilibrium, from a stable rest nearby."""
+    """Rotation free: least squared tensions in equilibrium, from a stable rest nearby.
+
+    Where that fails, once more with a wider margin over the least tension of a hanging cable, then
+    from other rotations; what is reported then is the last attempt.
+    """
     b = wp.tid()
-    n = tension.shape[1]
     row = wp.min(b, cables.shape[0] - 1)
     body = bodies[wp.min(b, bodies.shape[0] - 1)]
     p = position[b]
-    r = rotation[b]
-    for _round in range(ROUNDS):
-        for i in range(n):
-            s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
-            unstrained_length[b, i] = s.length
-        nearby = cold_start(cables, unstrained_length, tension, row, b, body, p, r)
-        r = nearby.rotation
-    first_tensions(cables, row, b, p, r, tension, unstrained_length, q)
-    for i in range(n):
-        bound[b, i] = 0
-    dual_force = wp.vec3d()
-    dual_moment = wp.vec3d()
-    count = int(0)
-    result = int(-1)
-    while result < 0:
-        here = pull_cables(cables, row, b, body, p, r, tension, unstrained_length, q, column)
-        count += 1
-        norm = scaled_norm(here.balance.wrench, body.arm)
-        curvature = dual_curvature(cables, row, b, body, p, r, tension, dual_force, dual_moment)
-        for i in range(n):
-            arm = r * cables[row, i].anchor_point
-            s = straight_to(cables[row, i], p + arm)
-            twist[b, i] = dual_gradient(s, arm, dual_force, dual_moment)
-        found = search(
-            cables, row, b, body, here.balance.wrench, here.balance.stiffness, curvature,
-            norm < wp.float64(1.0e-3) * body.weight, tension, column, twist, bound, wanted,
+    given = rotation[b]
+    out = Outcome()
+    steps = int(0)
+    attempt = int(0)
+    while attempt < ATTEMPTS and out.status != CONVERGED:
+        r = start_rotation(attempt, given)
+        margin = wp.where(attempt == 1, WIDE_MARGIN, MARGIN)
+        for _round in range(ROUNDS):
+            for i in range(tension.shape[1]):
+                s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
+                unstrained_length[b, i] = s.length
+            nearby = cold_start(cables, unstrained_length, tension, row, b, body, p, r)
+            r = nearby.rotation
+        set_limits(cables, row, b, body, p, r, margin, lower, upper)
+        first_tensions(cables, row, b, p, r, lower, upper, tension, unstrained_length, q)
+        for i in range(tension.shape[1]):
+            bound[b, i] = 0
+        out = optimise(
+            cables, row, b, body, p, r, lower, upper, unstrained_length, q, tension, wanted,
+            column, twist, bound,
         )  # fmt: skip
-        choice = found.choice
-        step = found.step
-        turn = wp.vec3d(step[6], step[7], step[8])
-        angle = wp.length(turn)
-        scale = wp.min(ONE, wp.float64(0.2) / (angle + TINY))
-        dual_force = wp.vec3d(step[0], step[1], step[2])
-        dual_moment = wp.vec3d(step[3], step[4], step[5]) / body.arm
-        steady = choice.jump <= STEADY * body.weight and angle <= STEADY * wp.float64(10.0)
-        if norm <= RESIDUAL * body.weight and steady and choice.changed == 0:
-            result = verdict(cables, row, b, tension)
-        elif count >= LIMIT:
-            result = wp.where(verdict(cables, row, b, wanted) == INFEASIBLE, INFEASIBLE, FAILED)
-        else:
-            for i in range(n):
-                tension[b, i] = tension[b, i] + scale * (wanted[b, i] - tension[b, i])
-            r = orthonormal(rotation_of(scale * turn) * r)
-    rotation[b] = r
-    status[b] = result
-    iterations[b] = count
+        steps += out.steps
+        attempt += 1
+    rotation[b] = out.rotation
+    status[b] = out.status
+    iterations[b] = steps

@@ -8,7 +8,13 @@ import warp as wp
 
 from carosac_toolkit.physics.bounded_kernels import bounded_tensions
 from carosac_toolkit.physics.cable_kernels import ZERO, Cable, vec6d
-from carosac_toolkit.physics.cable_tension_kernels import Pulling, guess_pull, pull
+from carosac_toolkit.physics.cable_tension_kernels import (
+    MARGIN,
+    Pulling,
+    guess_pull,
+    lowest_allowed,
+    pull,
+)
 from carosac_toolkit.physics.forward_kernels import Loaded, load_cables
 from carosac_toolkit.physics.platform_kernels import (
     Body,
@@ -71,14 +77,26 @@ def scaled_wrench(wrench: vec6d, arm: wp.float64) -> vec6d:
 
 
 @wp.func
+def set_limits(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: wp.vec3d,
+               r: wp.mat33d, margin: wp.float64, lower: wp.array2d(dtype=wp.float64),
+               upper: wp.array2d(dtype=wp.float64)):  # fmt: skip
+    """Limits of the tensions at a pose."""
+    for i in range(lower.shape[1]):
+        anchor = anchor_of(cables[row, i], p, r)
+        upper[b, i] = cables[row, i].tension_max
+        lowest = lowest_allowed(anchor, cables[row, i], body.weight, margin)
+        lower[b, i] = wp.min(lowest, upper[b, i])
+
+
+@wp.func
 def first_tensions(cables: wp.array2d(dtype=Cable), row: int, b: int, p: wp.vec3d, r: wp.mat33d,
+                   lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64),
                    tension: wp.array2d(dtype=wp.float64), lengths: wp.array2d(dtype=wp.float64),
                    q: wp.array2d(dtype=wp.vec3d)):  # fmt: skip
     """Straight cables of tensions clipped to their limits."""
     for i in range(tension.shape[1]):
-        cable = cables[row, i]
-        tension[b, i] = wp.clamp(tension[b, i], cable.tension_min, cable.tension_max)
-        g = guess_pull(anchor_of(cable, p, r), tension[b, i], cable)
+        tension[b, i] = wp.clamp(tension[b, i], lower[b, i], upper[b, i])
+        g = guess_pull(anchor_of(cables[row, i], p, r), tension[b, i], cables[row, i])
         q[b, i] = g.q
         lengths[b, i] = g.unstrained_length
 
@@ -107,12 +125,11 @@ def inverse_held(
     body = bodies[wp.min(b, bodies.shape[0] - 1)]
     p = position[b]
     r = rotation[b]
+    set_limits(cables, row, b, body, p, r, MARGIN, lower, upper)
     for i in range(n):
-        lower[b, i] = cables[row, i].tension_min
-        upper[b, i] = cables[row, i].tension_max
         middle[b, i] = ZERO
         tension[b, i] = body.weight
-    first_tensions(cables, row, b, p, r, tension, unstrained_length, q)
+    first_tensions(cables, row, b, p, r, lower, upper, tension, unstrained_length, q)
     count = int(0)
     result = int(-1)
     refused = int(0)

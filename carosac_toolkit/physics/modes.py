@@ -17,7 +17,8 @@ class Modes:
 
     Attributes:
         frequency: Undamped natural frequency [Hz], shape (B, 6); negative where the pose is
-            unstable in that mode: its magnitude is then the rate of growth over 2 pi.
+            unstable in that mode: its magnitude is then the rate of growth over 2 pi. NaN where
+            the pose is not one of rest.
         shape: Columns are twists (linear, angular, in W at the platform origin), normalised to
             unit modal mass, shape (B, 6, 6).
     """
@@ -65,12 +66,19 @@ def natural_modes(robot: Robot, equilibrium: Equilibrium) -> Modes:
     Returns:
         Frequencies and mode shapes of K x = (2 pi f)^2 M x.
     """
-    factor = np.linalg.cholesky(mass_matrix(robot, equilibrium.rotation))
-    half = np.linalg.solve(factor, equilibrium.stiffness)
+    rest = (equilibrium.status != 0) & np.isfinite(equilibrium.stiffness).all(axis=(1, 2))
+    stiffness = np.where(rest[:, None, None], equilibrium.stiffness, np.eye(6))
+    rotation = np.where(rest[:, None, None], equilibrium.rotation, np.eye(3))
+    factor = np.linalg.cholesky(mass_matrix(robot, rotation))
+    half = np.linalg.solve(factor, stiffness)
     symmetric = np.linalg.solve(factor, half.swapaxes(1, 2))
     values, vectors = np.linalg.eigh(0.5 * (symmetric + symmetric.swapaxes(1, 2)))
     frequency = np.sign(values) * np.sqrt(np.abs(values)) / (2.0 * np.pi)
-    return Modes(frequency=frequency, shape=np.linalg.solve(factor.swapaxes(1, 2), vectors))
+    shape = np.linalg.solve(factor.swapaxes(1, 2), vectors)
+    return Modes(
+        frequency=np.where(rest[:, None], frequency, np.nan),
+        shape=np.where(rest[:, None, None], shape, np.nan),
+    )
 
 
 def natural_frequencies(robot: Robot, equilibrium: Equilibrium) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from carosac_toolkit.arrays import Array, batch
+from carosac_toolkit.arrays import Array, batch, check_rotations
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics import (
     catenary_kernels,
@@ -28,7 +28,7 @@ from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Pose
 
 RESIDUAL = 1e-9  # of the weight: a larger wrench left over is no equilibrium
-GAP = 1e-10  # [m]: a larger closure is no equilibrium
+GAP = 1e-11  # of the typical cable length: a larger closure is no equilibrium
 REASONS = ("not converged", "converged", "no tensions within the limits found")
 
 
@@ -81,8 +81,9 @@ def forward_kinematics(
 ) -> Equilibrium:
     """Pose of rest for given cable lengths.
 
-    Among several stable equilibria the one below the guess in energy is found: the solver only
-    walks downhill. Without a guess it starts at the robot's home pose.
+    There may be several stable equilibria. A guess is left for the one nearby, as a rule; without
+    a guess the way leads downhill in energy from the robot's home pose, on straight cables first.
+    After inverse kinematics pass its result as the guess.
 
     Args:
         robot: Robot description, n cables.
@@ -173,7 +174,7 @@ def _launch_inverse(robot: Robot, buffers: Buffers, size: int, free: bool, devic
     if free:
         buffers.launch(
             "free", inverse_free_kernels.inverse_free, size, *common,
-            "column", "twist", "bound", "status", "iterations",
+            "lower", "upper", "column", "twist", "bound", "status", "iterations",
         )  # fmt: skip
     else:
         buffers.launch(
@@ -236,6 +237,8 @@ def _check_guess(guess: Equilibrium | Pose | None, size: int, robot: Robot) -> N
         return
     if not isinstance(guess, Equilibrium | Pose):
         raise InvalidField("guess", type(guess).__name__, "an Equilibrium, a Pose or None")
+    if not np.isfinite(guess.position.sum() + guess.rotation.sum()):
+        raise InvalidField("guess", "numbers that are not finite", "a finite pose")
     if len(guess.position) != size:
         raise InvalidField("guess", f"{len(guess.position)} poses", f"{size}, as the batch")
     if isinstance(guess, Equilibrium) and guess.exit_tension.shape[1] != robot.n:
@@ -243,7 +246,7 @@ def _check_guess(guess: Equilibrium | Pose | None, size: int, robot: Robot) -> N
 
 
 def _put_guess(robot: Robot, buffers: Buffers, guess: Equilibrium | Pose | None) -> int:
-    """Fill in the start; 1 where tension vectors are known as well."""
+    """Fill in the start; 0: home, 1: a pose, 2: a pose with tension vectors."""
     if guess is None:
         buffers.put("position", robot.home_position)
         buffers.put("rotation", robot.home_rotation)
@@ -251,9 +254,9 @@ def _put_guess(robot: Robot, buffers: Buffers, guess: Equilibrium | Pose | None)
     buffers.put("position", guess.position)
     buffers.put("rotation", guess.rotation)
     if isinstance(guess, Pose):
-        return 0
+        return 1
     buffers.put("q", guess.exit_tension)
-    return 1
+    return 2
 
 
 def _held_rotation(robot: Robot, rotation: ArrayLike | None, size: int) -> Array:
@@ -263,10 +266,7 @@ def _held_rotation(robot: Robot, rotation: ArrayLike | None, size: int) -> Array
     held = batch("rotation", rotation, (3, 3))
     if len(held) != size:
         raise InvalidField("rotation", f"shape {held.shape}", f"shape ({size}, 3, 3)")
-    product = np.einsum("bij,bkj->bik", held, held)
-    bad = (np.abs(product - np.eye(3)).max(axis=(1, 2)) > 1e-6) | (np.linalg.det(held) < 0.0)
-    if bad.any():
-        raise InvalidField(f"rotation[{int(np.argmax(bad))}]", "no rotation", "R R^T = 1, det +1")
+    check_rotations("rotation", held)
     return held
 
 
@@ -290,7 +290,7 @@ def _equilibrium(robot: Robot, buffers: Buffers) -> Equilibrium:
     tension = buffers.get("tension")
     length = buffers.get("unstrained_length")
     residual, gap, status = (buffers.get(k) for k in ("residual", "gap", "status"))
-    sound = (residual <= RESIDUAL * robot.weight) & (gap <= GAP)
+    sound = (residual <= RESIDUAL * robot.weight) & (gap <= GAP * buffers.length_scale)
     converged = (status == 1) & sound
     return Equilibrium(
         position=buffers.get("position"),

@@ -22,7 +22,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from carosac_toolkit.arrays import Array, batch
+from carosac_toolkit.arrays import Array, batch, check_rotations
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics import straight_line_kernels, warp_setup
 from carosac_toolkit.physics.device import kept_buffers
@@ -220,9 +220,5 @@ def _rotations(robot: Robot, rotation: ArrayLike | None, size: int) -> Array:
     turns = batch("rotation", rotation, (3, 3))
     if len(turns) != size:
         raise InvalidField("rotation", f"shape {turns.shape}", f"shape {(size, 3, 3)}")
-    error = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
-    bad = (error > 1e-6) | (np.linalg.det(turns) < 0.0)
-    if bad.any():
-        index = int(np.argmax(bad))
-        raise InvalidField(f"rotation[{index}]", "no rotation matrix", "R R^T = 1, det +1")
+    check_rotations("rotation", turns)
     return turns

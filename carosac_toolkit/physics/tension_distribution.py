@@ -75,6 +75,8 @@ def solve(
     load = batch("wrench", wrench, (6,))
     if len(load) != size:
         raise InvalidField("wrench", f"shape {load.shape}", f"shape ({size}, 6)")
+    if not arm > 0.0 or not np.isfinite(arm):
+        raise InvalidField("arm", f"{arm} m", "arm > 0")
     lower, upper, middle = (
         _limits(name, value, size, n)
         for name, value in (
@@ -180,6 +182,8 @@ class SingleRobot:
         """
         matrix = batch("structure_matrix", structure_matrix, (6, self._n))
         load = batch("wrench", wrench, (6,))
+        if len(matrix) != 1 or len(load) != 1:
+            raise InvalidField("structure_matrix and wrench", "several problems", "a batch of one")
         self._dense[:6] = matrix[0]
         middle = _limits("reference", reference, 1, self._n)[0]
         self._problem.update(

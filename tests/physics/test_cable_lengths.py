@@ -52,3 +52,14 @@ def test_an_unknown_or_impossible_tension_has_no_length():
     found = length_at_tension(robot, robot.home_position[None], robot.home_rotation[None], tension)
     assert found.valid.tolist() == [[False, False, False, True]]
     assert np.isnan(found.unstrained_length[0, :3]).all()
+
+
+def test_length_falls_with_tension_down_to_the_least_one_that_hangs():
+    robot = simple_robot()
+    tension = np.geomspace(0.05, 400.0, 200)
+    pose = (np.tile(robot.home_position, (200, 1)), np.tile(robot.home_rotation, (200, 1, 1)))
+    found = length_at_tension(robot, *pose, np.tile(tension[:, None], (1, 4)))
+    for i in range(4):
+        hangs = found.valid[:, i]
+        assert hangs[np.argmax(hangs) :].all() and not hangs[0]
+        assert (np.diff(found.unstrained_length[hangs, i]) < 0.0).all()

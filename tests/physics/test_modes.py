@@ -44,34 +44,17 @@ def difference_of_wrench(robot, found):
             twist[k] = sign * step
             turn = Rotation.from_rotvec(twist[3:]).as_matrix()
             ends.append(
-                wrench_at(robot, found, found.position[0] + twist[:3], turn @ found.rotation[0])
+                reference.cable_wrench(
+                    robot,
+                    found.unstrained_length[0],
+                    found.position[0] + twist[:3],
+                    turn @ found.rotation[0],
+                    found.exit_tension[0],
+                )
             )
         columns.append((ends[1] - ends[0]) / (2.0 * step))
     matrix = np.stack(columns, axis=1)
     return 0.5 * (matrix + matrix.T)
-
-
-def wrench_at(robot, found, position, rotation):
-    """Wrench at the platform origin of cables closed by Newton on the reference equations."""
-    arm = robot.anchor_points @ rotation.T
-    force = np.array(found.exit_tension[0], dtype=np.longdouble)
-    length = found.unstrained_length[0]
-    force[:, 2] -= robot.weight_per_length * length
-    for _ in range(12):
-        gap = reference.cable_closure(robot, length, position + arm, force)
-        slope = np.zeros((robot.n, 3, 3))
-        for j in range(3):
-            h = 1e-3
-            up, down = force.copy(), force.copy()
-            up[:, j] += h
-            down[:, j] -= h
-            ends = [reference.cable_closure(robot, length, position + arm, f) for f in (up, down)]
-            slope[:, :, j] = (ends[0] - ends[1]) / (2 * h)
-        force = force - np.linalg.solve(slope, np.asarray(gap, dtype=float)[..., None])[..., 0]
-    total = np.asarray(force, dtype=float)
-    weight = np.array([0.0, 0.0, -robot.weight])
-    moment = np.cross(arm, total).sum(axis=0) + np.cross(rotation @ robot.center_of_mass, weight)
-    return np.concatenate([total.sum(axis=0) + weight, moment])
 
 
 def test_frequencies_of_the_bundled_robot_lie_where_others_found_them():

@@ -98,3 +98,7 @@ def test_bad_arguments_are_named():
         tension_distribution.solve(matrix, wrench, 5.0, 4.0)
     with pytest.raises(InvalidField, match=r"tension_max: got shape \(3,\)"):
         tension_distribution.solve(matrix, wrench, 5.0, [10.0, 10.0, 10.0])
+    with pytest.raises(InvalidField, match=r"arm: got 0.0 m; allowed: arm > 0"):
+        tension_distribution.solve(matrix, wrench, LOWER, UPPER, arm=0.0)
+    with pytest.raises(InvalidField, match=r"got several problems; allowed: a batch of one"):
+        tension_distribution.SingleRobot(8, LOWER, UPPER).solve(matrix, wrench)
