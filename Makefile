@@ -38,15 +38,16 @@ demo: $(STAMP)  ## score the models on a bundled synthetic recording, with pictu
 
 test: $(STAMP)  ## run the whole test suite
 	@$(BIN)/python -m tests.warm_kernels
-	$(BIN)/python -m pytest -q -n $(JOBS) --dist loadfile
+	$(BIN)/python -m pytest -q -rs -n $(JOBS) --dist loadfile
 
 lint: $(STAMP)  ## check style, formatting and types
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
-bench: $(STAMP)  ## measure the speed of the statics
+bench: $(STAMP)  ## measure speed: statics, limits
 	$(BIN)/python -m benchmarks.statics
+	$(BIN)/python -m benchmarks.limits
 
 bars: $(STAMP)  ## run the slow acceptance measurements; figures go to benchmarks/RESULTS.md
 	$(BIN)/python -m benchmarks.bars

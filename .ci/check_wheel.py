@@ -8,7 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 
 PACKAGES = ("carosac_toolkit", "baselines", "sim_warp", "learned", "calibration")
-DATA = ("py.typed", "robots/carosac.yaml", "recordings/data/synthetic_carosac.parquet")
+DATA = ("py.typed", "robots/carosac.yaml", "recordings/data/synthetic.parquet")
 
 
 def main() -> None:

@@ -10,13 +10,23 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from carosac_toolkit import trajectories
+    from carosac_toolkit import loop, trajectories
     from carosac_toolkit.errors import CarosacError, InvalidField, InvalidFile
-    from carosac_toolkit.physics import catenary, statics, straight_line, tension_distribution
+    from carosac_toolkit.physics import (
+        catenary,
+        modes,
+        statics,
+        straight_line,
+        tension_distribution,
+    )
+    from carosac_toolkit.physics.structure import structure_matrix
     from carosac_toolkit.recording import Recording, load_recording
+    from carosac_toolkit.recordings.metadata import RecordingMetadata
+    from carosac_toolkit.recordings.poses import PoseSamples
     from carosac_toolkit.robot import Robot
     from carosac_toolkit.robot_file import list_robots, load_robot
-    from carosac_toolkit.values import Belief, Command, Measurement, Reference, State
+    from carosac_toolkit.validation import validate
+    from carosac_toolkit.values import Belief, Command, Measurement, Pose, Reference, State
 
 __version__ = "0.1.0"
 
@@ -27,16 +37,23 @@ _HOME = {
     "InvalidField": "errors",
     "InvalidFile": "errors",
     "Measurement": "values",
+    "Pose": "values",
+    "PoseSamples": "recordings.poses",
     "Recording": "recording",
+    "RecordingMetadata": "recordings.metadata",
     "Reference": "values",
     "Robot": "robot",
     "State": "values",
     "list_robots": "robot_file",
     "load_recording": "recording",
     "load_robot": "robot_file",
+    "structure_matrix": "physics.structure",
+    "validate": "validation",
 }
 _MODULES = {
     "catenary": "physics.catenary",
+    "loop": "loop",
+    "modes": "physics.modes",
     "statics": "physics.statics",
     "straight_line": "physics.straight_line",
     "tension_distribution": "physics.tension_distribution",
@@ -50,7 +67,10 @@ __all__ = [
     "InvalidField",
     "InvalidFile",
     "Measurement",
+    "Pose",
+    "PoseSamples",
     "Recording",
+    "RecordingMetadata",
     "Reference",
     "Robot",
     "State",
@@ -58,10 +78,14 @@ __all__ = [
     "list_robots",
     "load_recording",
     "load_robot",
+    "loop",
+    "modes",
     "statics",
     "straight_line",
+    "structure_matrix",
     "tension_distribution",
     "trajectories",
+    "validate",
 ]
 
 

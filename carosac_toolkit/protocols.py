@@ -1,18 +1,20 @@
-"""What the loop calls: the contracts between the toolkit and everything that plugs into it."""
+"""What the loop calls: the contracts between the toolkit and everything that plugs into it.
+
+Each plug-in is a class found through an entry-point group (``carosac.controllers``,
+``carosac.estimators``, ``carosac.drivers``) or as ``module:Class``, and is made by its classmethod
+``build(robot, settings=None, *, seed=0)``, `settings` being its own dataclass ``Settings``.
+Drivers get the plant robot, controllers and estimators the nominal one.
+"""
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
-from carosac_toolkit.values import Belief, Command, Measurement
+from carosac_toolkit.values import Belief, Command, Measurement, Reference, State
 
 
 class Estimator(Protocol):
-    """Turns applied commands and measurements into a belief over the platform state.
-
-    An estimator's module or class offers ``build(robot, settings, *, seed)``; it is found through
-    the entry-point group ``carosac.estimators`` or as ``module:Class``.
-    """
+    """Turns applied commands and measurements into a belief over the platform state."""
 
     def reset(self, measurement: Measurement) -> Belief:
         """Start from a first measurement, without any earlier belief."""
@@ -29,4 +31,100 @@ class Estimator(Protocol):
         Returns:
             The new belief.
         """
+        ...
+
+
+class Controller(Protocol):
+    """Turns a belief and the reference ahead into cable lengths.
+
+    Attributes:
+        period: Time between two commands [s].
+        horizon: How far ahead of now the reference must reach [s].
+    """
+
+    period: float
+    horizon: float
+
+    def reset(self, belief: Belief) -> None:
+        """Forget everything; the platform is where the belief says."""
+        ...
+
+    def command(self, belief: Belief, reference: Reference) -> Command:
+        """Decide what the winches are asked for until the next call."""
+        ...
+
+
+class Driver(Protocol):
+    """What can be measured and commanded: simulated, recorded or real. It moves data, no more.
+
+    A driver on which commands change nothing has a class attribute ``replays = True``.
+    """
+
+    def connect(self) -> None:
+        """Make `measure` and `command` possible."""
+        ...
+
+    def measure(self) -> Measurement:
+        """What the sensors say now, by the driver's clock."""
+        ...
+
+    def command(self, command: Command) -> Command:
+        """Send a command; return what was really sent after safety limits."""
+        ...
+
+    def wait(self, duration: float) -> bool:
+        """Wait to the next tick of an absolute schedule; a simulation integrates meanwhile.
+
+        Args:
+            duration: Time since the last tick [s].
+
+        Returns:
+            False at the end of data or where the driver has stopped.
+        """
+        ...
+
+    def stop(self, reason: str) -> None:
+        """Come to a controlled stop; always safe to call, also twice."""
+        ...
+
+    def close(self) -> None:
+        """Let go of everything; always safe to call."""
+        ...
+
+
+class MotionDriver(Driver, Protocol):
+    """A driver that can move things."""
+
+    def home(self, position: State) -> None:
+        """Set the length offsets from a known pose."""
+        ...
+
+    def enable(self) -> None:
+        """Let commands through, from where the winches stand."""
+        ...
+
+    def disable(self) -> None:
+        """Hold the winches and let no command through."""
+        ...
+
+    def reset_fault(self) -> None:
+        """Clear a latched fault whose cause is gone."""
+        ...
+
+    def status(self) -> str:
+        """State of the drive system in one word."""
+        ...
+
+
+def replays(driver: Driver) -> bool:
+    """Whether commands change nothing, so that tracking says nothing about the controller."""
+    return bool(getattr(driver, "replays", False))
+
+
+@runtime_checkable
+class TruthSource(Protocol):
+    """A driver that knows the truth. Only the loop's logger and the scoring ask."""
+
+    def truth(self) -> State | None:
+        """The state now, or None where it is not known at this instant."""
         ...

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from carosac_toolkit.arrays import Array, frozen_array
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.recordings.columns import POSES_WANTED
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseInterpolation, PoseSamples
 from carosac_toolkit.robot import Robot
@@ -129,7 +130,7 @@ class Recording:
             The poses, and a mask that is False outside the range and inside longer gaps.
         """
         if self.poses is None:
-            raise InvalidField("poses", None, "a recording with measured poses")
+            raise InvalidField("poses", None, POSES_WANTED)
         return self.poses.at(time, gap_max=gap_max)
 
     def slice(self, start: int = 0, stop: int | None = None) -> Recording:
@@ -162,6 +163,8 @@ class Recording:
         """
         if robot.n != self.n:
             allowed = f"{robot.n} cables, as robot {robot.name!r} has"
+            if robot.n > self.n:
+                allowed += f"; is column 'unstrained_length_{self.n + 1:02d}_m' missing?"
             raise InvalidField("unstrained_length", f"{self.n} cables", allowed)
 
     def save(self, path: str | Path) -> None:

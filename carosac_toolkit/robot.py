@@ -192,7 +192,8 @@ class Robot:
         names = self.cable_names
         listed = isinstance(names, list | tuple) and all(isinstance(x, str) for x in names)
         if not listed or not names or len(set(names)) != len(names):
-            raise InvalidField("cable_names", repr(names), "at least one cable, all names different")
+            allowed = "at least one cable, all names different"
+            raise InvalidField("cable_names", repr(names), allowed)
         object.__setattr__(self, "cable_names", tuple(names))
 
     def _check_signs(self) -> None:

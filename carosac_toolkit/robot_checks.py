@@ -6,12 +6,13 @@ Every check works on what is right so far, so that one fault does not hide anoth
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from carosac_toolkit.units import is_quantity
 from carosac_toolkit.yaml_lines import FieldPath, did_you_mean, format_path
+
+if TYPE_CHECKING:
+    from carosac_toolkit.robot_schema import RobotFile
 
 Fault = tuple[FieldPath, str]
 
@@ -41,6 +42,21 @@ def cross_faults(data: dict[str, Any], parts: Any) -> list[Fault]:
         *_home_faults(data, parts),
         *_provenance_faults(data),
     ]
+
+
+def unused_parts(file: RobotFile) -> list[str]:
+    """Name the points, cable types and winches that no chain uses: often a forgotten chain."""
+    parts: dict[str, Any] = {
+        "exit_point": file.frame.exit_points,
+        "anchor_point": file.platform.anchor_points,
+        "cable": file.cable_types,
+        "winch": file.winches,
+    }
+    found = []
+    for key, known in parts.items():
+        used = {getattr(chain, key) for chain in file.chains}
+        found += [format_path((*_REFERENCES[key], name)) for name in known if name not in used]
+    return found
 
 
 def _chain_faults(data: dict[str, Any]) -> Iterator[Fault]:
@@ -133,27 +149,6 @@ def _home_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:
             if not low <= value <= high:
                 allowed = f"inside the workspace box, from {low:g} to {high:g} m"
                 yield ("home", "position", i), f"got {value:g} m; allowed: {allowed}"
-    yield from _length_faults(parts)
-
-
-def _length_faults(parts: Any) -> Iterator[Fault]:
-    """Cables that their winches cannot wind to the home pose."""
-    if None in (parts.frame, parts.platform, parts.chains, parts.winches):
-        return
-    from carosac_toolkit.robot_build import home_rotation
-
-    rotation = home_rotation(parts.home)
-    for i, chain in enumerate(parts.chains):
-        point = parts.frame.exit_points.get(chain.exit_point)
-        anchor = parts.platform.anchor_points.get(chain.anchor_point)
-        winch = parts.winches.get(chain.winch)
-        if None in (point, anchor, winch) or point.pulley is not None:
-            continue
-        arm = np.array(parts.home.position) + rotation @ np.array(anchor)
-        length = float(np.linalg.norm(arm - np.array(point.position)))
-        if not winch.length_min <= length <= winch.length_max:
-            allowed = f"length_min to length_max = {winch.length_min:g} to {winch.length_max:g} m"
-            yield ("chains", i), f"needs {length:.4g} m of cable at home; allowed: {allowed}"
 
 
 def _provenance_faults(data: dict[str, Any]) -> Iterator[Fault]:

@@ -86,6 +86,15 @@ def parse_robot(text: str, *, source: str = "robot") -> Robot:
     Raises:
         InvalidFile: The text has faults; the message lists them all.
     """
+    return parse_file(text, source=source)[0]
+
+
+def parse_file(text: str, *, source: str = "robot") -> tuple[Robot, RobotFile]:
+    """Turn the text of a robot file into a robot, and keep the file as it was written.
+
+    The file knows what the arrays of the robot do not: payloads, and parts that no chain uses.
+    Arguments and errors as `parse_robot`.
+    """
     document = read_yaml(text)
     faults = list(document.faults)
     if document.data is None or not isinstance(document.data, dict):
@@ -101,7 +110,7 @@ def parse_robot(text: str, *, source: str = "robot") -> Robot:
     if faults or model is None:
         raise InvalidFile(source, _sorted(faults))
     try:
-        return build_robot(model)
+        return build_robot(model), model
     except InvalidField as error:
         raise InvalidFile(source, [str(error)]) from error
 
@@ -168,9 +177,14 @@ def _schema_faults(
 ) -> list[tuple[FieldPath, str]]:
     """Word the errors of the schema; a misspelt key counts once, not as missing as well."""
     faults: list[tuple[FieldPath, str]] = []
+    missing = {
+        details["loc"][-1]: details["loc"] for details in errors if details["type"] == "missing"
+    }
     for path, meant in unknown.items():
         keys = ", ".join(_keys(RobotFile, path[:-1]))
         hint = f"; did you mean '{meant}'" if meant else ""
+        if path[-1] in missing:
+            hint = f"; {format_path(missing[path[-1]])} is missing: is the indentation right"
         faults.append((path, f"unknown key; allowed: {keys}{hint}"))
     misspelt = {(*path[:-1], meant) for path, meant in unknown.items()}
     for details in errors:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from carosac_toolkit import robot_findings
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.robot import Robot
 
 if TYPE_CHECKING:
     from carosac_toolkit.physics.statics import Equilibrium
+    from carosac_toolkit.physics.straight_line import StraightCables
+    from carosac_toolkit.robot_schema import RobotFile
 
 SHAPE_SAMPLES = 101
 
@@ -29,6 +33,10 @@ class RobotReport:
             is no equilibrium.
         frequencies: Natural frequencies at home [Hz], slowest first, shape (6,); negative for an
             unstable mode, NaN where there is no equilibrium.
+        straight: Straight cables at home over their pulleys, B = 1.
+        wrap: Angle of contact with each pulley at home [rad], shape (n,), of the hanging cable
+            where there is an equilibrium, else of the straight one; 0 without a pulley.
+        file: The checked robot file, where the robot comes from one; it knows the payloads.
     """
 
     robot: Robot
@@ -36,6 +44,15 @@ class RobotReport:
     shape: Array
     sag: Array
     frequencies: Array
+    straight: StraightCables
+    wrap: Array
+    file: RobotFile | None = None
+
+    @property
+    def rotation(self) -> Array:
+        """Rotation from P to W at home, the nominal one where there is no equilibrium, (3, 3)."""
+        home = self.equilibrium
+        return home.rotation[0] if home.converged[0] else self.robot.home_rotation
 
     @property
     def constraint(self) -> str:
@@ -49,14 +66,20 @@ class RobotReport:
         """Whether every cable pulls up at home, so that only gravity keeps the cables taut."""
         return is_suspended(self.robot, self.equilibrium.position, self.equilibrium.rotation)
 
+    @cached_property
+    def problems(self) -> tuple[str, ...]:
+        """Why the robot cannot stay at home, in words; empty where it can."""
+        return tuple(robot_findings.problems(self))
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """What looks like a mistake though the robot may work, in words."""
+        return tuple(robot_findings.warnings(self))
+
     @property
     def feasible(self) -> bool:
-        """Whether the robot hangs stably at home with all tensions within their limits."""
-        tension = self.equilibrium.tension[0]
-        robot = self.robot
-        within = (tension >= robot.tension_min - 1e-6) & (tension <= robot.tension_max + 1e-6)
-        converged, stable = self.equilibrium.converged[0], self.equilibrium.stable[0]
-        return bool(converged and stable and within.all())
+        """Whether the robot can stay at home: stable, within the limits of tension and length."""
+        return not self.problems
 
     @property
     def tilt(self) -> float:
@@ -65,23 +88,7 @@ class RobotReport:
 
     def data(self) -> dict[str, Any]:
         """All numbers under names with units, ready for JSON; NaN is unknown."""
-        robot, home = self.robot, self.equilibrium
-        known = 1.0 if home.converged[0] else np.nan
-        per_cable = {
-            "exit_point_m": robot.exit_points,
-            "anchor_point_m": robot.anchor_points,
-            "pulley_radius_m": robot.pulley_radius,
-            "run_length_m": robot.run_length,
-            "linear_density_kg_per_m": robot.linear_density,
-            "axial_stiffness_N": robot.axial_stiffness,
-            "tension_min_N": robot.tension_min,
-            "tension_max_N": robot.tension_max,
-            "length_min_m": robot.length_min,
-            "length_max_m": robot.length_max,
-            "home_unstrained_length_m": home.unstrained_length[0] * known,
-            "home_tension_N": home.tension[0] * known,
-            "home_sag_m": self.sag,
-        }
+        robot = self.robot
         return {
             "name": robot.name,
             "description": robot.description,
@@ -93,51 +100,123 @@ class RobotReport:
             "mass_kg": robot.mass,
             "center_of_mass_m": robot.center_of_mass,
             "inertia_kg_m2": robot.inertia,
+            "payloads": [
+                {
+                    "name": payload.name,
+                    "mass_kg": payload.mass,
+                    "center_of_mass_m": payload.center_of_mass,
+                    "inertia_kg_m2": payload.inertia,
+                }
+                for payload in (self.file.platform.payloads if self.file is not None else [])
+            ],
             "workspace_min_m": robot.workspace_min,
             "workspace_max_m": robot.workspace_max,
-            "cables": [
-                {"name": name, **{key: value[i] for key, value in per_cable.items()}}
-                for i, name in enumerate(robot.cable_names)
-            ],
-            "home": {
-                "position_m": robot.home_position,
-                "rotation": home.rotation[0] * known,
-                "tilt_rad": self.tilt * known,
-                "feasible": self.feasible,
-                "converged": bool(home.converged[0]),
-                "stable": bool(home.stable[0]),
-                "residual_N": home.residual[0],
-                "natural_frequencies_Hz": self.frequencies,
-            },
+            "cables": self._cable_data(),
+            "home": self._home_data(),
+            "problems": self.problems,
+            "warnings": self.warnings,
             "provenance": dict(robot.provenance),
         }
 
+    def _cable_data(self) -> list[dict[str, Any]]:
+        """One mapping per cable."""
+        robot, home = self.robot, self.equilibrium
+        known = 1.0 if home.converged[0] else np.nan
+        pulley = robot.pulley_radius > 0.0
+        per_cable = {
+            "exit_point_m": robot.exit_points,
+            "anchor_point_m": robot.anchor_points,
+            "pulley_radius_m": robot.pulley_radius,
+            "swivel_axis": [robot.swivel_axis[i] if pulley[i] else None for i in range(robot.n)],
+            "run_length_m": robot.run_length,
+            "linear_density_kg_per_m": robot.linear_density,
+            "axial_stiffness_N": robot.axial_stiffness,
+            "tension_min_N": robot.tension_min,
+            "tension_max_N": robot.tension_max,
+            "length_min_m": robot.length_min,
+            "length_max_m": robot.length_max,
+            "home_unstrained_length_m": home.unstrained_length[0] * known,
+            "home_tension_N": home.tension[0] * known,
+            "home_sag_m": self.sag,
+            "home_wrap_rad": self.wrap,
+        }
+        return [
+            {"name": name, **{key: value[i] for key, value in per_cable.items()}}
+            for i, name in enumerate(robot.cable_names)
+        ]
 
-def report_robot(robot: Robot) -> RobotReport:
+    def _home_data(self) -> dict[str, Any]:
+        """How it hangs at home; null where there is no equilibrium to speak of."""
+        home = self.equilibrium
+        converged = bool(home.converged[0])
+        known = 1.0 if converged else np.nan
+        return {
+            "position_m": self.robot.home_position,
+            "rotation": home.rotation[0] * known,
+            "tilt_rad": self.tilt * known,
+            "feasible": self.feasible,
+            "converged": converged,
+            "stable": bool(home.stable[0]) if converged else None,
+            "residual_N": home.residual[0],
+            "natural_frequencies_Hz": self.frequencies,
+        }
+
+
+def report_robot(robot: Robot, file: RobotFile | None = None) -> RobotReport:
     """Work out how a robot hangs at home.
 
     Args:
         robot: The robot, n cables.
+        file: The checked file that it comes from, if any.
 
     Returns:
-        The report; `RobotReport.feasible` says whether there is an equilibrium at home within the
-        limits.
+        The report; `RobotReport.feasible` says whether it can stay at home.
     """
-    from carosac_toolkit.physics import modes, statics
+    from carosac_toolkit.physics import modes, statics, straight_line
 
     equilibrium = statics.inverse_kinematics(robot, robot.home_position[None])
+    straight = straight_line.straight_length(robot, robot.home_position[None])
+    wrap = straight.wrap[0]
     if equilibrium.converged[0]:
         shape = statics.cable_shape(robot, equilibrium, SHAPE_SAMPLES)[0]
         sag = statics.sag(robot, equilibrium, samples=SHAPE_SAMPLES)[0]
         frequencies = modes.natural_frequencies(robot, equilibrium)[0]
+        wrap = _wrap(robot, equilibrium)
     else:
         anchors = robot.home_position + robot.anchor_points @ robot.home_rotation.T
         share = np.linspace(0.0, 1.0, SHAPE_SAMPLES)[:, None]
-        shape = robot.exit_points[:, None] * (1.0 - share) + anchors[:, None] * share
+        free = straight.length[0] - robot.pulley_radius * wrap
+        start = anchors - free[:, None] * straight.direction[0]
+        shape = start[:, None] * (1.0 - share) + anchors[:, None] * share
         sag, frequencies = np.full(robot.n, np.nan), np.full(6, np.nan)
     return RobotReport(
-        robot=robot, equilibrium=equilibrium, shape=shape, sag=sag, frequencies=frequencies
+        robot=robot,
+        equilibrium=equilibrium,
+        shape=shape,
+        sag=sag,
+        frequencies=frequencies,
+        straight=straight,
+        wrap=wrap,
+        file=file,
     )
+
+
+def _wrap(robot: Robot, equilibrium: Equilibrium) -> Array:
+    """Angle of contact of each hanging cable [rad], shape (n,); 0 without a pulley.
+
+    The cable comes along the swivel axis k and leaves along cos(wrap) k + sin(wrap) e, where e
+    points from the axis to the anchor point; it lies in that vertical or tilted plane.
+    """
+    anchors = equilibrium.position[0] + robot.anchor_points @ equilibrium.rotation[0].T
+    relative = anchors - robot.exit_points
+    axis = robot.swivel_axis
+    outward = relative - np.einsum("ni,ni->n", relative, axis)[:, None] * axis
+    leaving = -equilibrium.exit_tension[0]  # towards the platform
+    sine = np.einsum("ni,ni->n", leaving, outward) / np.linalg.norm(outward, axis=1).clip(1e-300)
+    angle = np.arctan2(sine, np.einsum("ni,ni->n", leaving, axis))
+    angle = np.where(angle < -1e-9, angle + 2.0 * np.pi, angle)
+    wrap: Array = np.where(robot.pulley_radius > 0.0, angle, 0.0)
+    return wrap
 
 
 def is_suspended(robot: Robot, position: Array, rotation: Array) -> bool:

@@ -15,6 +15,7 @@ import yaml
 FieldPath = tuple[str | int, ...]
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _MAX_VALUES = 100_000
+_UNINDENTED = ("expected key", "block end", "'-' indicator", "document start")
 
 
 @dataclass
@@ -44,7 +45,7 @@ def read_yaml(text: str) -> Document:
     try:
         node = yaml.compose(text, Loader=_LOADER)
     except yaml.MarkedYAMLError as error:
-        document.faults.append(_syntax_fault(error))
+        document.faults.append(_syntax_fault(error, text.splitlines()))
         return document
     except yaml.YAMLError as error:
         document.faults.append((1, f"not YAML: {str(error).splitlines()[0]}"))
@@ -80,14 +81,60 @@ def did_you_mean(word: str, words: list[str]) -> str:
     return f"; did you mean '{near}'" if near else ""
 
 
-def _syntax_fault(error: yaml.MarkedYAMLError) -> tuple[int, str]:
+def _syntax_fault(error: yaml.MarkedYAMLError, lines: list[str]) -> tuple[int, str]:
     """Turn a parser error into a line and one sentence."""
     mark = error.problem_mark or error.context_mark
     what = error.problem or "a syntax error"
     context = f" ({error.context})" if error.context else ""
     if mark is None:
         return 1, f"not YAML: {what}{context}"
+    number = min(mark.line, len(lines) - 1)
+    tab = _tab_line(lines, number)
+    if tab is not None:
+        return tab + 1, "a tab before the first word; YAML indents with spaces"
+    reason = _misindented(what, lines, number)
+    if reason is not None:
+        return number + 1, f"wrong indentation: {reason}"
     return mark.line + 1, f"not YAML: column {mark.column + 1}: {what}{context}"
+
+
+def _tab_line(lines: list[str], number: int) -> int | None:
+    """Index of the line with a tab in its indentation: this one, or the one before it."""
+    for k in (number, number - 1):
+        if k >= 0 and "\t" in lines[k][: len(lines[k]) - len(lines[k].lstrip())]:
+            return k
+    return None
+
+
+def _misindented(what: str, lines: list[str], number: int) -> str | None:
+    """Say how a line is indented wrongly, where that is what the parser stumbles over."""
+    above = next((k for k in range(number - 1, -1, -1) if _content(lines[k])), None)
+    line = lines[number] if number >= 0 else ""
+    if above is None or not _content(line):
+        return None
+    depth, outer = _depth(line), _depth(lines[above])
+    begun = f"{depth} space{'s' if depth != 1 else ''} here, {outer} in line {above + 1}"
+    if what.startswith("mapping values are not allowed") and depth > outer:
+        if line[depth:].count(": ") + line.rstrip().endswith(":") == 1:
+            return f"{begun}, which has a value already; entries of one mapping start alike"
+    if any(word in what for word in _UNINDENTED):
+        levels = {_depth(text) for text in lines[:number] if _content(text)}
+        if depth not in levels:
+            known = ", ".join(str(level) for level in sorted(levels))
+            return f"{begun}; the lines above start after {known} spaces"
+        if depth != outer and not lines[above].rstrip().endswith((":", ",", "[", "{")):
+            return f"{begun}; entries of one mapping start alike"
+    return None
+
+
+def _content(line: str) -> bool:
+    """Whether a line holds more than a comment."""
+    return bool(line.strip()) and not line.lstrip().startswith("#")
+
+
+def _depth(line: str) -> int:
+    """Spaces before the first word."""
+    return len(line) - len(line.lstrip(" "))
 
 
 def _build(node: yaml.Node, path: FieldPath, document: Document) -> Any:

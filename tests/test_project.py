@@ -72,7 +72,7 @@ def test_robot_file_in_the_docs_is_right():
     assert parse_robot(example[1]).n == 4
 
 
-@pytest.mark.parametrize("page", ["robot-yaml", "statics", "trajectories"])
+@pytest.mark.parametrize("page", ["recordings", "robot-yaml", "statics", "trajectories"])
 def test_programs_in_the_docs_run(page, tmp_path):
     text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
     programs = re.findall(r"```python\n(.*?)```", text, re.DOTALL)

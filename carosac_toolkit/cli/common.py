@@ -3,6 +3,9 @@
 A command is a module named in the entry-point group ``carosac.commands``. The first line of its
 docstring is its summary; it has a frozen dataclass ``Options`` that derives from `CommonOptions`
 (the docstring of each field is its help), and ``run(options) -> CommandResult``.
+
+A field of type `Path`, best as `OutputFile` or `OutputFolder`, is an output and is checked before
+``run``; what a command reads is text, as it may be a name or a path.
 """
 
 from __future__ import annotations
@@ -19,9 +22,10 @@ from typing import Annotated, Any
 
 import tyro
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.errors import CarosacError, InvalidField
 
 OutputFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+OutputFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,19 +55,40 @@ def check_writable(option: str, path: Path | None, suffixes: Sequence[str] = ())
     """Refuse an output file that cannot be written, before any work is done.
 
     Raises:
-        InvalidField: The folder does not exist or is read-only, the path is a folder, or its
-            suffix is not one of `suffixes`.
+        InvalidField: The folder does not exist or no file can be made in it, the path is a folder,
+            a device or read-only, or its suffix is not one of `suffixes`.
     """
     if path is None:
         return
-    if not path.parent.is_dir():
-        raise InvalidField(option, f"'{path}'", f"a file in an existing folder; no {path.parent}/")
-    if path.is_dir():
+    if os.path.isdir(path):
         raise InvalidField(option, f"'{path}'", "a file, not a folder")
-    if not os.access(path.parent, os.W_OK):
-        raise InvalidField(option, f"'{path}'", "a file in a folder that can be written")
     if suffixes and path.suffix.lower() not in suffixes:
         raise InvalidField(option, f"'{path}'", f"a file name ending in {' or '.join(suffixes)}")
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise InvalidField(option, f"'{path}'", "a regular file, no device or pipe")
+    if os.path.exists(path) and not os.access(path, os.W_OK):
+        raise InvalidField(option, f"'{path}'", "a file that may be written; this one is read-only")
+    if not os.path.isdir(path.parent):
+        raise InvalidField(option, f"'{path}'", f"a file in an existing folder; no {path.parent}/")
+    try_folder(option, path, path.parent)
+
+
+def try_folder(option: str, path: Path, folder: Path) -> None:
+    """Make a file in a folder and remove it; no other test is sure (mounts, permissions, quota).
+
+    Args:
+        option: The option that names the output.
+        path: The output.
+        folder: Where it is to be made.
+
+    Raises:
+        InvalidField: No file can be made there.
+    """
+    try:
+        _temporary_beside(folder / path.name).unlink()
+    except OSError as error:
+        allowed = f"a path in a folder that can be written; {folder}/: {error.strerror}"
+        raise InvalidField(option, f"'{path}'", allowed) from error
 
 
 @contextmanager
@@ -72,18 +97,30 @@ def replacing(path: Path) -> Iterator[Path]:
 
     Yields:
         The temporary path, with the suffix of `path`, to be written in the block.
+
+    Raises:
+        CarosacError: The file cannot be written, such as on a full disk.
     """
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
+    temporary: Path | None = None
     try:
+        temporary = _temporary_beside(path)
         yield temporary
         mask = os.umask(0)
         os.umask(mask)
         temporary.chmod(0o666 & ~mask)
         temporary.replace(path)
+    except OSError as error:
+        raise CarosacError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def _temporary_beside(path: Path) -> Path:
+    """Make an empty temporary file in the folder of `path`, with its suffix."""
+    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+    os.close(handle)
+    return Path(name)
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:

@@ -6,13 +6,14 @@ import ast
 import os
 import sys
 from collections.abc import Sequence
+from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
 from carosac_toolkit import __version__
-from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.errors import CarosacError, InvalidField
 
 _USAGE = """usage: carosac COMMAND [options]
 
@@ -69,17 +70,20 @@ def _commands() -> dict[str, EntryPoint]:
 
 def _run(name: str, words: list[str]) -> int:
     """Run one command with its own arguments."""
-    import tyro
-
-    from carosac_toolkit.cli.common import CommandResult, check_writable, write_json
+    commands = list(_commands())
+    if name not in commands:
+        close = get_close_matches(name, commands, n=1)
+        hint = f"; did you mean '{close[0]}'?" if close else ""
+        raise InvalidField("command", repr(name), f"{', '.join(commands)}{hint}")
+    from carosac_toolkit.cli.arguments import parse_options
+    from carosac_toolkit.cli.common import CommandResult, write_json
+    from carosac_toolkit.cli.outputs import check_outputs
     from carosac_toolkit.registry import load
 
     module: ModuleType = load("commands", name)
-    options = tyro.cli(
-        module.Options, args=words, prog=f"carosac {name}", description=module.__doc__
-    )
+    options = parse_options(module, name, words)
+    check_outputs(options)
     json_path: Path | None = getattr(options, "json", None)
-    check_writable("--json", json_path)
     answer = module.run(options)
     result = answer if isinstance(answer, CommandResult) else CommandResult(status=int(answer))
     if json_path is not None:

@@ -4,37 +4,40 @@ Each model is an estimator. It gets the recorded cable lengths in order from the
 a measured pose. Prints errors at rest and in motion and what explains them, and writes pictures
 and one self-contained report.html.
 
-Exit status 1 means that a model failed altogether; the others are scored.
+Exit status 1 means that a model failed altogether (the others are scored), or that lengths and
+poses of the recording do not belong together as they are, as with wrong units.
 """
 
 from __future__ import annotations
 
+import re
+import shutil
 import sys
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import tyro
 
 from carosac_toolkit.cli.common import CommandResult, CommonOptions
-from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.recording import Recording, load_recording
-from carosac_toolkit.recordings.bundled import find_recording
-from carosac_toolkit.robot_file import list_robots, load_robot
+from carosac_toolkit.recordings.bundled import find_recording, list_recordings
+from carosac_toolkit.recordings.robot import FoundRobot, find_robot
+from carosac_toolkit.report_page import check_folder
+from carosac_toolkit.text_tables import fit
 from carosac_toolkit.validation import DEFAULT_MODELS, ValidationResult, validate
 from carosac_toolkit.validation.findings import conclusions
-from carosac_toolkit.validation.report import Context, check_folder, write_report
+from carosac_toolkit.validation.report import Context, free_folder, write_report
 from carosac_toolkit.validation.tables import (
+    CAUSE_GROUPS,
     CAUSE_HEADER,
+    PART_GROUPS,
     PART_HEADER,
-    PART_UNITS,
-    align,
     cause_rows,
     part_rows,
+    part_units,
 )
-
-SCAMPI_NEAR = 0.01  # [m]: exit points nearer than this are those of scampi
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,9 +45,10 @@ class Options(CommonOptions):
     """Options of ``carosac validate``."""
 
     recording: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING")]
-    """A bundled recording such as `synthetic_carosac`, or a .parquet, .csv or .mat file."""
+    """A bundled recording such as `synthetic`, or a .parquet, .csv or .mat file."""
     robot: str | None = None
-    """A bundled robot or a YAML file; by default the one that the recording names."""
+    """A bundled robot or a YAML file; by default the one that the recording names, or else the
+    bundled one with the exit points measured in it."""
     models: tuple[str, ...] = DEFAULT_MODELS
     """Estimators by name, or `module:Class`."""
     start: int = 0
@@ -52,46 +56,66 @@ class Options(CommonOptions):
     stop: int | None = None
     """One past the last sample to score; by default all are scored."""
     output: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Folder for pictures and report; by default carosac-results/validate/RECORDING."""
+    """Folder for pictures and report; an earlier report in it is replaced. By default a folder in
+    carosac-results/validate that is named after recording, robot and range, numbered where there
+    is another report already."""
 
 
 def run(options: Options) -> CommandResult:
     """Validate models on one recording."""
     path = find_recording(options.recording)
-    folder = options.output or Path("carosac-results") / "validate" / path.stem
-    check_folder("--output", folder)
+    if options.output is not None:
+        check_folder("--output", options.output)
     recording = load_recording(path)
-    robot_name = _robot_name(options.robot, recording)
-    robot = load_robot(robot_name)
-    start, stop = options.start, options.stop
-    result = validate(recording, robot, options.models, start=start, stop=stop, seed=options.seed)
-    said = conclusions(result)
-    _print(options.recording, recording, result, said)
+    found = find_robot(recording, path, options.robot)
     context = Context(
-        recording=options.recording, metadata=recording.metadata, words=_words(options, robot_name)
+        recording=options.recording,
+        metadata=recording.metadata,
+        words=_words(options, found.name),
+        file=path,
+        guess=_guess(found),
     )
+    folder = options.output or free_folder(_default_folder(options, path, found), context)
+    check_folder("--output", folder)
+    result = validate(
+        recording, found.robot, options.models,
+        start=options.start, stop=options.stop, seed=options.seed,
+    )  # fmt: skip
+    said = conclusions(result)
+    _print(context, recording, result, said)
     files = write_report(folder, result, said, context)
-    print(f"\nreport: {folder / 'report.html'} and {len(files) - 1} pictures beside it")
+    pictures = sum(file.suffix == ".png" for file in files)
+    print(f"\nreport: {folder / 'report.html'} and {pictures} pictures beside it")
+    data = {"recording": options.recording, "robot_source": found.source, **result.data()}
+    return CommandResult({**data, "conclusions": said}, status=_status(result))
+
+
+def _status(result: ValidationResult) -> int:
+    """Exit status; failed models are named on standard error."""
     failed = [model for model in result.models.values() if model.scores is None]
     for model in failed:
         print(f"carosac: {model.name} failed: {model.reason}", file=sys.stderr)
-    data = {"recording": options.recording, **result.data(), "conclusions": said}
-    return CommandResult(data, status=1 if failed else 0)
+    return 1 if failed or result.warnings else 0
 
 
-def _robot_name(asked: str | None, recording: Recording) -> str:
-    """Name or path of the robot: asked for, named by the recording, or known by its exit points."""
-    if asked is not None:
-        return asked
-    if recording.metadata.robot:
-        return recording.metadata.robot
-    if recording.exit_points is not None:
-        points = load_robot("scampi").exit_points
-        same = recording.exit_points.shape == points.shape
-        if same and np.linalg.norm(recording.exit_points - points, axis=1).max() < SCAMPI_NEAR:
-            return "scampi"
-    allowed = f"the recording names no robot, so say one of {list(list_robots())} or a YAML file"
-    raise InvalidField("--robot", "nothing", allowed)
+def _guess(found: FoundRobot) -> str:
+    """How the robot was guessed, or nothing where it was not."""
+    if found.source != "exit points":
+        return ""
+    others = f", and those of {', '.join(found.others)}" if found.others else ""
+    return f"a guess: the recording names no robot, but its exit points are this one's{others}"
+
+
+def _default_folder(options: Options, path: Path, found: FoundRobot) -> Path:
+    """Where a report goes that was not sent anywhere."""
+    parts = [path.stem]
+    if path.suffix and options.recording not in list_recordings():
+        parts.append(path.suffix[1:])
+    parts.append(found.robot.name)
+    if options.start or options.stop is not None:
+        parts += [str(options.start), "end" if options.stop is None else str(options.stop)]
+    name = re.sub(r"[^\w.-]+", "_", "-".join(parts))
+    return Path("carosac-results") / "validate" / name
 
 
 def _words(options: Options, robot: str) -> list[str]:
@@ -102,20 +126,35 @@ def _words(options: Options, robot: str) -> list[str]:
     return [*words, "--seed", str(options.seed)]
 
 
-def _print(name: str, recording: Recording, result: ValidationResult, said: list[str]) -> None:
-    """Print the tables and what they say."""
+def _print(
+    context: Context, recording: Recording, result: ValidationResult, said: list[str]
+) -> None:
+    """Print warnings, tables and what they say, within the width of the terminal."""
+    width = max(80, shutil.get_terminal_size().columns)
     rate = recording.rates["unstrained_length"]
-    print(
-        f"{name}: {len(recording.time)} samples, {recording.duration:.1f} s"
-        + (f" at {rate:.3g} Hz" if rate else "")
-        + f"; robot {result.robot.name}; scored {result.samples} samples "
-        f"({result.start}:{result.stop}), {int(result.resting.sum())} of them at rest"
-    )
-    if recording.metadata.description:
-        print(recording.metadata.description.split(". ")[0].rstrip(".") + ".")
-    print(f"\n{PART_UNITS}\n")
-    print(align(PART_HEADER, part_rows(result), left=2))
-    print()
-    print(align(CAUSE_HEADER, cause_rows(result), left=1))
-    print()
-    print("\n".join(f"* {line}" for line in said))
+    at = f" at {rate:.3g} Hz" if rate else ""
+    lines = [
+        f"{context.recording}: {len(recording.time)} samples, {recording.duration:.1f} s{at}; "
+        f"scored {result.samples} samples ({result.start}:{result.stop}), "
+        f"{int(result.resting.sum())} of them at rest",
+        f"robot {result.robot.name}" + (f" ({context.guess})" if context.guess else ""),
+        recording.metadata.description.split(". ")[0].rstrip(".") + ".",
+    ]
+    print("\n".join(_wrapped(line, width) for line in lines if line != "."))
+    if result.warnings:
+        print()
+    for line in result.warnings:
+        print(_wrapped(line, width, "WARNING: "))
+    print("\n" + _wrapped(part_units(result), width), end="\n\n")
+    print(fit(PART_HEADER, part_rows(result), PART_GROUPS, width), end="\n\n")
+    print(fit(CAUSE_HEADER, cause_rows(result), CAUSE_GROUPS, width), end="\n\n")
+    for line in said:
+        print(_wrapped(line, width, "* "))
+
+
+def _wrapped(text: str, width: int, start: str = "") -> str:
+    """Break a sentence into lines; paths and names stay whole."""
+    return textwrap.fill(
+        text, width, initial_indent=start, subsequent_indent=" " * len(start),
+        break_long_words=False, break_on_hyphens=False,
+    )  # fmt: skip

@@ -23,7 +23,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics import braking_kernels, warp_setup
+from carosac_toolkit.physics import braking_kernels, stop_kernels, warp_setup
 from carosac_toolkit.robot import Robot
 
 SETTLE_SLACK = 1e-9  # by how much a shortened step may end beyond what was asked for [m]
@@ -117,11 +117,11 @@ class Brakes:
         """
         warp_setup.load(braking_kernels)
         self.slack = Slack.of(robot, jerk_max, period)
-        rules = braking_kernels.Rules()
+        rules = stop_kernels.Rules()
         rules.period, rules.jerk_max, rules.jump_max = period, jerk_max, jump_max
         _fill_rules(rules, robot, self.slack)
         rules.steps_max, rules.use_box = most_steps(robot, jerk_max, period), int(box)
-        work = braking_kernels.Work()
+        work = stop_kernels.Work()
         arrays = {
             name: wp.zeros((size, robot.n), dtype=wp.float64, device="cpu") for name in _PER_CABLE
         }

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from carosac_toolkit.arrays import Array
+from carosac_toolkit.pictures.pulleys import CableDrawing, draw_cables
 from carosac_toolkit.robot import Robot
 
 if TYPE_CHECKING:
@@ -19,6 +20,8 @@ CABLE = "#1f6f8b"
 FRAME = "#3a3a3a"
 PLATFORM = "#c8553d"
 BOX = "#8a8a8a"
+FED = "#d9a441"
+VISIBLE = 0.012  # of the largest extent: smaller pulleys are drawn with this radius
 
 
 def draw_robot(report: RobotReport) -> Figure:
@@ -37,10 +40,14 @@ def draw_robot(report: RobotReport) -> Figure:
     FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.55, 1.0))
     space = figure.add_subplot(grid[:, 0], projection="3d")
-    limits = _limits(report)
-    _draw_space(space, report, limits)
-    _draw_plane(figure.add_subplot(grid[0, 1]), report, (0, 1), limits)
-    _draw_plane(figure.add_subplot(grid[1, 1]), report, (1, 2), limits)
+    extent = _limits(report, [report.shape.reshape(-1, 3)])
+    smallest = VISIBLE * float((extent[:, 1] - extent[:, 0]).max())
+    cables = draw_cables(report, smallest)
+    limits = _limits(report, [np.vstack([c.free, c.wheel, c.incoming]) for c in cables])
+    _draw_space(space, report, cables, limits)
+    _draw_pulleys(space, report, cables, smallest)
+    _draw_plane(figure.add_subplot(grid[0, 1]), report, cables, (0, 1), limits)
+    _draw_plane(figure.add_subplot(grid[1, 1]), report, cables, (1, 2), limits)
     robot = report.robot
     answer = f"largest sag at home {report.sag.max() * 1e3:.3g} mm"
     if not report.equilibrium.converged[0]:
@@ -52,15 +59,16 @@ def draw_robot(report: RobotReport) -> Figure:
         f"{', suspended' if report.suspended else ''}; platform {robot.mass:g} kg; {answer}"
     )
     handles, labels = space.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    columns = len(labels) if len(labels) <= 5 else 4
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
     return figure
 
 
-def _limits(report: RobotReport) -> Array:
+def _limits(report: RobotReport, drawn: list[Array]) -> Array:
     """Lower and upper end of the drawn range of each axis [m], shape (3, 2)."""
     robot = report.robot
     points = np.vstack(
-        [robot.exit_points, robot.workspace_min, robot.workspace_max, report.shape.reshape(-1, 3)]
+        [robot.exit_points, robot.workspace_min, robot.workspace_max, _anchors(report), *drawn]
     )
     lower, upper = points.min(axis=0), points.max(axis=0)
     lower[2] = min(lower[2], 0.0)
@@ -70,7 +78,7 @@ def _limits(report: RobotReport) -> Array:
     return np.stack([lower - below, upper + margin], axis=1)
 
 
-def _draw_space(axes: Any, report: RobotReport, limits: Array) -> None:
+def _draw_space(axes: Any, report: RobotReport, cables: list[CableDrawing], limits: Array) -> None:
     """Draw the view in three dimensions."""
     from matplotlib.ticker import MaxNLocator
 
@@ -80,10 +88,11 @@ def _draw_space(axes: Any, report: RobotReport, limits: Array) -> None:
     for point in robot.exit_points:
         post = np.array([[*point[:2], limits[2, 0]], point])
         axes.plot(*post.T, color=FRAME, lw=0.6, alpha=0.25)
-    for k, curve in enumerate(report.shape):
-        axes.plot(*curve.T, color=CABLE, lw=1.4, label=None if k else "cables at home")
+    for k, cable in enumerate(cables):
+        axes.plot(*cable.free.T, color=CABLE, lw=1.4, label=None if k else "cables at home")
+    size = 10 if (robot.pulley_radius > 0.0).any() else 28  # beside a pulley it is its datum
     axes.scatter(
-        *robot.exit_points.T, color=FRAME, s=28, marker="s", label="exit points", depthshade=False
+        *robot.exit_points.T, color=FRAME, s=size, marker="s", label="exit points", depthshade=False
     )
     _draw_platform(axes, report)
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
@@ -98,6 +107,26 @@ def _draw_space(axes: Any, report: RobotReport, limits: Array) -> None:
     for name, point in _labels(robot, 0.08 * spans.max()):
         x, y, z = point
         axes.text(x, y, z + 0.025 * spans.max(), name, fontsize=7, ha="center")
+
+
+def _draw_pulleys(
+    axes: Any, report: RobotReport, cables: list[CableDrawing], smallest: float
+) -> None:
+    """Draw pulleys as discs in their swivel planes, and the cables that come to them."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    wheels = [cable for cable in cables if len(cable.wheel)]
+    if not wheels:
+        return
+    faces = [cable.wheel for cable in wheels]
+    axes.add_collection3d(Poly3DCollection(faces, facecolor=FRAME, edgecolor=FRAME, alpha=0.3))
+    radius = report.robot.pulley_radius
+    enlarged = ((radius > 0.0) & (radius < smallest)).any()
+    scale = f"drawn with {smallest * 1e3:.0f} mm radius or more" if enlarged else "to scale"
+    for k, cable in enumerate(wheels):
+        axes.plot(*cable.wheel.T, color=FRAME, lw=0.9, label=None if k else f"pulleys, {scale}")
+        label = None if k else "cable from the winch"
+        axes.plot(*cable.incoming.T, color=FED, lw=1.4, label=label)
 
 
 def _labels(robot: Robot, near: float) -> list[tuple[str, Array]]:
@@ -129,18 +158,27 @@ def _draw_platform(axes: Any, report: RobotReport) -> None:
     axes.scatter(*home, color="black", s=45, marker="+", label="home position", depthshade=False)
 
 
-def _draw_plane(axes: Any, report: RobotReport, pair: tuple[int, int], limits: Array) -> None:
+def _draw_plane(
+    axes: Any,
+    report: RobotReport,
+    cables: list[CableDrawing],
+    pair: tuple[int, int],
+    limits: Array,
+) -> None:
     """Draw one projection, axes to scale."""
     robot = report.robot
+    pulleys = (robot.pulley_radius > 0.0).any()
     columns = list(pair)
     for edge in _box_edges(robot):
         axes.plot(*edge[:, columns].T, color=BOX, lw=0.9, ls="--")
-    for curve in report.shape:
-        axes.plot(*curve[:, columns].T, color=CABLE, lw=1.2)
+    for cable in cables:
+        axes.fill(*cable.wheel[:, columns].T, facecolor=FRAME, edgecolor=FRAME, alpha=0.3, lw=0.8)
+        axes.plot(*cable.incoming[:, columns].T, color=FED, lw=1.2)
+        axes.plot(*cable.free[:, columns].T, color=CABLE, lw=1.2)
     anchors = _anchors(report)[:, columns]
     axes.fill(*_hull(anchors).T, facecolor=PLATFORM, edgecolor=PLATFORM, alpha=0.35)
     axes.plot(*anchors.T, ".", color=PLATFORM, ms=3)
-    axes.plot(*robot.exit_points[:, columns].T, "s", color=FRAME, ms=4)
+    axes.plot(*robot.exit_points[:, columns].T, "s", color=FRAME, ms=2.5 if pulleys else 4)
     axes.plot(*robot.home_position[columns], "+", color="black", ms=8)
     names = [f"{axis} [m]" for axis in "xyz"]
     axes.set(xlabel=names[pair[0]], ylabel=names[pair[1]])
@@ -152,7 +190,8 @@ def _draw_plane(axes: Any, report: RobotReport, pair: tuple[int, int], limits: A
 def _anchors(report: RobotReport) -> Array:
     """Anchor points at home in W [m], shape (n, 3)."""
     home = report.equilibrium
-    points: Array = home.position[0] + report.robot.anchor_points @ home.rotation[0].T
+    place = home.position[0] if home.converged[0] else report.robot.home_position
+    points: Array = place + report.robot.anchor_points @ report.rotation.T
     return points
 
 

@@ -21,8 +21,8 @@ def find_recording(name_or_path: str | Path) -> Path:
     """Return the file of a bundled recording, or the path as it is.
 
     Args:
-        name_or_path: A bundled name, or the beginning of just one, or a path: anything with a
-            suffix or a folder in it, and any file that exists.
+        name_or_path: A bundled name, or a path: anything with a suffix or a folder in it, and any
+            file that exists.
 
     Raises:
         InvalidField: A bare name that is neither bundled nor a file.
@@ -36,9 +36,6 @@ def find_recording(name_or_path: str | Path) -> Path:
         return _folder() / f"{text}{_SUFFIX}"
     if path.exists():
         return path
-    begun = [name for name in names if text and name.startswith(text)]
-    if len(begun) == 1:
-        return _folder() / f"{begun[0]}{_SUFFIX}"
     close = get_close_matches(text, names, n=1)
     hint = f"; did you mean '{close[0]}'?" if close else ""
     allowed = f"one of {list(names)}, or a path to a .parquet, .csv or .mat file{hint}"

@@ -39,6 +39,10 @@ _NUMBERED = re.compile(
     r"_(\d{1,3})_(m|m_per_s|N|x_m|y_m|z_m)"
 )
 _ALIASES = {"cable_length": "unstrained_length"}
+_NAME_SHOWN = 60  # characters of a name that messages show
+POSES_WANTED = (
+    "a recording with measured poses: columns position_x_m, _y_m, _z_m and quaternion_w, _x, _y, _z"
+)
 
 
 def canonical(name: str) -> str:
@@ -51,9 +55,27 @@ def canonical(name: str) -> str:
 
 
 def cables(names: Iterable[str]) -> int:
-    """Return the highest cable number among the length columns, 0 without any."""
-    matches = (re.fullmatch(r"unstrained_length_(\d{2,3})_m", name) for name in names)
-    return max((int(match.group(1)) for match in matches if match), default=0)
+    """Return the highest cable number among all columns of cables, 0 without any."""
+    matches = (_NUMBERED.fullmatch(name) for name in names)
+    return max((int(match.group(2)) for match in matches if match), default=0)
+
+
+def spelled(name: str, written: Iterable[str]) -> str:
+    """Spell a canonical name as the columns of a file do: ``cable_length_4_m`` beside others.
+
+    Args:
+        name: Canonical.
+        written: Names as they stand in the file.
+    """
+    for other in written:
+        if canonical(other) == name:
+            return other.strip()
+    match = _NUMBERED.fullmatch(name)
+    for other in written if match else ():
+        like = _NUMBERED.fullmatch(other.strip())
+        if match and like and _kind(match) == _kind(like):
+            return f"{like[1]}_{int(match[2]):0{len(like[2])}d}_{match[3]}"
+    return name
 
 
 def channel_columns(channel: str, n: int) -> tuple[str, ...]:
@@ -75,27 +97,59 @@ def known_columns(n: int) -> tuple[str, ...]:
     return (TIME, *names, *exit_point_columns(n))
 
 
-def name_faults(names: list[str]) -> list[str]:
-    """Describe every column that is unknown, double or missing; `names` are canonical."""
+def name_faults(written: Iterable[str]) -> list[str]:
+    """Describe every column that is unknown, double or missing, in the spelling of the file."""
+    written = list(written)
+    names = [canonical(name) for name in written]
     n = max(cables(names), 1)
     known = known_columns(n)
+    meant = (*known, *(f"cable_length_{i + 1}_m" for i in range(n)))
     faults = []
     for name in dict.fromkeys(names):
         if name not in known:
-            close = get_close_matches(name, known, n=1, cutoff=0.5)
-            faults.append(f"column {name!r} is unknown" + _hint(close))
+            close = get_close_matches(name[:_NAME_SHOWN], meant, n=1, cutoff=0.7)
+            hint = _hint(close) or " and refused, as every extra column is: remove or rename it"
+            faults.append(f"column {_shown(name)} is unknown{hint}")
         elif names.count(name) > 1:
             faults.append(f"column {name!r} is there {names.count(name)} times")
     unknown = [name for name in names if name not in known]
+    missing = _missing(names, n)
+    turned = [name for name in FIXED["poses"][3:] if name in missing]
+    if len(turned) == 4 and not set(unknown) & set(_near(turned, unknown)):
+        missing = [name for name in missing if name not in turned]
+        faults.append(
+            f"columns {turned[0]!r} to {turned[3]!r} are missing: a pose needs its orientation, "
+            "because the cable lengths depend on it; positions alone are not read"
+        )
+    for name in missing:
+        close = get_close_matches(name, unknown, n=1, cutoff=0.5)
+        faults.append(f"column {spelled(name, written)!r} is missing" + _hint(close))
+    return faults
+
+
+def _missing(names: list[str], n: int) -> list[str]:
+    """Name the columns that n cables and the channels that are begun need, and are not there."""
     groups = [(TIME,), channel_columns("unstrained_length", n)]
     optional = (*(c for c in PER_CABLE if c != "unstrained_length"), *FIXED)
     candidates = (*(channel_columns(channel, n) for channel in optional), exit_point_columns(n))
     groups += [group for group in candidates if set(group) & set(names)]
-    for name in (name for group in groups for name in group if name not in names):
-        close = get_close_matches(name, unknown, n=1, cutoff=0.5)
-        faults.append(f"column {name!r} is missing" + _hint(close))
-    return faults
+    return [name for group in groups for name in group if name not in names]
+
+
+def _near(names: list[str], unknown: list[str]) -> list[str]:
+    """Return the unknown columns that may be misspelt ones of `names`."""
+    return [name for n in names for name in get_close_matches(n, unknown, n=1, cutoff=0.5)]
+
+
+def _kind(match: re.Match[str]) -> tuple[str, str]:
+    """What a numbered column holds, whatever it is called."""
+    return _ALIASES.get(match[1], match[1]), match[3]
+
+
+def _shown(name: str) -> str:
+    """Quote a name, cut where it is long."""
+    return repr(name if len(name) <= _NAME_SHOWN else f"{name[:_NAME_SHOWN]}...")
 
 
 def _hint(close: list[str]) -> str:
-    return f"; did you mean {close[0]!r}?" if close else ""
+    return f"; did you mean {_shown(close[0])}?" if close else ""

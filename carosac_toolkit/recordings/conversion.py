@@ -70,8 +70,9 @@ def from_table(table: Table, document: Mapping[str, Any] | None, path: Path) -> 
     Raises:
         InvalidFile: With all faults that were found.
     """
-    names = [canonical(name) for name in table.columns]
-    faults = name_faults(names) + _document_faults(document, table.rows)
+    written = list(table.columns)
+    names = [canonical(name) for name in written]
+    faults = name_faults(written) + _document_faults(document, table.rows)
     if not table.rows:
         faults.append("there is no row of data")
     if faults:
@@ -80,6 +81,7 @@ def from_table(table: Table, document: Mapping[str, Any] | None, path: Path) -> 
         columns=dict(zip(names, table.columns.values(), strict=True)),
         empty=dict(zip(names, table.empty.values(), strict=True)),
         lines=table.lines,
+        written=dict(zip(names, written, strict=True)),
     )
     n = cables(names)
     present = [c for c in (*PER_CABLE, *FIXED) if channel_columns(c, n)[0] in table.columns]
@@ -191,7 +193,7 @@ def _cell_faults(table: Table, names: tuple[str, ...]) -> list[str]:
     torn = empty & ~empty.all(axis=1, keepdims=True)
     bad = torn | (~empty & ~np.isfinite(values))
     return [
-        f"{table.row_name(int(row))}, column {names[j]!r}: got "
+        f"{table.row_name(int(row))}, column {table.written[names[j]]!r}: got "
         f"{'nothing' if torn[row, j] else values[row, j]}; allowed: a finite number"
         for row, j in np.argwhere(bad)
     ]

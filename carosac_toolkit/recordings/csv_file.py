@@ -48,10 +48,7 @@ def read_csv(path: Path) -> Recording:
         raise InvalidFile(path, ["there is no header line with column names"])
     if document is not None and not text.endswith("\n"):
         raise InvalidFile(path, ["the file is cut: its last line has no end"])
-    names = [name.strip() for name in _split([lines[comments]], path)[0]]
-    double = sorted({name for name in names if names.count(name) > 1})
-    if double:
-        raise InvalidFile(path, [f"column {name!r} is there twice" for name in double])
+    names = _names(lines[comments], path)
     filled = [(i + 1, lines[i]) for i in range(comments + 1, len(lines)) if lines[i].strip()]
     numbers = [number for number, _ in filled]
     rows = _split([line for _, line in filled], path)
@@ -69,6 +66,20 @@ def _split(lines: list[str], path: Path) -> list[list[str]]:
         return [next(csv.reader([line])) for line in lines]
     except csv.Error as error:
         raise InvalidFile(path, [f"this is no CSV file: {error}"]) from error
+
+
+def _names(header: str, path: Path) -> list[str]:
+    """Return the column names, each there once."""
+    others = {mark: header.count(mark) for mark in ";\t" if header.count(mark)}
+    if others and "," not in header:
+        mark = max(others, key=lambda key: others[key])
+        fault = f"the header line has no comma: is the separator {mark!r}? allowed: ','"
+        raise InvalidFile(path, [f"{fault}, and '.' in numbers"])
+    names = [name.strip() for name in _split([header], path)[0]]
+    double = sorted({name for name in names if names.count(name) > 1})
+    if double:
+        raise InvalidFile(path, [f"column {name!r} is there twice" for name in double])
+    return names
 
 
 def _document(lines: list[str], path: Path) -> dict[str, Any] | None:

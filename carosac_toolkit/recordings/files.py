@@ -11,6 +11,7 @@ import numpy as np
 
 from carosac_toolkit.errors import InvalidField, InvalidFile, MissingFile
 from carosac_toolkit.recording import Recording
+from carosac_toolkit.recordings.columns import POSES_WANTED
 from carosac_toolkit.recordings.csv_file import read_csv, write_csv
 from carosac_toolkit.recordings.parquet_file import read_parquet, write_parquet
 from carosac_toolkit.recordings.scampi_mat import read_scampi_mat
@@ -70,7 +71,7 @@ def export_tum(recording: Recording, path: str | Path) -> None:
     """
     poses = recording.poses
     if poses is None:
-        raise InvalidField("poses", None, "a recording with measured poses")
+        raise InvalidField("poses", None, POSES_WANTED)
     rows = np.column_stack([poses.time, poses.position, poses.quaternion[:, [1, 2, 3, 0]]])
     text = "\n".join(" ".join(map(repr, row)) for row in rows.tolist()) + "\n"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,13 @@ class Table:
         columns: Values by column name, each of shape (rows,); anything where a cell is empty.
         empty: Which cells are empty, by column name, each of shape (rows,).
         lines: Line of the file that each row stands on, or None for a file without lines.
+        written: How the file spells each column, where names are canonical.
     """
 
     columns: Mapping[str, Array]
     empty: Mapping[str, NDArray[np.bool_]]
     lines: Sequence[int] | None = None
+    written: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def rows(self) -> int:

@@ -6,24 +6,37 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from carosac_toolkit.validation.quantities import say_length
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 
 SWAY_MIN = 2e-3  # [m]: a smaller swing is not worth a sentence
 DELAY_MIN = 3e-3  # [s]
+DELAY_SURE = 3.0  # standard deviations from none
 OFFSET_MIN = 2e-3  # [m]
 OFFSET_SHARE = 0.1  # of the RMSE in norm
 EXIT_POINT_MAX = 0.01  # [m]
 NATURAL_MAX = 0.25  # of the observed frequency: farther is no agreement
+SAMPLES_MIN = 10  # fewer say nothing about causes
+CAUSE_MIN = 1e-4  # [m]: a smaller error needs no cause
+CAUSE_MAX = 0.1  # of the typical cable length: causes of a larger error cannot be told apart
+MATTERS = 0.3  # of the length error
 
 
 def conclusions(result: ValidationResult) -> list[str]:
-    """Say what a validation shows; the causes are those of the best model's error."""
-    lines = [*_warnings(result)]
+    """Say what a validation shows; the causes are those of the best model's error.
+
+    Causes are left out where the numbers do not support any: an implausible recording, an error as
+    large as the workspace or next to none, and few samples.
+    """
+    lines = [*_doubts(result)]
     scored = [model for model in result.models.values() if model.scores is not None]
     if not scored:
         return lines
     best = min(scored, key=_norm)
     lines += _ranking(best, scored)
+    reason = _no_causes(result, best)
+    if reason is not None:
+        return [*lines, reason]
     lines += _rest_and_motion(result, best)
     lines += _sway(result, best)
     lines += _delay(best)
@@ -32,12 +45,29 @@ def conclusions(result: ValidationResult) -> list[str]:
     return lines
 
 
+def _no_causes(result: ValidationResult, best: ModelResult) -> str | None:
+    """Why no cause of the error is named, or None where causes may be."""
+    if result.warnings:
+        return "Causes of the error are not looked into until lengths and poses fit together."
+    if result.samples < SAMPLES_MIN:
+        count = f"{result.samples} sample" + ("s" if result.samples > 1 else "")
+        return f"Only {count} scored: too few to say anything about causes, or about other poses."
+    if _norm(best) > CAUSE_MAX * result.typical_length:
+        return (
+            f"The error is more than {CAUSE_MAX:.0%} of the cable lengths: too large to tell its "
+            "causes apart."
+        )
+    if _norm(best) < CAUSE_MIN:
+        return "That is too little to look for causes."
+    return None
+
+
 def _norm(model: ModelResult) -> float:
     assert model.scores is not None
     return float(model.scores.rmse[3])
 
 
-def _warnings(result: ValidationResult) -> Iterator[str]:
+def _doubts(result: ValidationResult) -> Iterator[str]:
     """What makes the numbers doubtful."""
     distance = result.exit_point_distance
     if distance is not None and distance > EXIT_POINT_MAX:
@@ -52,7 +82,7 @@ def _warnings(result: ValidationResult) -> Iterator[str]:
             yield (
                 f"{model.name} found no pose at {model.failures} of {result.samples} samples; "
                 f"they are not in its scores (with its last pose kept there, the RMSE would be "
-                f"{model.rmse_with_failures * 1e3:.1f} mm)."
+                f"{say_length(model.rmse_with_failures)})."
             )
     if result.unscored:
         yield f"{result.unscored} samples have no measured pose nearby and were not scored."
@@ -60,14 +90,19 @@ def _warnings(result: ValidationResult) -> Iterator[str]:
 
 def _ranking(best: ModelResult, scored: list[ModelResult]) -> Iterator[str]:
     """Which model is nearest."""
-    others = ", ".join(f"{m.name} {_norm(m) * 1e3:.1f} mm" for m in scored if m is not best)
-    compared = f" (others: {others})" if others else ""
-    yield f"{best.name} comes nearest: RMSE {_norm(best) * 1e3:.1f} mm in norm{compared}."
+    others = ", ".join(f"{m.name} {say_length(_norm(m))}" for m in scored if m is not best)
+    if others:
+        others = f" (others: {others})"
+        yield f"{best.name} comes nearest: RMSE {say_length(_norm(best))} in norm{others}."
+    else:
+        yield f"RMSE of {best.name}: {say_length(_norm(best))} in norm."
 
 
 def _rest_and_motion(result: ValidationResult, best: ModelResult) -> Iterator[str]:
     """Whether standing still helps."""
-    if not best.moving or not best.resting or not best.moving.samples or not best.resting.samples:
+    if best.moving is None or best.resting is None:
+        return
+    if min(best.moving.samples, best.resting.samples) < SAMPLES_MIN:
         return
     moving, resting = best.moving.rmse[3], best.resting.rmse[3]
     ratio = resting / moving if moving > 0.0 else np.inf
@@ -78,8 +113,8 @@ def _rest_and_motion(result: ValidationResult, best: ModelResult) -> Iterator[st
     else:
         saying = "part of the error comes with the motion"
     yield (
-        f"With the winches at rest its error is {resting * 1e3:.1f} mm, in motion "
-        f"{moving * 1e3:.1f} mm: {saying}."
+        f"With the winches at rest its error is {say_length(resting)}, in motion "
+        f"{say_length(moving)}: {saying}."
     )
 
 
@@ -91,7 +126,7 @@ def _sway(result: ValidationResult, best: ModelResult) -> Iterator[str]:
     text = (
         f"At rest the error in {sway.axis} swings by {sway.amplitude * 1e3:.0f} mm with a period "
         f"of {1.0 / sway.frequency:.2f} s, which explains {sway.explained:.0%} of its variation: "
-        "the platform sways, which no quasi-static model can follow"
+        "the platform seems to sway, which no quasi-static model can follow"
     )
     natural = result.natural_frequency
     if natural is not None:
@@ -101,7 +136,7 @@ def _sway(result: ValidationResult, best: ModelResult) -> Iterator[str]:
             f"{nearest:.2f} Hz"
         )
         far = abs(nearest - sway.frequency) > NATURAL_MAX * sway.frequency
-        text += ": check its centre of mass and inertia)" if far else ")"
+        text += ": far from it, so check mass, centre of mass and inertia)" if far else ")"
     yield text + "."
 
 
@@ -110,15 +145,17 @@ def _delay(best: ModelResult) -> Iterator[str]:
     delay, moving = best.delay, best.moving
     if delay is None or moving is None:
         return
-    clear = (np.nan_to_num(delay.explained) >= 0.25) & (np.abs(delay.seconds) >= DELAY_MIN)
+    size = np.abs(np.nan_to_num(delay.seconds))
+    clear = (np.nan_to_num(delay.explained) >= 0.25) & (size >= DELAY_MIN)
+    clear &= size >= DELAY_SURE * np.nan_to_num(delay.deviation)
     if not clear.any():
         return
     axes = " and ".join(axis for axis, use in zip("xyz", clear, strict=True) if use)
     seconds = ", ".join(f"{value * 1e3:.0f}" for value in delay.seconds[clear])
     shares = ", ".join(f"{value:.0%}" for value in delay.explained[clear])
-    late = "poses are late against the lengths" if (delay.seconds[clear] > 0).all() else (
-        "lengths and poses are not of the same time"
-    )  # fmt: skip
+    late = "as if poses were late against the lengths"
+    if not (delay.seconds[clear] > 0).all():
+        late = "as if lengths and poses were not of the same time"
     yield (
         f"In motion the error in {axes} goes with the velocity ({shares} of its variance): {late}, "
         f"by {seconds} ms."
@@ -140,17 +177,27 @@ def _offset(best: ModelResult) -> Iterator[str]:
         )
         yield (
             f"At rest most of the error in some axes is constant ({values}): geometry, lengths or "
-            "poses have an offset, which calibration can find."
+            "poses have an offset."
         )
 
 
 def _sag(best: ModelResult) -> Iterator[str]:
-    """Whether sag is large enough to matter."""
+    """What sag and stretch contribute to the predicted lengths, against the error that is left."""
     if best.sag is None or best.stretch is None or best.length_scores is None:
         return
-    sag, total = best.sag * 1e3, best.length_scores.rmse * 1e3
-    verdict = "sag is too small to explain it" if sag < 0.3 * total else "sag must be in the model"
+    left = best.length_scores.rmse
+    least = max(CAUSE_MIN, MATTERS * left)
+    parts = {"sag": best.sag, "stretch": best.stretch}
+    large = [name for name, size in parts.items() if abs(size) >= least]
+    if not large:
+        verdict = "neither is large enough to explain it"
+    elif len(large) == 2:
+        verdict = "without either in the model the error would be another"
+    else:
+        small = next(name for name in parts if name not in large)
+        verdict = f"{large[0]} is large enough to matter, {small} is not"
     yield (
-        f"Sag lengthens a cable by {sag:.2f} mm and tension by {best.stretch * 1e3:.2f} mm on "
-        f"average; the length error is {total:.1f} mm: {verdict}."
+        f"In the model, sag lengthens a cable by {say_length(best.sag)} and tension by "
+        f"{say_length(best.stretch)} on average; the length error left is {say_length(left)}: "
+        f"{verdict}."
     )

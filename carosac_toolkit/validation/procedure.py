@@ -15,6 +15,7 @@ from carosac_toolkit.recording import Recording
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.validation.diagnostics import find_delay, find_sway, rest_frequencies
 from carosac_toolkit.validation.phases import find_phases, slope
+from carosac_toolkit.validation.plausibility import find_mix_ups
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 from carosac_toolkit.validation.run import ModelRun, build_model, load_model, run_open_loop
 from carosac_toolkit.validation.scores import rotation_angle, score_lengths, score_poses
@@ -64,6 +65,7 @@ def validate(
     )
     phases = find_phases(recording.time, recording.unstrained_length)
     rests = _kept(phases.rests, index)
+    lengths = recording.unstrained_length[index]
     scoring = _Scoring(recording, robot, index, measured, phases.resting[index], rests)
     return ValidationResult(
         robot=robot,
@@ -76,8 +78,9 @@ def validate(
         resting=phases.resting[index],
         rests=rests,
         models={name: scoring.result(name, target, end, seed) for name, target in targets.items()},
-        natural_frequency=rest_frequencies(robot, recording.unstrained_length[index], rests),
+        natural_frequency=rest_frequencies(robot, lengths, rests),
         exit_point_distance=_distance(recording, robot),
+        warnings=find_mix_ups(robot, lengths, measured),
     )
 
 
@@ -109,7 +112,8 @@ def _check_inputs(
         allowed = f"start = {start} < stop <= {count}, the number of samples"
         raise InvalidField("stop", end, allowed)
     if not recording.pose_at(recording.time[start:end]).valid.any():
-        raise InvalidField("poses", f"none in samples {start}:{end}", "samples with measured poses")
+        allowed = "samples with measured poses nearby in time"
+        raise InvalidField("poses", f"none in samples {start}:{end}", allowed)
     return targets
 
 

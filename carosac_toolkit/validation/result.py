@@ -113,6 +113,8 @@ class ValidationResult:
             None where there is no rest or no stable equilibrium.
         exit_point_distance: Largest distance of an exit point measured in the run from the
             robot's [m], or None where none was measured.
+        warnings: What shows that lengths and poses do not belong together, such as wrong units;
+            empty for a plausible recording.
     """
 
     robot: Robot
@@ -127,6 +129,13 @@ class ValidationResult:
     models: Mapping[str, ModelResult]
     natural_frequency: Array | None = None
     exit_point_distance: float | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def typical_length(self) -> float:
+        """Median distance of the exit points from the measured positions [m]."""
+        away = self.measured.position[:, None] - self.robot.exit_points
+        return float(np.median(np.linalg.norm(away, axis=2)))
 
     @property
     def samples(self) -> int:
@@ -156,5 +165,6 @@ class ValidationResult:
                 "natural_frequencies_Hz": self.natural_frequency,
             },
             "exit_point_distance_m": self.exit_point_distance,
+            "warnings": self.warnings,
             "models": {name: model.data(names) for name, model in self.models.items()},
         }

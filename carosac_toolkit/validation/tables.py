@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
+from carosac_toolkit.text_tables import Rows
+from carosac_toolkit.validation.quantities import say_length, unit_for
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 from carosac_toolkit.validation.scores import PoseScores
 
-Rows = list[tuple[str, ...]]
 PART_HEADER = (
-    "model", "samples", "count", "RMSE x", "y", "z", "norm", "MAE x", "y", "z", "norm",
-    "max x", "y", "z", "norm", "orient.",
+    "model", "samples", "count", "RMSE x", "y", "z", "norm", "orient.", "MAE x", "y", "z", "norm",
+    "max x", "y", "z", "norm",
 )  # fmt: skip
-PART_UNITS = "RMSE, MAE and max of the position error in mm; orientation RMSE in degrees"
+PART_GROUPS = (2, 1, 4, 1, 4, 4)  # columns that stay together; the first are on every block
 CAUSE_HEADER = (
-    "model", "failures", "length RMSE [mm]", "sag [mm]", "stretch [mm]", "delay x [ms]", "y", "z",
-    "sway", "update [ms]",
+    "model", "failures", "update [ms]", "length RMSE", "sag", "stretch", "delay x [ms]", "y", "z",
+    "sway",
 )  # fmt: skip
+CAUSE_GROUPS = (1, 2, 3, 3, 1)
+
+
+def part_units(result: ValidationResult) -> str:
+    """What the numbers of `part_rows` are."""
+    unit, _ = _part_unit(result)
+    return f"RMSE, MAE and max of the position error in {unit}; orientation RMSE in degrees"
 
 
 def part_rows(result: ValidationResult) -> Rows:
     """Scores of all, moving and resting samples per model."""
     rows: Rows = []
+    _, factor = _part_unit(result)
     for name, model in result.models.items():
         parts = {"all": model.scores, "moving": model.moving, "resting": model.resting}
         for k, (part, scores) in enumerate(parts.items()):
@@ -31,7 +38,9 @@ def part_rows(result: ValidationResult) -> Rows:
                 if k == 0:
                     rows.append((name, "failed", "0", *["-"] * (len(PART_HEADER) - 3)))
                 continue
-            rows.append((name if k == 0 else "", part, str(scores.samples), *_cells(scores)))
+            rows.append(
+                (name if k == 0 else "", part, str(scores.samples), *_cells(scores, factor))
+            )
     return rows
 
 
@@ -40,25 +49,24 @@ def cause_rows(result: ValidationResult) -> Rows:
     return [_cause(model) for model in result.models.values()]
 
 
-def align(header: tuple[str, ...], rows: Rows, left: int) -> str:
-    """Lay out a table: the first columns to the left, the rest to the right."""
-    lines = [header, *rows]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
-    lines.insert(1, tuple("-" * width for width in widths))
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if i < left else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    )
+def _part_unit(result: ValidationResult) -> tuple[str, float]:
+    """Unit that suits the largest RMSE, and how many of it make a metre."""
+    scores = [model.scores for model in result.models.values() if model.scores is not None]
+    return unit_for(max((float(score.rmse[3]) for score in scores), default=0.0))
 
 
-def _cells(scores: PoseScores) -> list[str]:
+def _cells(scores: PoseScores, factor: float) -> list[str]:
     """Numbers of one part."""
-    values = np.concatenate([scores.rmse, scores.mae, scores.max])
-    angle = _number(scores.orientation_rmse, np.degrees, "{:.2f}")
-    return [_mm(value) for value in values] + [angle]
+    numbers = [
+        [_plain(value * factor) for value in values]
+        for values in (scores.rmse, scores.mae, scores.max)
+    ]
+    return [*numbers[0], _degrees(scores.orientation_rmse), *numbers[1], *numbers[2]]
+
+
+def _degrees(angle: float) -> str:
+    """Write an angle [rad] in degrees; what is less than 0.01 is 0."""
+    return f"{np.degrees(angle):.2f}" if np.isfinite(angle) else "-"
 
 
 def _cause(model: ModelResult) -> tuple[str, ...]:
@@ -67,17 +75,19 @@ def _cause(model: ModelResult) -> tuple[str, ...]:
         return (model.name, *["-"] * (len(CAUSE_HEADER) - 1))
     swing, sway = model.sway, "-"
     if swing is not None:
-        sway = f"{swing.axis} {swing.amplitude * 1e3:.0f} mm {swing.frequency:.2f} Hz"
+        sway = f"{swing.axis} {say_length(swing.amplitude)} {swing.frequency:.2f} Hz"
         sway += "" if swing.clear else " (unclear)"
+    lengths = (model.length_scores.rmse, model.sag, model.stretch)
     return (
         model.name,
         str(model.failures),
-        _mm(model.length_scores.rmse),
-        _mm(model.sag, "{:.2f}"),
-        _mm(model.stretch, "{:.2f}"),
+        f"{model.update_time * 1e3:.3f}",
+        *(
+            "-" if value is None or not np.isfinite(value) else say_length(value)
+            for value in lengths
+        ),
         *_delays(model),
         sway,
-        _number(model.update_time, lambda s: s * 1e3, "{:.3f}"),
     )
 
 
@@ -85,16 +95,14 @@ def _delays(model: ModelResult) -> list[str]:
     """Delay per axis with its standard deviation [ms]."""
     assert model.delay is not None
     pairs = zip(1e3 * model.delay.seconds, 1e3 * model.delay.deviation, strict=True)
-    return [f"{v:.0f} +-{d:.1f}" if np.isfinite(v) else "-" for v, d in pairs]
+    # adding 0.0 turns -0.0 into 0.0
+    return [f"{round(v, 1) + 0.0:.1f} +-{d:.1f}" if np.isfinite(v) else "-" for v, d in pairs]
 
 
-def _mm(value: float | None, form: str = "{:.1f}") -> str:
-    """Write metres as millimetres; small ones with enough digits to be seen."""
-    if value is not None and 0.0 < abs(value) < 5e-5:
-        form = "{:.1e}" if abs(value) < 5e-7 else "{:.3f}"
-    return _number(value, lambda metres: metres * 1e3, form)
-
-
-def _number(value: float | None, convert: Callable[[float], float], form: str) -> str:
-    """Write a number in another unit, or a dash where it is unknown."""
-    return "-" if value is None or not np.isfinite(value) else form.format(convert(value))
+def _plain(value: float) -> str:
+    """Write a number, small ones with enough digits to be seen; next to nothing is a bound."""
+    if not np.isfinite(value):
+        return "-"
+    if abs(value) >= 0.05 or value == 0.0:
+        return f"{value:.1f}"
+    return f"{value:.3f}" if abs(value) >= 5e-4 else "<0.001"

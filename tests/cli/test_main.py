@@ -73,13 +73,6 @@ def test_bad_input_is_one_message_and_status_two(capsys, words, message):
     assert captured.out == ""
 
 
-@pytest.mark.parametrize("words", [["check"], ["robots", "--bogus"], ["robots", "--seed", "x"]])
-def test_wrong_options_end_with_status_two(capsys, words):
-    with pytest.raises(SystemExit) as stopped:
-        main(words)
-    assert stopped.value.code == 2
-
-
 @pytest.mark.parametrize("command", ["robots", "check"])
 def test_every_command_has_help_and_the_common_options(capsys, command):
     with pytest.raises(SystemExit) as stopped:

@@ -1,5 +1,6 @@
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from carosac_toolkit.recordings.bundled import find_recording, list_recordings
 from carosac_toolkit.robot_file import robot_text
 from tests.validation.models import NAME
 
-BUNDLED = "synthetic_carosac"
+BUNDLED = "synthetic"
 
 
 @pytest.fixture(autouse=True)
@@ -45,12 +46,15 @@ def test_the_contract_of_the_json_and_the_files(short, capsys):
         assert model["orientation_rmse_rad"] > 0.0 and model["length_rmse_m"] > 0.0
         assert model["error"] is None and model["failures"] == 0
     assert names("out") == [
-        "error_violins.png", "length_errors.png", "paths.png", "report.html", "time_series.png",
+        "error_violins.png", "length_errors.png", "paths.png", "report.html",
+        "report_settings.json", "time_series.png",
     ]  # fmt: skip
     out = capsys.readouterr().out
     for model in data["models"].values():
         assert f"{model['rmse_m']['norm'] * 1e3:.1f}" in out
-    assert all(f"* {line}" in out for line in data["conclusions"])
+    assert max(map(len, out.splitlines())) <= 80
+    assert all(f"* {line}" in " ".join(out.split()) for line in data["conclusions"])
+    assert data["warnings"] == [] and data["robot_source"] == "recording"
 
 
 def test_the_report_stands_alone_and_says_where_it_comes_from(short):
@@ -80,7 +84,83 @@ def test_the_same_call_gives_the_same_numbers(short):
     for model in (*one["models"].values(), *other["models"].values()):
         model.pop("median_update_s")
     assert one == other
-    assert "report.html" in names("carosac-results/validate/short")
+    assert [path.name for path in Path("carosac-results/validate").iterdir()] == [
+        "short-csv-carosac"
+    ]
+
+
+def test_reports_of_other_settings_go_to_other_folders(short, capsys):
+    Path("sub").mkdir()
+    for name in ("short.parquet", "sub/short.csv"):
+        ct.load_recording(short).save(name)
+    one = ["--models", "straight_line"]
+    calls = {
+        (str(short),): "short-csv-carosac",
+        ("short.parquet",): "short-parquet-carosac",
+        ("sub/short.csv",): "short-csv-carosac-2",
+        (str(short), "--start", "20"): "short-csv-carosac-20-end",
+        (str(short), "--stop", "90"): "short-csv-carosac-0-90",
+        (str(short), "--robot", "scampi"): "short-csv-scampi",
+        (str(short), "--seed", "1"): "short-csv-carosac-3",
+        ("synthetic", "--stop", "90"): "synthetic-carosac-0-90",
+    }
+    for _ in range(2):
+        for words, folder in calls.items():
+            main(["validate", *words, *one])
+            shown = " ".join(capsys.readouterr().out.split())
+            assert f"report: carosac-results/validate/{folder}/report.html" in shown
+    kept = [path.name for path in Path("carosac-results/validate").iterdir()]
+    assert sorted(kept) == sorted(calls.values())
+
+
+def test_an_implausible_recording_is_warned_of_first_and_a_negative_answer(short, capsys):
+    recording = ct.load_recording(short)
+    replace(recording, unstrained_length=1e3 * recording.unstrained_length).save("mm.csv")
+    assert main(["validate", "mm.csv", "--models", "straight_line", "--json", "x.json"]) == 1
+    out = " ".join(capsys.readouterr().out.split())
+    message = "Lengths are 1000 times the distance at the measured poses: are they in mm?"
+    assert out.index(f"WARNING: {message}") < out.index("RMSE")
+    assert json.loads(Path("x.json").read_text())["warnings"] == [message]
+    folder = Path("carosac-results/validate/mm-csv-carosac")
+    assert message in (folder / "report.html").read_text()
+
+
+def test_a_robot_file_is_looked_for_beside_the_recording_first(short, capsys):
+    recording = ct.load_recording(short)
+    for folder, mass in (("run", "20 kg"), (".", "30 kg")):
+        text = robot_text("carosac").replace("mass: 23.655 kg", f"mass: {mass}")
+        Path(folder).mkdir(exist_ok=True)
+        Path(folder, "mine.yaml").write_text(text.replace("name: carosac", f"name: m{mass[:2]}"))
+    named = replace(recording.metadata, robot="mine.yaml")
+    replace(recording, metadata=named).save("run/a.csv")
+    words = ["validate", "run/a.csv", "--models", "straight_line", "--json", "x.json"]
+    assert main(words) == 0
+    assert json.loads(Path("x.json").read_text())["robot"] == "m20"
+    Path("run/mine.yaml").unlink()
+    assert main(words) == 0
+    assert json.loads(Path("x.json").read_text())["robot"] == "m30"
+    Path("mine.yaml").unlink()
+    capsys.readouterr()
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert "mine.yaml: no such file" in error
+    assert "the recording 'run/a.csv' names 'mine.yaml' as its robot" in error
+
+
+def test_a_guessed_robot_is_said_to_be_one(short, capsys):
+    recording = ct.load_recording(short)
+    points = ct.load_robot("carosac").exit_points
+    nameless = replace(recording.metadata, robot=None)
+    replace(recording, metadata=nameless, exit_points=points).save("a.csv")
+    assert main(["validate", "a.csv", "--models", "straight_line", "--json", "x.json"]) == 0
+    assert "robot carosac (a guess: the recording names no robot" in capsys.readouterr().out
+    assert json.loads(Path("x.json").read_text())["robot_source"] == "exit points"
+
+
+def test_one_sample_is_scored_and_said_to_be_too_few(short, capsys):
+    ct.load_recording(short).slice(0, 1).save("one.csv")
+    assert main(["validate", "one.csv"]) == 0
+    assert "Only 1 sample scored: too few" in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_failing_model_costs_its_own_row_and_is_a_negative_answer(short, capsys):
@@ -95,7 +175,7 @@ def test_a_failing_model_costs_its_own_row_and_is_a_negative_answer(short, capsy
 
 def test_without_any_model_left_the_report_still_says_why(short):
     assert main(["validate", str(short), "--models", f"{NAME}:Raising", "--output", "out"]) == 1
-    assert names("out") == ["report.html"]
+    assert names("out") == ["report.html", "report_settings.json"]
     assert "RuntimeError: no luck" in Path("out/report.html").read_text()
 
 
@@ -122,8 +202,8 @@ def make_files(short):
     ("words", "message"),
     [
         (["missing.csv"], "missing.csv: no such file"),
-        (["synthetic_carosak"], "did you mean 'synthetic_carosac'"),
-        (["nothing"], "recording: got 'nothing'; allowed: one of ['synthetic_carosac']"),
+        (["synthetik"], "did you mean 'synthetic'"),
+        (["nothing"], "recording: got 'nothing'; allowed: one of ['synthetic']"),
         (["notes.txt"], "suffix"),
         (["folder.csv"], "this is a folder"),
         (["nan.csv"], "nan; allowed: a finite number"),
@@ -168,12 +248,12 @@ def test_the_robot_of_the_real_recording_is_known_by_its_exit_points(real_data, 
         path = real_data / f"scampi_run_part.{suffix}"
         assert main(["validate", str(path), "--json", "x.json", "--start", "500"]) == 0
         data = json.loads(Path("x.json").read_text())
+        assert data["robot_source"] == "exit points"
         assert data["robot"] == "scampi" and data["samples"] == 100
 
 
 def test_bundled_recordings_are_small_labelled_and_found_by_name():
     assert list_recordings() == (BUNDLED,)
-    assert find_recording("synthetic") == find_recording(BUNDLED)
     path = find_recording(BUNDLED)
     assert path.stat().st_size < 300_000
     recording = ct.load_recording(path)

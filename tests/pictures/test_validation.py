@@ -1,8 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from carosac_toolkit.pictures.validation import MODELS, PICTURES
+from carosac_toolkit.pictures.drawing import COLORS
+from carosac_toolkit.pictures.validation import PICTURES
 from carosac_toolkit.validation import validate
 from tests.validation.models import NAME
 from tests.validation.runs import ROBOT, perfect
@@ -34,7 +37,7 @@ def test_models_keep_their_colours_where_one_of_them_failed(result):
         assert names == ["straight_line", "kinematic_solver", FAILING], name
     lines = PICTURES["time_series"](result).axes[1].lines
     drawn = [to_hex(line.get_color()) for line in lines]
-    assert drawn[:3] == [MODELS[0], MODELS[2], MODELS[3]]
+    assert drawn[:3] == [COLORS[0], COLORS[2], COLORS[3]]
 
 
 def test_rests_are_shaded_in_every_panel(result):
@@ -65,3 +68,34 @@ def test_a_few_samples_at_rest_can_be_drawn(stop, tmp_path):
     result = validate(perfect(), ROBOT, ["straight_line", "kinematic_solver"], stop=stop)
     for name, draw in PICTURES.items():
         draw(result).savefig(tmp_path / f"{name}.png")
+
+
+def test_few_samples_are_drawn_as_dots():
+    few = validate(perfect(), ROBOT, ["kinematic_solver"], stop=1)
+    for name, panel in (("paths", 0), ("paths", 1), ("time_series", 0), ("time_series", 1)):
+        lines = PICTURES[name](few).axes[panel].lines
+        assert lines[0].get_marker() == "o", name
+    assert PICTURES["error_violins"](few).axes[0].lines
+
+
+def test_views_depend_on_the_robot_and_not_on_the_path(result):
+    def labels(workspace_max):
+        robot = replace(ROBOT, workspace_min=np.zeros(3), workspace_max=np.array(workspace_max))
+        axes = PICTURES["paths"](replace(result, robot=robot)).axes[1:]
+        return [(a.get_xlabel()[0], a.get_ylabel()[0], a.get_title()) for a in axes]
+
+    square = [("x", "y", "from above"), ("x", "z", "from the side, along y")]
+    assert labels([2.0, 3.0, 3.0]) == labels([9.0, 1.0, 3.0]) == square
+    turned = labels([2.0, 5.0, 3.0])
+    assert [view[:2] for view in turned] == [("y", "x"), ("y", "z")]
+    assert "turned" in turned[0][2]
+
+
+def test_an_error_of_zero_stands_clear_of_the_axis():
+    exact = validate(perfect(), ROBOT, ["kinematic_solver"])
+    model = exact.models["kinematic_solver"]
+    pose = replace(model.pose, position=exact.measured.position)
+    exact = replace(exact, models={"ks": replace(model, pose=pose)})
+    for axes in PICTURES["error_violins"](exact).axes:
+        assert axes.get_ylim()[0] < 0.0
+        assert [text.get_text() for text in axes.texts] == ["0.0"]

@@ -1,8 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from carosac_toolkit.validation import validate
-from carosac_toolkit.validation.findings import conclusions
+from carosac_toolkit.validation.findings import _sag, conclusions
 from tests.validation.models import NAME
 from tests.validation.runs import ROBOT, perfect, shifted
 
@@ -21,8 +23,43 @@ def test_nothing_is_blamed_where_nothing_is_wrong():
 
 
 def test_a_delay_is_named_with_its_size():
-    assert "poses are late against the lengths, by 30, 30, 30 ms" in said(perfect(0.03))
-    assert "not of the same time, by -20, -20, -20 ms" in said(perfect(-0.02))
+    assert "as if poses were late against the lengths, by 30, 30, 30 ms" in said(perfect(0.03))
+    assert "lengths and poses were not of the same time, by -20, -20, -20 ms" in said(
+        perfect(-0.02)
+    )
+
+
+def test_sag_and_stretch_are_judged_each_against_the_error_left():
+    best = validate(perfect(), ROBOT, [KS]).models[KS]
+    cases = {
+        (4e-6, 1.2e-3, 1.5e-3): "stretch is large enough to matter, sag is not",
+        (1.2e-3, 4e-6, 1.5e-3): "sag is large enough to matter, stretch is not",
+        (4e-6, 1.2e-3, 13.6e-3): "neither is large enough to explain it",
+        (5e-3, 6e-3, 4e-3): "without either in the model the error would be another",
+        (4e-6, 5e-6, 1e-9): "neither is large enough",
+    }
+    for (sag, stretch, left), verdict in cases.items():
+        scores = replace(best.length_scores, rmse=left)
+        model = replace(best, sag=sag, stretch=stretch, length_scores=scores)
+        (sentence,) = _sag(model)
+        assert verdict in sentence
+
+
+def test_a_perfect_or_a_tiny_recording_has_no_causes():
+    text = said(perfect())
+    assert "too little to look for causes" in text and "Sag" not in text
+    few = said(shifted(perfect(), [0.02, 0.0, 0.0]).slice(0, 3))
+    assert "Only 3 samples scored: too few" in few and "constant" not in few
+    assert "Only 1 sample scored" in said(perfect().slice(0, 1))
+
+
+def test_an_implausible_recording_or_a_huge_error_has_no_causes():
+    late = perfect(0.03)
+    far = replace(late, unstrained_length=1e3 * late.unstrained_length)
+    text = said(far, ("straight_line",))
+    assert "Causes of the error are not looked into" in text and "late" not in text
+    text = said(late, (f"{NAME}:Counting",))
+    assert "more than 10% of the cable lengths" in text and "swings" not in text
 
 
 def test_sway_is_named_with_its_period():
@@ -47,8 +84,6 @@ def test_failures_and_their_price_are_named():
 
 
 def test_another_robot_is_suspected():
-    from dataclasses import replace
-
     moved = replace(perfect(), exit_points=ROBOT.exit_points + np.array([0.05, 0.0, 0.0]))
     assert "exit points lie up to 50 mm" in said(moved)
     near = replace(perfect(), exit_points=ROBOT.exit_points + 1e-3)

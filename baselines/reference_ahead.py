@@ -1,0 +1,74 @@
+"""What every kinematic controller shares: the reference it aims at, and when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Belief, Reference
+
+
+@dataclass(frozen=True, kw_only=True)
+class AheadSettings:
+    """Settings of a controller that sends the lengths of a pose ahead of now.
+
+    Attributes:
+        period: Time between two commands [s].
+        delay: How far ahead to aim [s]: what winches and the hold of the command take. None is
+            the mean winch lag of the nominal robot and half a period.
+        gain: Share of the believed position error that is corrected per second [1/s]; 0 sends
+            the reference as it is.
+    """
+
+    period: float = 0.02
+    delay: float | None = None
+    gain: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no sense."""
+        if not self.period > 0.0:
+            raise InvalidField("period", f"{self.period} s", "period > 0")
+        if self.delay is not None and not self.delay >= 0.0:
+            raise InvalidField("delay", f"{self.delay} s", "delay >= 0, or none")
+        if not self.gain >= 0.0:
+            raise InvalidField("gain", f"{self.gain} 1/s", "gain >= 0")
+
+
+class Ahead:
+    """Where to aim at, cycle by cycle."""
+
+    def __init__(self, robot: Robot, settings: AheadSettings) -> None:
+        delay = settings.delay
+        if delay is None:
+            delay = float(robot.winch_lag.mean()) + 0.5 * settings.period
+        self._gain = settings.gain * settings.period
+        self._delay = delay
+        self.horizon = settings.period * float(np.ceil(delay / settings.period + 1e-9))
+        self._correction: Array = np.zeros((1, 3))
+
+    def reset(self, belief: Belief) -> None:
+        """Forget the correction."""
+        self._correction = np.zeros_like(belief.position)
+
+    def aim(self, belief: Belief, reference: Reference) -> tuple[Array, Array]:
+        """Position [m] and velocity [m/s] to command now, each of shape (B, 3).
+
+        Linear between the rows of the reference; the correction integrates the believed error.
+        """
+        error = reference.position[:, 0] - belief.position
+        self._correction = self._correction + self._gain * error
+        ahead = reference.time[:, 0] + self._delay
+        position, velocity = (
+            np.stack(
+                [
+                    np.stack([np.interp(t, row, v[:, k]) for k in range(3)])
+                    for t, row, v in zip(ahead, reference.time, values, strict=True)
+                ]
+            )
+            for values in (reference.position, reference.velocity)
+        )
+        return position + self._correction, np.broadcast_to(velocity, error.shape)

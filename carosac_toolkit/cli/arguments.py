@@ -1,0 +1,167 @@
+"""From the words after a command to its options; a wrong word is one message, as everywhere."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields
+from difflib import get_close_matches
+from pathlib import Path
+from types import ModuleType, NoneType
+from typing import Any, get_args, get_type_hints
+
+import tyro
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
+
+from carosac_toolkit.errors import CarosacError, InvalidField
+
+_WORDS: dict[type, tuple[str, str]] = {
+    int: ("INT", "a whole number"),
+    float: ("FLOAT", "a number"),
+    str: ("TEXT", "a text"),
+    Path: ("PATH", "a path"),
+}
+
+
+def parse_options(module: ModuleType, name: str, words: Sequence[str]) -> Any:
+    """Read the options of one command.
+
+    Args:
+        module: The command, with its ``Options``.
+        name: Its name.
+        words: What stands after it on the command line.
+
+    Returns:
+        An instance of the command's ``Options``.
+
+    Raises:
+        CarosacError: A word that the command does not understand, or one that is missing.
+        SystemExit: Help was asked for, and is printed.
+    """
+    registry = ConstructorRegistry()
+    registry.primitive_rule(_number_or_nothing)
+    options = module.Options
+    with _one_message(options, list(words)):
+        return tyro.cli(
+            options,
+            args=words,
+            prog=f"carosac {name}",
+            description=module.__doc__,
+            registry=registry,
+        )
+
+
+def _number_or_nothing(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    """How numbers and optional values are read and shown: never as ``{None}|INT``."""
+    kinds = set(get_args(info.type)) or {info.type}
+    plain = kinds - {NoneType}
+    kind = plain.pop() if len(plain) == 1 else None
+    if kind not in _WORDS or (kinds == {kind} and kind not in (int, float)):
+        return None
+    metavar, allowed = _WORDS[kind]
+
+    def read(words: list[str]) -> Any:
+        try:
+            return kind(words[0])
+        except ValueError as error:
+            raise ValueError(allowed) from error
+
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=read,
+        is_instance=lambda value: isinstance(value, tuple(kinds)),
+        str_from_instance=lambda value: ["none" if value is None else str(value)],
+    )
+
+
+@contextlib.contextmanager
+def _one_message(options: type, words: list[str]) -> Iterator[None]:
+    """Turn tyro's boxes into errors of ours; a tyro without the hook keeps its boxes."""
+    errors = getattr(tyro, "_errors", None)  # its hook, since 1.0.17, has no public name yet
+    hook: Callable[..., Any] | None = getattr(errors, "on_parse_error", None)
+    if hook is None:
+        yield
+        return
+
+    def refuse(event: Any) -> None:
+        answer = _ANSWERS.get(type(event).__name__)
+        if answer is not None:
+            raise answer(event, options, words)
+
+    with hook(refuse):
+        yield
+
+
+def _unrecognized(event: Any, options: type, words: list[str]) -> CarosacError:
+    """An option or argument that the command does not have."""
+    token = str(event.tokens[0])
+    if not token.startswith("-"):
+        return InvalidField("argument", repr(token), f"nothing more; see '{event.prog} --help'")
+    known = ["--help", *(f"--{f.name.replace('_', '-')}" for f in fields(options))]
+    taken = [flag for flag in known if flag not in _positionals(options)]
+    close = get_close_matches(token.partition("=")[0], taken, n=1)
+    hint = f"; did you mean '{close[0]}'?" if close else ""
+    return InvalidField("option", repr(token), f"{', '.join(taken)}{hint}")
+
+
+def _missing(event: Any, options: type, words: list[str]) -> CarosacError:
+    """An argument that must be there."""
+    names = [_spelling(entry.arg) for entry in event.missing_arguments]
+    return InvalidField(" and ".join(names), "nothing", f"a value; see '{event.prog} --help'")
+
+
+def _bad_value(event: Any, options: type, words: list[str]) -> CarosacError:
+    """An option without its value."""
+    return InvalidField(_spelling(event.argument), "nothing", f"a value; see '{event.prog} --help'")
+
+
+def _invalid_choice(event: Any, options: type, words: list[str]) -> CarosacError:
+    """A value that is none of those there are."""
+    close = get_close_matches(str(event.value), event.choices, n=1)
+    hint = f"; did you mean '{close[0]}'?" if close else ""
+    allowed = f"one of {', '.join(event.choices)}{hint}"
+    return InvalidField(_spelling(event.argument), repr(event.value), allowed)
+
+
+def _failure(event: Any, options: type, words: list[str]) -> CarosacError:
+    """A value that cannot be read."""
+    if event.argument is None:
+        return CarosacError(str(event.message))
+    flag = _spelling(event.argument)
+    return InvalidField(flag, _written(flag, words), str(event.message))
+
+
+_ANSWERS: dict[str, Callable[[Any, type, list[str]], CarosacError]] = {
+    "UnrecognizedArgs": _unrecognized,
+    "MissingArgs": _missing,
+    "BadValue": _bad_value,
+    "InvalidChoice": _invalid_choice,
+    "InstantiationFailure": _failure,
+}
+
+
+def _spelling(argument: Any) -> str:
+    """How users write an option; a positional argument goes by its metavar."""
+    if argument.is_positional():
+        return str(argument.lowered.metavar)
+    return str(argument.lowered.name_or_flags[-1])
+
+
+def _written(flag: str, words: list[str]) -> str:
+    """What the user wrote for an option."""
+    for k, word in enumerate(words):
+        if word == flag and k + 1 < len(words):
+            return repr(words[k + 1])
+        if word.startswith(f"{flag}="):
+            return repr(word.partition("=")[2])
+    return "a value"
+
+
+def _positionals(options: type) -> set[str]:
+    """Flags that fields would have if they were no positional arguments."""
+    marker = get_args(tyro.conf.Positional[int])[1]
+    hints = get_type_hints(options, include_extras=True)
+    return {
+        f"--{name.replace('_', '-')}" for name, hint in hints.items() if marker in get_args(hint)
+    }

@@ -1,0 +1,163 @@
+"""The text of ``carosac check``: the robot, its tables and how it hangs at home."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.cli.common import format_table
+from carosac_toolkit.robot_report import RobotReport
+
+if TYPE_CHECKING:
+    from carosac_toolkit.robot_schema import Payload, Platform
+
+
+def describe(report: RobotReport) -> Iterator[str]:
+    """Describe the robot, line by line.
+
+    Args:
+        report: The robot and how it hangs at home.
+    """
+    robot = report.robot
+    suspended = "suspended" if report.suspended else "not suspended: cables pull down as well"
+    moments = np.linalg.eigvalsh(robot.inertia)
+    yield f"{robot.name}: {robot.description}"
+    yield f"licence: {robot.licence}"
+    yield ""
+    yield f"cables      {robot.n}, {report.constraint}, {suspended}"
+    yield (
+        f"platform    {robot.mass:g} kg ({robot.weight:.1f} N), centre of mass "
+        f"{_vector(robot.center_of_mass)} m, principal inertia {_vector(moments)} kg m^2"
+    )
+    yield (
+        f"workspace   {_vector(robot.workspace_min)} to {_vector(robot.workspace_max)} m "
+        "(positions of the platform origin)"
+    )
+    yield (
+        f"winches     speed {_range(robot.speed_max)} m/s, acceleration "
+        f"{_range(robot.acceleration_max)} m/s^2, lag {_range(robot.winch_lag)} s, length "
+        f"{_range(np.append(robot.length_min, robot.length_max))} m"
+    )
+    for table in (_payload_table, _point_table, _pulley_table, _cable_table):
+        text = table(report)
+        if text:
+            yield f"\n{text}"
+    yield ""
+    yield from _home(report)
+    yield ""
+    yield "where the numbers come from:"
+    yield from (f"  {field}: {source}" for field, source in robot.provenance.items())
+
+
+def _payload_table(report: RobotReport) -> str:
+    """The bodies that make up the platform; empty without payloads."""
+    if report.file is None or not report.file.platform.payloads:
+        return ""
+    platform = report.file.platform
+    bodies: list[tuple[str, Platform | Payload]]
+    bodies = [("bare platform", platform), *((body.name, body) for body in platform.payloads)]
+    rows = [
+        (
+            name,
+            float(body.mass),
+            _vector(body.center_of_mass),
+            _vector(np.linalg.eigvalsh(np.array(body.inertia))),
+        )
+        for name, body in bodies
+    ]
+    return format_table(
+        ("body", "mass [kg]", "centre of mass [m]", "principal inertia [kg m^2]"), rows
+    )
+
+
+def _point_table(report: RobotReport) -> str:
+    """Where each cable begins and ends."""
+    robot = report.robot
+    header = ("cable", "exit point in W [m]", "anchor point in P [m]")
+    ends = zip(robot.cable_names, robot.exit_points, robot.anchor_points, strict=True)
+    return format_table(header, [(name, _vector(a), _vector(b)) for name, a, b in ends])
+
+
+def _pulley_table(report: RobotReport) -> str:
+    """The pulleys and how the cables go round them; empty without pulleys."""
+    robot = report.robot
+    header = (
+        "cable", "pulley radius [mm]", "swivel axis in W", "cable comes from",
+        "straight run begins at [m]", "wrap at home [deg]",
+    )  # fmt: skip
+    rows = [
+        (
+            robot.cable_names[i],
+            float(robot.pulley_radius[i]) * 1e3,
+            _vector(robot.swivel_axis[i]),
+            _side(-robot.swivel_axis[i]),
+            _vector(robot.exit_points[i] - robot.run_length[i] * robot.swivel_axis[i]),
+            f"{np.degrees(report.wrap[i]):.1f}" if report.straight.valid[0, i] else "-",
+        )
+        for i in np.flatnonzero(robot.pulley_radius > 0.0)
+    ]
+    return format_table(header, rows) if rows else ""
+
+
+def _side(direction: Array) -> str:
+    """Name a direction in W."""
+    axis = int(np.argmax(np.abs(direction)))
+    up = direction[axis] > 0.0
+    if axis == 2:
+        word = "above" if up else "below"
+    else:
+        word = f"the {'+' if up else '-'}{'xy'[axis]} side"
+    return word if abs(direction[axis]) > 0.98 else f"mostly {word}"
+
+
+def _cable_table(report: RobotReport) -> str:
+    """One row per cable; the last three columns at home."""
+    robot, home = report.robot, report.equilibrium
+    header = (
+        "cable", "EA [kN]", "[g/m]", "run [m]", "limits [N]", "unstrained [m]", "tension [N]",
+        "sag [mm]",
+    )  # fmt: skip
+    rows = [
+        (
+            name,
+            float(robot.axial_stiffness[i]) / 1e3,
+            float(robot.linear_density[i]) * 1e3,
+            float(robot.run_length[i]),
+            f"{robot.tension_min[i]:g} to {robot.tension_max[i]:g}",
+            f"{home.unstrained_length[0, i]:.4f}" if home.converged[0] else "-",
+            f"{home.tension[0, i]:.2f}" if home.converged[0] else "-",
+            f"{report.sag[i] * 1e3:.2f}" if home.converged[0] else "-",
+        )
+        for i, name in enumerate(robot.cable_names)
+    ]
+    return format_table(header, rows)
+
+
+def _home(report: RobotReport) -> Iterator[str]:
+    """Describe the equilibrium at home."""
+    home = report.equilibrium
+    if not home.converged[0]:
+        yield f"at home     {_vector(report.robot.home_position)} m: no equilibrium"
+        return
+    yield (
+        f"at home     {_vector(home.position[0])} m, tilt {np.degrees(report.tilt):.2f} deg, "
+        f"{'stable' if home.stable[0] else 'NOT STABLE'}, residual {home.residual[0]:.1e} N"
+    )
+    frequencies = ", ".join(f"{value:.3g}" for value in report.frequencies)
+    yield f"natural frequencies at home [Hz]: {frequencies}"
+    if (report.frequencies < 0.0).any():
+        yield "  negative: this motion does not oscillate, it grows; so the robot leaves home"
+
+
+def _vector(values: Iterable[float]) -> str:
+    """Write a vector."""
+    return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"
+
+
+def _range(values: Array) -> str:
+    """Write one number, or the range of several."""
+    low, high = float(np.min(values)), float(np.max(values))
+    return f"{low:g}" if low == high else f"{low:g} to {high:g}"

@@ -1,0 +1,102 @@
+"""No command overwrites what it reads, writes two things to one path, or fails to write at the end.
+
+Works on the fields of any ``Options``: each of type `Path` is an output, a folder where its metavar
+is DIR; each text that is the path of something there is an input.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import Field, fields
+from pathlib import Path
+from typing import Any, NamedTuple, get_args, get_type_hints
+
+from carosac_toolkit.cli.common import check_writable, try_folder
+from carosac_toolkit.errors import InvalidField
+
+
+class _Named(NamedTuple):
+    """A path and the option or argument that gave it."""
+
+    option: str
+    path: Path
+    folder: bool = False
+
+
+def check_outputs(options: Any) -> None:
+    """Check every output of a command before it does anything.
+
+    Args:
+        options: Instance of the command's ``Options``.
+
+    Raises:
+        InvalidField: An output is an input, is given twice, or cannot be written.
+    """
+    hints = get_type_hints(type(options), include_extras=True)
+    outputs = [found for f in fields(options) for found in _outputs(f, hints[f.name], options)]
+    inputs = [found for f in fields(options) for found in _inputs(f, hints[f.name], options)]
+    for k, output in enumerate(outputs):
+        _check_clash(output, inputs, outputs[:k])
+        if output.folder:
+            _check_folder(output)
+        else:
+            check_writable(output.option, output.path)
+
+
+def _check_clash(output: _Named, inputs: Sequence[_Named], earlier: Sequence[_Named]) -> None:
+    """Refuse an output that is read as well, or written twice."""
+    for other in inputs:
+        if _same(output.path, other.path):
+            allowed = f"another path; {other.option} is read from this one"
+            raise InvalidField(output.option, f"'{output.path}'", allowed)
+    for other in earlier:
+        if _same(output.path, other.path):
+            allowed = f"another path; {other.option} is written to this one"
+            raise InvalidField(output.option, f"'{output.path}'", allowed)
+
+
+def _check_folder(output: _Named) -> None:
+    """Refuse an output folder that cannot be made or written."""
+    existing = output.path
+    while not os.path.lexists(existing) and existing != existing.parent:
+        existing = existing.parent
+    if not os.path.isdir(existing):
+        allowed = f"a folder; {existing} is a file" if os.path.exists(existing) else "a folder"
+        raise InvalidField(output.option, f"'{output.path}'", allowed)
+    try_folder(output.option, output.path, existing)
+
+
+def _same(one: Path, other: Path) -> bool:
+    """Whether two paths lead to one place, through links and whether it is there or not."""
+    try:
+        return os.path.samefile(one, other)
+    except OSError:
+        return os.path.realpath(one) == os.path.realpath(other)
+
+
+def _outputs(field: Field[Any], hint: Any, options: Any) -> Iterator[_Named]:
+    """The output that a field holds."""
+    value = getattr(options, field.name)
+    if isinstance(value, Path):
+        folder = any(getattr(part, "metavar", None) == "DIR" for part in get_args(hint))
+        yield _Named(_spelling(field, hint), value, folder)
+
+
+def _inputs(field: Field[Any], hint: Any, options: Any) -> Iterator[_Named]:
+    """The inputs that a field holds; a name of something bundled is none."""
+    value = getattr(options, field.name)
+    for text in value if isinstance(value, list | tuple) else [value]:
+        if isinstance(text, str) and os.path.exists(text):
+            yield _Named(_spelling(field, hint), Path(text))
+
+
+def _spelling(field: Field[Any], hint: Any) -> str:
+    """How users write an option; a positional argument goes by its metavar."""
+    from tyro.conf import Positional
+
+    marker = get_args(Positional[int])[1]
+    if marker in get_args(hint):
+        metavars = [getattr(part, "metavar", None) for part in get_args(hint)]
+        return next((name for name in metavars if name), field.name.upper())
+    return "--" + field.name.replace("_", "-")

@@ -1,0 +1,199 @@
+"""What every controller must do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.conformance.scenes import (
+    Playback,
+    make_scene,
+    other_robot,
+    stacked,
+    wide_numbers,
+)
+from carosac_toolkit.conformance.verdicts import (
+    BATCH_TOLERANCE,
+    SEED,
+    Check,
+    Factory,
+    only_clear_errors,
+    refuses,
+    require,
+    require_close,
+    require_same,
+)
+from carosac_toolkit.loop import run
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Belief, Command, Measurement, Reference
+
+
+def period_and_horizon(factory: Factory, robot: Robot) -> None:
+    """`period` is positive and finite, `horizon` finite and not negative."""
+    controller = factory(robot, seed=SEED)
+    for name, allowed in (("period", "> 0"), ("horizon", ">= 0")):
+        value = getattr(controller, name, None)
+        number = isinstance(value, float | int) and not isinstance(value, bool)
+        good = number and np.isfinite(value) and (value > 0.0 or (value == 0.0 and "=" in allowed))
+        require(good, f"{name}: got {value!r}; allowed: a finite number of seconds {allowed}")
+
+
+def command_fits(factory: Factory, robot: Robot) -> None:
+    """It returns a `Command` of its belief's time, with one positive length per cable."""
+    scene = make_scene(robot)
+    controller = factory(robot, seed=SEED)
+    controller.reset(scene.beliefs[0])
+    references = scene.references(controller.period, controller.horizon)
+    for belief, reference in zip(scene.beliefs, references, strict=True):
+        with only_clear_errors("command()"):
+            command = controller.command(belief, reference)
+        require(isinstance(command, Command), f"command(): got {_kind(command)}; allowed: Command")
+        shape = command.unstrained_length.shape
+        require(shape == (1, robot.n), f"command(): got lengths of shape {shape}; "
+                f"allowed: {(1, robot.n)}")  # fmt: skip
+        low = float(command.unstrained_length.min())
+        require(low > 0.0, f"command(): got a length of {low} m; allowed: > 0 m")
+        require(np.array_equal(command.time, belief.time), f"command().time: got {command.time}; "
+                f"allowed: {belief.time}, that of the belief")  # fmt: skip
+
+
+def reset_forgets(factory: Factory, robot: Robot) -> None:
+    """After `reset` the same inputs give the same commands, bit by bit."""
+    controller = factory(robot, seed=SEED)
+    first = _commands(controller, robot)
+    again = _commands(controller, robot)
+    require_same(first, again, "reset(): the same inputs gave other commands than before")
+
+
+def same_seed_same_commands(factory: Factory, robot: Robot) -> None:
+    """Two made with the same seed agree, whatever else draws random numbers."""
+    one = _commands(factory(robot, seed=SEED), robot)
+    np.random.random(7)  # noqa: NPY002 - somebody else's draw
+    other = _commands(factory(robot, seed=SEED), robot)
+    require_same(one, other, "seed: two controllers made with the same seed disagreed")
+
+
+def extremes_stay_finite(factory: Factory, robot: Robot) -> None:
+    """Far, fast and turned inputs give finite lengths or a clear error."""
+    scene = make_scene(robot)
+    controller = factory(robot, seed=SEED)
+    calm = scene.references(controller.period, controller.horizon)[0]
+    start = scene.beliefs[0]
+    upside_down = np.diag([1.0, -1.0, -1.0])[None]
+    fast = np.full((1, 6), 50.0)
+    beliefs = (
+        replace(start, position=start.position + 1e3),
+        replace(start, rotation=upside_down, twist=fast),
+        replace(start, time=start.time + 1e6),
+        replace(start, position=robot.exit_points[:1] - robot.anchor_points[:1]),
+    )
+    references = (
+        calm,
+        replace(calm, position=calm.position + 1e3, velocity=calm.velocity + 1e3),
+        replace(calm, position=calm.position * 0.0 + robot.exit_points[0]),
+        replace(calm, acceleration=calm.acceleration - 1e4),
+    )
+    for belief in beliefs:
+        for reference in references:
+            with wide_numbers():
+                refuses("extreme but valid input", lambda b=belief, r=reference: _once(
+                    controller, b, r))  # fmt: skip
+
+
+def bare_belief_is_enough(factory: Factory, robot: Robot) -> None:
+    """A belief of a pose alone works, or what is missing is said."""
+    scene = make_scene(robot)
+    controller = factory(robot, seed=SEED)
+    reference = scene.references(controller.period, controller.horizon)[0]
+    refuses("a belief without twist, covariance, tension and memory",
+            lambda: _once(controller, scene.beliefs[0], reference))  # fmt: skip
+
+
+def other_robot_refused(factory: Factory, robot: Robot) -> None:
+    """One made for another number of cables ends in a clear error, in the loop at the latest."""
+    scene = make_scene(robot)
+
+    def misuse() -> None:
+        controller = factory(other_robot(robot), seed=SEED)
+        estimator = _Fixed(scene.beliefs[0])
+        run(Playback(scene.measurements), estimator, controller, scene.path, duration=0.1)
+
+    refused = refuses(f"a robot of {robot.n + 1} cables", misuse)
+    require(refused, f"made for {robot.n + 1} cables, it commanded {robot.n}")
+
+
+def batch_equals_loop(factory: Factory, robot: Robot) -> None:
+    """A batch of two gives what two batches of one give, or is refused."""
+    scene = make_scene(robot)
+    period, horizon = (getattr(factory(robot, seed=SEED), x) for x in ("period", "horizon"))
+    references = scene.references(period, horizon)
+    pairs = [(scene.beliefs[k], references[k]) for k in (1, 3)]
+    (one, ahead), (other, further) = pairs
+    both = Belief(
+        time=np.concatenate([one.time, other.time]),
+        position=np.concatenate([one.position, other.position]),
+        rotation=np.concatenate([one.rotation, other.rotation]),
+    )
+    together: list[Array] = []
+
+    def batched() -> None:
+        command = _once(factory(robot, seed=SEED), both, stacked(ahead, further))
+        together.append(command.unstrained_length)
+
+    if refuses("a batch of two", batched):
+        return
+    alone = [_once(factory(robot, seed=SEED), *pair).unstrained_length for pair in pairs]
+    message = "a batch of two and two batches of one"
+    require_close(together[0], np.concatenate(alone), message, BATCH_TOLERANCE)
+
+
+CONTROLLER_CHECKS: dict[str, Check] = {
+    check.__name__: check
+    for check in (
+        period_and_horizon,
+        command_fits,
+        reset_forgets,
+        same_seed_same_commands,
+        extremes_stay_finite,
+        bare_belief_is_enough,
+        other_robot_refused,
+        batch_equals_loop,
+    )
+}
+
+
+class _Fixed:
+    """An estimator that always believes the same."""
+
+    def __init__(self, belief: Belief) -> None:
+        self._belief = belief
+
+    def reset(self, measurement: Measurement) -> Belief:
+        return replace(self._belief, time=measurement.time)
+
+    def update(self, belief: Belief, command: Command, measurement: Measurement) -> Belief:
+        return self.reset(measurement)
+
+
+def _once(controller: Any, belief: Belief, reference: Reference) -> Command:
+    """One command after a reset."""
+    controller.reset(belief)
+    command: Command = controller.command(belief, reference)
+    return command
+
+
+def _commands(controller: Any, robot: Robot) -> list[Array]:
+    """Lengths along a scene, after a reset."""
+    scene = make_scene(robot)
+    controller.reset(scene.beliefs[0])
+    references = scene.references(controller.period, controller.horizon)
+    pairs = zip(scene.beliefs, references, strict=True)
+    return [np.array(controller.command(b, r).unstrained_length) for b, r in pairs]
+
+
+def _kind(value: object) -> str:
+    """Name of a value's type."""
+    return type(value).__name__

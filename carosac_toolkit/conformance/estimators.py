@@ -1,0 +1,187 @@
+"""What every estimator must do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.conformance.scenes import Playback, make_scene, other_robot, wide_numbers
+from carosac_toolkit.conformance.verdicts import (
+    BATCH_TOLERANCE,
+    SEED,
+    Check,
+    Factory,
+    only_clear_errors,
+    refuses,
+    require,
+    require_close,
+    require_same,
+)
+from carosac_toolkit.loop import run
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Belief, Command, Measurement, Reference
+
+
+def belief_fits(factory: Factory, robot: Robot) -> None:
+    """It returns a `Belief` of the measurement's time and batch, all finite."""
+    estimator = factory(robot, seed=SEED)
+    for belief, measurement in _beliefs(estimator, make_scene(robot).measurements):
+        kind = type(belief).__name__
+        require(isinstance(belief, Belief), f"got {kind}; allowed: Belief")
+        size = len(belief.position)
+        require(size == 1, f"got {size} poses from one measurement; allowed: 1")
+        same = np.array_equal(belief.time, measurement.time)
+        require(same, f"time: got {belief.time}; allowed: {measurement.time}, as measured")
+        if belief.tension is not None:
+            shape = np.shape(belief.tension)
+            require(shape == (1, robot.n), f"tension: got shape {shape}; allowed: {(1, robot.n)}")
+            require(np.isfinite(belief.tension).all(), "tension: got a number that is not finite")
+
+
+def reset_forgets(factory: Factory, robot: Robot) -> None:
+    """After `reset` the same measurements give the same beliefs, bit by bit."""
+    estimator = factory(robot, seed=SEED)
+    measurements = make_scene(robot).measurements
+    first = _poses(estimator, measurements)
+    again = _poses(estimator, measurements)
+    require_same(first, again, "reset(): the same measurements gave other beliefs than before")
+
+
+def same_seed_same_beliefs(factory: Factory, robot: Robot) -> None:
+    """Two made with the same seed agree, whatever else draws random numbers."""
+    measurements = make_scene(robot).measurements
+    one = _poses(factory(robot, seed=SEED), measurements)
+    np.random.random(7)  # noqa: NPY002 - somebody else's draw
+    other = _poses(factory(robot, seed=SEED), measurements)
+    require_same(one, other, "seed: two estimators made with the same seed disagreed")
+
+
+def extremes_stay_finite(factory: Factory, robot: Robot) -> None:
+    """Impossible lengths, repeated and late measurements give finite beliefs or a clear error."""
+    first = make_scene(robot).measurements[0]
+    lengths = first.unstrained_length
+    strange = (
+        replace(first, time=first.time + 0.02, unstrained_length=lengths * 0.0 + 1e-3),
+        replace(first, time=first.time + 0.02, unstrained_length=lengths * 1e3),
+        replace(first, time=first.time + 0.02, unstrained_length=lengths * [[0.5] + [2.0] * (
+            robot.n - 1)]),
+        first,
+        replace(first, time=first.time + 1e6),
+    )  # fmt: skip
+    for measurement in strange:
+        estimator = factory(robot, seed=SEED)
+        for series in ((first, measurement), (measurement,)):
+            with wide_numbers():
+                refuses("extreme but valid measurement",
+                        lambda s=series, e=estimator: _finite(_beliefs(e, s)))  # fmt: skip
+
+
+def other_robot_refused(factory: Factory, robot: Robot) -> None:
+    """A measurement of another number of cables ends in a clear error."""
+    lengths = make_scene(robot).measurements[0].unstrained_length
+    measurement = Measurement(time=np.zeros(1), unstrained_length=np.c_[lengths, lengths[:, -1:]])
+
+    def misuse() -> None:
+        factory(robot, seed=SEED).reset(measurement)
+
+    refused = refuses(f"lengths of {robot.n + 1} cables", misuse)
+    require(refused, f"made for {robot.n} cables, it took lengths of {robot.n + 1}")
+
+
+def lengths_are_enough(factory: Factory, robot: Robot) -> None:
+    """It runs on a driver that measures lengths alone and knows no truth, or says what it lacks."""
+    scene = make_scene(robot)
+
+    def live() -> None:
+        run(Playback(scene.measurements), factory(robot, seed=SEED), _Hold(), scene.path)
+
+    refuses("a driver without truth, poses, tensions and IMU", live)
+
+
+def batch_equals_loop(factory: Factory, robot: Robot) -> None:
+    """A batch of two gives what two batches of one give, or is refused."""
+    measurements = make_scene(robot).measurements
+    series = (measurements[:3], measurements[1:4])
+    both = tuple(
+        Measurement(
+            time=np.concatenate([a.time, a.time]),
+            unstrained_length=np.concatenate([a.unstrained_length, b.unstrained_length]),
+        )
+        for a, b in zip(*series, strict=True)
+    )
+    together: list[Array] = []
+
+    def batched() -> None:
+        together.extend(_poses(factory(robot, seed=SEED), both))
+
+    if refuses("a batch of two", batched):
+        return
+    late = tuple(replace(b, time=a.time) for a, b in zip(*series, strict=True))
+    alone = [_poses(factory(robot, seed=SEED), row) for row in (series[0], late)]
+    message = "a batch of two and two batches of one"
+    for pair, one, other in zip(together, *alone, strict=True):
+        require_close(pair, np.concatenate([one, other]), message, BATCH_TOLERANCE)
+
+
+ESTIMATOR_CHECKS: dict[str, Check] = {
+    check.__name__: check
+    for check in (
+        belief_fits,
+        reset_forgets,
+        same_seed_same_beliefs,
+        extremes_stay_finite,
+        other_robot_refused,
+        lengths_are_enough,
+        batch_equals_loop,
+    )
+}
+
+
+class _Hold:
+    """A controller that holds still: it needs no more than a belief."""
+
+    period = 0.02
+    horizon = 0.0
+
+    def reset(self, belief: Belief) -> None:
+        self._length: Array | None = None
+
+    def command(self, belief: Belief, reference: Reference) -> Command:
+        n = 0 if belief.tension is None else belief.tension.shape[1]
+        return Command(time=belief.time, unstrained_length=np.ones((1, n)))
+
+
+def _beliefs(
+    estimator: Any, measurements: tuple[Measurement, ...]
+) -> list[tuple[Belief, Measurement]]:
+    """Beliefs after a reset, with what they were made from; commands are the lengths measured."""
+    found: list[tuple[Belief, Measurement]] = []
+    with only_clear_errors("reset() and update()"):
+        for measurement in measurements:
+            command = Command(
+                time=measurement.time, unstrained_length=measurement.unstrained_length
+            )
+            if not found:
+                belief = estimator.reset(measurement)
+            else:
+                belief = estimator.update(found[-1][0], command, measurement)
+            found.append((belief, measurement))
+    return found
+
+
+def _poses(estimator: Any, measurements: tuple[Measurement, ...]) -> list[Array]:
+    """Position and rotation at each step, shape (B, 12)."""
+    return [
+        np.concatenate([belief.position, belief.rotation.reshape(-1, 9)], axis=1)
+        for belief, _ in _beliefs(estimator, measurements)
+    ]
+
+
+def _finite(beliefs: list[tuple[Belief, Measurement]]) -> None:
+    """Look at what `Belief` itself does not check."""
+    for belief, _ in beliefs:
+        finite = belief.tension is None or bool(np.isfinite(belief.tension).all())
+        require(finite, "extreme but valid measurement: tension: got a number that is not finite")

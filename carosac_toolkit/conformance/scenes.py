@@ -1,0 +1,136 @@
+"""Small worlds that checks happen in: made of statics and a line, without any driver."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from carosac_toolkit import trajectories
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics import statics
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.trajectories import Trajectory
+from carosac_toolkit.values import Belief, Command, Measurement, Reference
+
+STEPS = 5
+PERIOD = 0.02  # [s], where the plug-in does not say
+PER_CABLE = (
+    "exit_points", "exit_covariance", "pulley_radius", "swivel_axis", "run_length",
+    "anchor_points", "linear_density", "axial_stiffness", "axial_damping", "cable_diameter",
+    "tension_min", "tension_max", "speed_max", "acceleration_max", "winch_lag", "length_min",
+    "length_max", "drum_radius", "drum_buildup",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """A platform that follows a slow line, seen at `STEPS` times.
+
+    Attributes:
+        path: From home a little into the workspace.
+        beliefs: Where a perfect estimator would believe it to be, a few millimetres off.
+        measurements: Of its cable lengths alone.
+    """
+
+    path: Trajectory
+    beliefs: tuple[Belief, ...]
+    measurements: tuple[Measurement, ...]
+
+    def references(self, period: float, horizon: float) -> list[Reference]:
+        """What a controller sees ahead at each step."""
+        return [self.path.window(float(b.time[0]), horizon, period) for b in self.beliefs]
+
+
+def make_scene(robot: Robot, *, offset: float = 0.003) -> Scene:
+    """Make a scene near home.
+
+    Args:
+        robot: Robot description.
+        offset: How far the beliefs are off along each axis [m].
+
+    Raises:
+        InvalidField: The robot cannot rest there, so that nothing can be checked with it.
+    """
+    home = robot.home_position
+    reach = 0.1 * (robot.workspace_max - robot.workspace_min)
+    towards = np.where(home + reach < robot.workspace_max, reach, -reach)
+    path = trajectories.line(home, home + towards, speed_max=0.3, acceleration_max=0.3)
+    time = np.linspace(0.0, 0.9 * path.duration, STEPS)
+    rest = statics.inverse_kinematics(robot, path.sample(time).position)
+    if not rest.converged.all():
+        raise InvalidField("robot", robot.name, "a robot that can rest at home and near it")
+    rows = [slice(k, k + 1) for k in range(STEPS)]
+    return Scene(
+        path=path,
+        beliefs=tuple(
+            Belief(time=time[k], position=rest.position[k] + offset, rotation=rest.rotation[k])
+            for k in rows
+        ),
+        measurements=tuple(
+            Measurement(time=time[k], unstrained_length=rest.unstrained_length[k]) for k in rows
+        ),
+    )
+
+
+def other_robot(robot: Robot) -> Robot:
+    """The same robot with one cable more, beside the last one."""
+    changed = {
+        name: np.concatenate([value, value[-1:]])
+        for name in PER_CABLE
+        if (value := getattr(robot, name)) is not None
+    }
+    changed["exit_points"][-1] += [0.1, 0.0, 0.0]
+    names = (*robot.cable_names, "one_more")
+    return replace(robot, name=f"{robot.name}+1", cable_names=names, **changed)
+
+
+def stacked(one: Reference, other: Reference) -> Reference:
+    """Two references as a batch of two."""
+    names = ("time", "position", "velocity", "acceleration")
+    return Reference(
+        **{name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in names}
+    )
+
+
+@contextmanager
+def wide_numbers() -> Iterator[None]:
+    """Let numpy overflow or divide in silence; what comes out is looked at instead."""
+    with np.errstate(all="ignore"):
+        yield
+
+
+class Playback:
+    """A driver that measures given lengths, obeys nothing and knows no truth."""
+
+    def __init__(self, measurements: tuple[Measurement, ...]) -> None:
+        self._measurements = measurements
+        self._index = 0
+        self.sent: list[Array] = []
+
+    def connect(self) -> None:
+        """Go to the first one."""
+        self._index = 0
+
+    def measure(self) -> Measurement:
+        """The one of this cycle."""
+        return self._measurements[self._index]
+
+    def command(self, command: Command) -> Command:
+        """Note the command."""
+        self.sent.append(command.unstrained_length)
+        return command
+
+    def wait(self, duration: float) -> bool:
+        """Go to the next one."""
+        self._index += 1
+        return self._index < len(self._measurements)
+
+    def stop(self, reason: str) -> None:
+        """Nothing moves."""
+
+    def close(self) -> None:
+        """Nothing is held."""

@@ -1,0 +1,1 @@
+"""Drivers: what can be measured and commanded, simulated, recorded or real."""

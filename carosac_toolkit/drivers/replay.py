@@ -1,0 +1,121 @@
+"""A recording as a driver: it measures what was measured and sends what was sent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.recording import Recording, load_recording
+from carosac_toolkit.recordings.bundled import find_recording
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Command, Measurement, State
+
+SUITES = ("lengths", "lengths+imu", "lengths+pose", "lengths+imu+pose")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplaySettings:
+    """Settings of `ReplayDriver`.
+
+    Attributes:
+        recording: A file, or the name of a bundled recording.
+        suite: What of the recording `Measurement` carries; length rates and tensions always.
+    """
+
+    recording: str = "synthetic"
+    suite: str = "lengths+imu"
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown suite."""
+        if self.suite not in SUITES:
+            raise InvalidField("suite", repr(self.suite), f"one of {list(SUITES)}")
+
+
+class ReplayDriver:
+    """Steps sample by sample; a command changes nothing and the recorded one is returned.
+
+    What the recording has as poses is its truth.
+    """
+
+    Settings: ClassVar = ReplaySettings
+    replays: ClassVar = True
+
+    def __init__(self, robot: Robot, recording: Recording, settings: ReplaySettings) -> None:
+        recording.require_cables(robot)
+        self._recording = recording
+        self._settings = settings
+        self._index: int | None = None
+
+    @classmethod
+    def build(
+        cls, robot: Robot, settings: ReplaySettings | None = None, *, seed: int = 0
+    ) -> ReplayDriver:
+        """Load the recording; nothing here is random, so `seed` has no effect."""
+        chosen = settings or ReplaySettings()
+        return cls(robot, load_recording(find_recording(chosen.recording)), chosen)
+
+    def connect(self) -> None:
+        """Go to the first sample."""
+        self._index = 0
+
+    def measure(self) -> Measurement:
+        """The sample of this cycle."""
+        index = self._here()
+        measurement = self._recording.measurement(index)
+        suite = self._settings.suite
+        if "imu" not in suite:
+            measurement = replace(measurement, imu=None)
+        if "pose" not in suite:
+            return measurement
+        found = self._recording.pose_at(self._recording.time[index : index + 1])
+        return replace(measurement, pose=found.pose if found.valid[0] else None)
+
+    def command(self, command: Command) -> Command:
+        """Return the command that was recorded for this cycle, or the lengths if none was."""
+        index = self._here()
+        shape = (1, self._recording.n)
+        if command.unstrained_length.shape != shape:
+            got = f"shape {command.unstrained_length.shape}"
+            raise InvalidField("unstrained_length", got, f"shape {shape}")
+        time = self._recording.time[index : index + 1]
+        recorded = self._recording.unstrained_length[index]
+        channel = self._recording.command
+        if channel is not None:
+            newest = int(np.searchsorted(channel.time, time[0] + 1e-9, side="right")) - 1
+            recorded = channel.value[max(newest, 0)]
+        return Command(time=time, unstrained_length=recorded[None])
+
+    def wait(self, duration: float) -> bool:
+        """Go to the next sample, however long that took; False after the last one."""
+        index = self._here() + 1
+        if index >= len(self._recording.time):
+            return False
+        self._index = index
+        return True
+
+    def stop(self, reason: str) -> None:
+        """Nothing moves."""
+
+    def close(self) -> None:
+        """Let go."""
+        self._index = None
+
+    def truth(self) -> State | None:
+        """The recorded pose of this sample, or None where there is none."""
+        index = self._here()
+        time = self._recording.time[index : index + 1]
+        if self._recording.poses is None:
+            return None
+        found = self._recording.pose_at(time)
+        if not found.valid[0]:
+            return None
+        return State(time=time, position=found.pose.position, rotation=found.pose.rotation)
+
+    def _here(self) -> int:
+        """Index of the sample."""
+        if self._index is None:
+            raise CarosacError("replay: not connected; call connect() first")
+        return self._index

@@ -1,0 +1,232 @@
+"""The one loop: measure, update, control, command, wait; time is the driver's."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.protocols import Controller, Driver, Estimator, TruthSource
+from carosac_toolkit.trajectories import Trajectory
+from carosac_toolkit.values import Belief, Command, LimitHit, Measurement, Reference, State
+
+
+class BadPlugin(CarosacError):
+    """A controller or estimator that returned something the loop cannot use."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Step:
+    """One cycle of the loop.
+
+    Attributes:
+        measurement: What the sensors said.
+        belief: What the estimator made of it.
+        reference: What the platform should do, now and ahead, by the driver's clock.
+        asked: What the controller asked for.
+        command: What was really sent.
+        truth: The state at the same time, where the driver knows it.
+        latency: Wall time of estimator and controller together [s].
+    """
+
+    measurement: Measurement
+    belief: Belief
+    reference: Reference
+    asked: Command
+    command: Command
+    truth: State | None
+    latency: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Log:
+    """What happened in T cycles of B worlds with n cables.
+
+    Attributes:
+        time: By the driver's clock, from the first measurement [s], shape (T,).
+        reference: Platform origin that was asked for in W [m], shape (T, B, 3).
+        position: True platform origin in W [m], shape (T, B, 3); None where nobody knows it.
+        rotation: True rotation from P to W, shape (T, B, 3, 3), or None.
+        tension: True tension at the platform [N], shape (T, B, n), or None.
+        belief_position: Believed platform origin in W [m], shape (T, B, 3).
+        belief_rotation: Believed rotation, shape (T, B, 3, 3).
+        unstrained_length: Measured [m], shape (T, B, n).
+        asked: Unstrained lengths that the controller asked for [m], shape (T, B, n).
+        command: Unstrained lengths really sent [m], shape (T, B, n).
+        latency: Wall time of estimator and controller per cycle [s], shape (T,).
+        limited: Every limit that changed a command, with the index of its cycle.
+        completed: Whether the driver went on to the end.
+    """
+
+    time: Array
+    reference: Array
+    position: Array | None
+    rotation: Array | None
+    tension: Array | None
+    belief_position: Array
+    belief_rotation: Array
+    unstrained_length: Array
+    asked: Array
+    command: Array
+    latency: Array
+    limited: tuple[tuple[int, LimitHit], ...]
+    completed: bool
+
+
+def run(
+    driver: Driver,
+    estimator: Estimator,
+    controller: Controller,
+    trajectory: Trajectory,
+    *,
+    duration: float | None = None,
+) -> Log:
+    """Run one controller and one estimator on one driver along one trajectory.
+
+    The driver is connected, stopped and closed here, also when something fails.
+
+    Args:
+        driver: Simulated, recorded or real.
+        estimator: Sees applied commands and measurements only.
+        controller: Its `period` is the cycle time.
+        trajectory: Starts at the driver's first measurement.
+        duration: How long [s]; None: to the end of the trajectory and one second of rest.
+
+    Returns:
+        The log of all cycles.
+
+    Raises:
+        BadPlugin: The estimator or controller returned a wrong shape or a number that is not
+            finite; the driver was stopped.
+        InvalidField: A period, horizon or duration that is not positive.
+    """
+    period = _positive("controller.period", controller.period)
+    total = trajectory.duration + 1.0 if duration is None else _positive("duration", duration)
+    count = max(1, round(total / period))
+    steps: list[Step] = []
+    reason = "end of the trajectory"
+    try:
+        driver.connect()
+        alive = _cycles(driver, estimator, controller, trajectory, count, steps)
+        reason = reason if alive else "end of data"
+    except BaseException as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise
+    finally:
+        try:
+            driver.stop(reason)
+        finally:
+            driver.close()
+    return _log(steps, alive)
+
+
+def _cycles(
+    driver: Driver,
+    estimator: Estimator,
+    controller: Controller,
+    trajectory: Trajectory,
+    count: int,
+    steps: list[Step],
+) -> bool:
+    """Run `count` cycles; False where the driver ended earlier."""
+    measurement = driver.measure()
+    start = float(measurement.time[0])
+    applied = Command(time=measurement.time, unstrained_length=measurement.unstrained_length)
+    belief: Belief | None = None
+    for k in range(count):
+        if k > 0:
+            measurement = driver.measure()
+        truth = driver.truth() if isinstance(driver, TruthSource) else None
+        now = float(measurement.time[0]) - start
+        reference = _reference(trajectory, controller, now, start)
+        began = time.perf_counter()
+        if belief is None:
+            belief = _checked_belief(estimator.reset(measurement), measurement)
+            controller.reset(belief)
+        else:
+            belief = _checked_belief(estimator.update(belief, applied, measurement), measurement)
+        asked = _checked_command(controller.command(belief, reference), measurement)
+        latency = time.perf_counter() - began
+        applied = driver.command(asked)
+        steps.append(
+            Step(
+                measurement=measurement,
+                belief=belief,
+                reference=reference,
+                asked=asked,
+                command=applied,
+                truth=truth,
+                latency=latency,
+            )
+        )
+        if not driver.wait(controller.period):
+            return k == count - 1
+    return True
+
+
+def _reference(
+    trajectory: Trajectory, controller: Controller, now: float, start: float
+) -> Reference:
+    """Window of the trajectory `now` seconds after its start, by the driver's clock."""
+    window = trajectory.window(now, controller.horizon, controller.period)
+    return window if start == 0.0 else replace(window, time=window.time + start)
+
+
+def _positive(name: str, value: float) -> float:
+    """Refuse zero, negative and NaN."""
+    if not value > 0.0 or not np.isfinite(value):
+        raise InvalidField(name, value, "> 0 s, finite")
+    return float(value)
+
+
+def _checked_belief(belief: object, measurement: Measurement) -> Belief:
+    """Refuse a belief of another batch; its arrays are finite by construction."""
+    size = len(measurement.unstrained_length)
+    if not isinstance(belief, Belief):
+        raise BadPlugin(f"estimator: got {type(belief).__name__}; allowed: a Belief")
+    if len(belief.position) != size:
+        raise BadPlugin(f"estimator: got {len(belief.position)} poses; allowed: {size}")
+    return belief
+
+
+def _checked_command(command: object, measurement: Measurement) -> Command:
+    """Refuse a command of another shape; its arrays are finite by construction."""
+    shape = measurement.unstrained_length.shape
+    if not isinstance(command, Command):
+        raise BadPlugin(f"controller: got {type(command).__name__}; allowed: a Command")
+    if command.unstrained_length.shape != shape:
+        got = command.unstrained_length.shape
+        raise BadPlugin(f"controller: got lengths of shape {got}; allowed: {shape}")
+    return command
+
+
+def _log(steps: list[Step], completed: bool) -> Log:
+    """Stack the cycles."""
+
+    def stack(values: list[NDArray[np.float64]]) -> Array:
+        return np.stack(values)
+
+    size = len(steps[0].measurement.unstrained_length)
+    truths = [s.truth for s in steps if s.truth is not None]
+    known = len(truths) == len(steps)
+    tensions = [t.tension for t in truths if t.tension is not None]
+    start = float(steps[0].measurement.time[0])
+    return Log(
+        time=np.array([s.measurement.time[0] for s in steps]) - start,
+        reference=stack([np.broadcast_to(s.reference.position[:, 0], (size, 3)) for s in steps]),
+        position=stack([t.position for t in truths]) if known else None,
+        rotation=stack([t.rotation for t in truths]) if known else None,
+        tension=stack(tensions) if len(tensions) == len(steps) else None,
+        belief_position=stack([s.belief.position for s in steps]),
+        belief_rotation=stack([s.belief.rotation for s in steps]),
+        unstrained_length=stack([s.measurement.unstrained_length for s in steps]),
+        asked=stack([s.asked.unstrained_length for s in steps]),
+        command=stack([s.command.unstrained_length for s in steps]),
+        latency=np.array([s.latency for s in steps]),
+        limited=tuple((k, hit) for k, s in enumerate(steps) for hit in s.command.limited),
+        completed=completed,
+    )

@@ -1,0 +1,109 @@
+"""What pictures share: colours, figures, views, violins and legends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.robot import Robot
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MEASURED = "#202020"
+REST = "#d9dde2"
+FEW = 20  # samples up to which each is drawn as a dot
+LONG = 2.0  # times as far along y as along x: the view from above is turned
+COLORS = ("#d1622b", "#1f6f8b", "#7b4fa3", "#4c8c2b", "#b8336a", "#8a6d1f", "#5a6b7b", "#c79a00")
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Make a figure without a window."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def views(robot: Robot) -> list[tuple[tuple[int, int], str]]:
+    """Axes to the right and up, and a title: the same for all recordings of a robot."""
+    span = robot.workspace_max - robot.workspace_min
+    if span[1] > LONG * span[0]:
+        turned = "from above, turned: y to the right, x up"
+        return [((1, 0), turned), ((1, 2), "from the side, along -x: y to the right")]
+    return [((0, 1), "from above"), ((0, 2), "from the side, along y")]
+
+
+def limits_of(paths: list[Array]) -> Array:
+    """Lower and upper end of the drawn range of each axis [m], shape (3, 2)."""
+    points = np.vstack(paths)
+    lower, upper = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    longest = max(float((upper - lower).max()), 1e-3)
+    middle, half = (lower + upper) / 2, np.maximum(upper - lower, 0.15 * longest) / 2
+    return np.stack([middle - half - 0.04 * longest, middle + half + 0.04 * longest], axis=1)
+
+
+def set_space(axes: Any, limits: Array) -> None:
+    """Set limits, aspect, view and labels of the view in three dimensions."""
+    from matplotlib.ticker import MaxNLocator
+
+    axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
+    spans = limits[:, 1] - limits[:, 0]
+    axes.set_box_aspect(spans / spans.max(), zoom=0.95)
+    axes.view_init(elev=22.0, azim=-50.0)
+    for axis, name, span in zip((axes.xaxis, axes.yaxis, axes.zaxis), "xyz", spans, strict=True):
+        axis.set_label_text(f"{name} [m]")
+        axis.labelpad = 12.0 * span / spans.max() - 2.0
+        axis.set_major_locator(MaxNLocator(nbins=max(2, round(7 * span / spans.max()))))
+        axis.set_tick_params(labelsize=8)
+
+
+def draw_violin(
+    axes: Any, values: Array, place: float, color: str, *, width: float = 0.8, signed: bool = False
+) -> None:
+    """Draw one violin, or few samples as dots, with RMSE and median, or, if signed, the mean."""
+    if len(values) == 0:
+        return
+    if len(values) <= FEW:
+        axes.plot(np.full(len(values), place), values, ".", color=color, ms=5, alpha=0.6)
+    else:
+        parts = axes.violinplot(values, positions=[place], widths=width, showextrema=False)
+        parts["bodies"][0].set(facecolor=color, edgecolor=color, alpha=0.45)
+    middle = values.mean() if signed else np.median(values)
+    axes.plot(place, middle, "o", color=color, ms=4, mec="white", mew=0.6)
+    if not signed:
+        root = float(np.sqrt((values**2).mean()))
+        axes.hlines(root, place - 0.25 * width, place + 0.25 * width, color=color, lw=2.0)
+        axes.annotate(
+            _number(root),
+            (place + 0.27 * width, root),
+            xytext=(2, 0), textcoords="offset points", va="center", fontsize=8,
+        )  # fmt: skip
+
+
+def _number(value: float) -> str:
+    """Write a number beside its bar."""
+    if value >= 0.1 or value == 0.0:
+        return f"{value:.1f}"
+    return f"{value:.1g}" if value >= 0.001 else "<0.001"
+
+
+def put_legend(figure: Figure, axes: Any) -> None:
+    """Put the labels of one panel below the figure."""
+    handles, labels = axes.get_legend_handles_labels()
+    columns = min(len(labels), 6)
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
+
+
+def put_patches(figure: Figure, colors: Mapping[str, str]) -> None:
+    """Put one coloured patch per model below the figure."""
+    from matplotlib.patches import Patch
+
+    handles = [Patch(color=color, alpha=0.6, label=name) for name, color in colors.items()]
+    columns = min(max(len(handles), 1), 6)
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False)

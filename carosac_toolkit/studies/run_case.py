@@ -1,0 +1,218 @@
+"""One case of a study: build everything by name, run the loop, score it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit import registry, trajectories
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.loop import Log, run
+from carosac_toolkit.perturbations import draw_plant, find_condition
+from carosac_toolkit.protocols import TruthSource, replays
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.studies.case import Case
+from carosac_toolkit.values import Belief, Command, Measurement
+
+REST = 1.0  # [s] after the end of the trajectory that counts as residual sway
+SERIES = 250  # samples kept of a case for pictures
+SETTINGS = (
+    "driver", "speed_max", "acceleration_max", "controller_settings", "estimator_settings",
+    "driver_settings", "timeout",
+)  # fmt: skip
+CENTRE = 0.5  # of each side of the workspace box: inside is the centre, outside the boundary
+
+
+class Truth:
+    """The estimator `truth`: what the driver's world knows. For simulation only."""
+
+    def __init__(self, source: object) -> None:
+        if not isinstance(source, TruthSource):
+            raise InvalidField("estimator", "'truth'", "a driver that knows the truth")
+        self._source = source
+
+    def reset(self, measurement: Measurement) -> Belief:
+        """The state now."""
+        state = self._source.truth()
+        if state is None:
+            raise CarosacError("estimator truth: the driver does not know the truth here")
+        return Belief(
+            time=measurement.time,
+            position=state.position,
+            rotation=state.rotation,
+            tension=state.tension,
+        )
+
+    def update(self, belief: Belief, command: Command, measurement: Measurement) -> Belief:
+        """The state now."""
+        return self.reset(measurement)
+
+
+def run_case(case: Case) -> dict[str, Any]:
+    """Run and score one case.
+
+    Settings that are read: ``driver`` (default ``quasi_static``), ``speed_max`` [m/s],
+    ``acceleration_max`` [m/s^2] of the trajectory, ``controller_settings``,
+    ``estimator_settings`` and ``driver_settings`` (fields of the plug-in's own settings, a dict
+    for each settings dataclass inside them); ``timeout`` is read by `run_cases`.
+
+    Returns:
+        One flat row: errors in m, latency in s, counts; ``series`` holds what pictures need, as
+        JSON text, for the first seed only. On a driver that replays, tracking says nothing about
+        the controller and is None; ``command_rmse_m`` compares what it asked with what was sent.
+
+    Raises:
+        InvalidField: A setting that nobody reads.
+    """
+    unknown = sorted(set(case.settings) - set(SETTINGS))
+    if unknown:
+        raise InvalidField(f"settings.{unknown[0]}", "a name", f"one of {sorted(SETTINGS)}")
+    robot = _robot(case.robot)
+    plant = draw_plant(
+        robot, find_condition(case.perturbation), np.random.default_rng(case.plant_seed)
+    )
+    settings = case.settings
+    path = trajectories.build(
+        case.trajectory,
+        robot,
+        case.plant_seed % 2**32,
+        speed_max=float(settings.get("speed_max", 1.0)),
+        acceleration_max=float(settings.get("acceleration_max", 1.0)),
+    )
+    controller = _build("controllers", case.controller, robot, case, "controller_settings", {})
+    start = path.sample(np.zeros(1)).position[0]
+    given = {
+        "suite": case.suite,
+        "period": controller.period,
+        "start_position": tuple(float(x) for x in start),
+    }
+    name = str(settings.get("driver", "quasi_static"))
+    driver = _build("drivers", name, plant, case, "driver_settings", given)
+    if case.estimator == "truth":
+        estimator: Any = Truth(driver)
+    else:
+        estimator = _build("estimators", case.estimator, robot, case, "estimator_settings", {})
+    log = run(driver, estimator, controller, path, duration=path.duration + REST)
+    row = score(log, robot, path.duration, replayed=replays(driver))
+    return row | {"series": _series(log) if case.seed == 0 else None}
+
+
+def score(log: Log, robot: Robot, duration: float, *, replayed: bool = False) -> dict[str, Any]:
+    """Errors of one run.
+
+    Args:
+        log: What happened.
+        robot: The nominal robot, for its workspace box.
+        duration: Of the trajectory [s]; what comes after is rest.
+        replayed: Whether the driver played a recording, on which no controller tracks anything.
+
+    Returns:
+        Difference of the lengths asked and sent; tracking error (truth minus reference) and
+        estimation error (belief minus truth) as root mean squares per axis and in norm [m]; None
+        where nobody knows.
+    """
+    row: dict[str, Any] = {
+        "latency_median_s": float(np.median(log.latency)),
+        "latency_p95_s": float(np.quantile(log.latency, 0.95)),
+        "command_rmse_m": _rms(log.asked - log.command),
+        "limited": len(log.limited),
+        "completed": log.completed,
+        "steps": len(log.time),
+    }
+    if log.position is None:
+        return row | _errors("tracking", None) | _errors("estimation", None)
+    row |= _errors("estimation", log.belief_position - log.position)
+    if replayed:
+        return row | _errors("tracking", None)
+    return row | _tracking(log, log.position, robot, duration)
+
+
+def _tracking(log: Log, position: Array, robot: Robot, duration: float) -> dict[str, Any]:
+    """Truth against the reference."""
+    error = position - log.reference
+    distance = np.linalg.norm(error, axis=-1)
+    middle = 0.5 * (robot.workspace_min + robot.workspace_max)
+    half = 0.5 * CENTRE * (robot.workspace_max - robot.workspace_min)
+    central = (np.abs(log.reference - middle) <= half).all(axis=-1)
+    rest = position[log.time > duration]
+    swing = rest - rest.mean(axis=0, keepdims=True) if len(rest) else rest
+    return _errors("tracking", error) | {
+        "tracking_max_m": float(distance.max()),
+        "tracking_centre_m": _rms(distance[central]),
+        "tracking_boundary_m": _rms(distance[~central]),
+        "residual_sway_m": _rms(np.linalg.norm(swing, axis=-1)),
+        "tension_min_N": None if log.tension is None else float(log.tension.min()),
+        "tension_max_N": None if log.tension is None else float(log.tension.max()),
+    }
+
+
+def _errors(name: str, error: Array | None) -> dict[str, float | None]:
+    """Root mean squares per axis and in norm [m]."""
+    keys = [f"{name}_rmse_{axis}_m" for axis in ("x", "y", "z", "norm")]
+    if error is None:
+        return dict.fromkeys(keys)
+    per_axis = np.sqrt((error**2).mean(axis=(0, 1)))
+    values = [*per_axis, np.sqrt((per_axis**2).sum())]
+    return {key: float(value) for key, value in zip(keys, values, strict=True)}
+
+
+def _rms(values: Array) -> float | None:
+    """Root mean square, or None of nothing."""
+    return float(np.sqrt((values**2).mean())) if values.size else None
+
+
+def _series(log: Log) -> str:
+    """What pictures need of one run, thinned out, as JSON."""
+    keep = np.unique(np.linspace(0, len(log.time) - 1, SERIES).round().astype(int))
+    channels: dict[str, Any] = {
+        "time_s": log.time[keep],
+        "reference_m": log.reference[keep, 0],
+        "position_m": None if log.position is None else log.position[keep, 0],
+        "belief_m": log.belief_position[keep, 0],
+        "length_error_m": (log.unstrained_length - log.command)[keep, 0],
+    }
+    thin = {k: None if v is None else np.round(v, 6).tolist() for k, v in channels.items()}
+    return json.dumps(thin)
+
+
+def _build(
+    kind: registry.Kind, name: str, robot: Robot, case: Case, key: str, given: Mapping[str, Any]
+) -> Any:
+    """Make a plug-in by name, with its own settings."""
+    plugin = registry.load(kind, name)
+    kinds = getattr(plugin, "Settings", None)
+    seed = case.sensor_seed if kind == "drivers" else case.rng_seed
+    asked = dict(case.settings.get(key, {}))
+    if kinds is None:
+        if asked:
+            raise InvalidField(key, asked, f"nothing: {name} has no Settings")
+        return plugin.build(robot, None, seed=seed)
+    known = {field.name for field in fields(kinds)}
+    wanted = {k: v for k, v in given.items() if k in known} | asked
+    return plugin.build(robot, _filled(key, kinds(), wanted), seed=seed)
+
+
+def _filled(where: str, settings: Any, values: Mapping[str, Any]) -> Any:
+    """Settings with some fields replaced; fields that are settings themselves are filled too."""
+    known = {field.name for field in fields(settings)}
+    chosen: dict[str, Any] = {}
+    for name, value in values.items():
+        if name not in known:
+            raise InvalidField(f"{where}.{name}", repr(value), f"one of {sorted(known)}")
+        inner = getattr(settings, name)
+        nested = is_dataclass(inner) and isinstance(value, Mapping)
+        chosen[name] = _filled(f"{where}.{name}", inner, value) if nested else value
+    return replace(settings, **chosen)
+
+
+@lru_cache(maxsize=8)
+def _robot(name: str) -> Robot:
+    """Robots are read once per process, so that their device buffers are kept."""
+    return load_robot(name)

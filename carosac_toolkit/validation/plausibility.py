@@ -1,0 +1,216 @@
+"""Whether lengths and poses of a recording can belong together, and what mix-up explains it if not.
+
+The straight distances from exit to anchor points at the measured poses are compared with the
+measured lengths. They differ by sag, stretch and calibration, that is by a few per cent at most;
+wrong units, cables in another order and quaternions in another order differ by far more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.physics.straight_line import straight_length
+from carosac_toolkit.recordings import quaternions
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.validation.scores import rotation_angle
+from carosac_toolkit.values import Pose
+
+Order = NDArray[np.intp]
+OFF = 0.1  # of the distance: a larger median difference is no matter of calibration
+MISFIT_MIN = 0.005  # of the distance: a smaller misfit needs no explanation
+CLEAR = 0.5  # a mix-up is named where putting it right leaves less than this of the misfit
+OUTSIDE = 3.0  # times the size of the frame: positions farther from it are in other units
+SAMPLES = 500  # compared, evenly spread
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+STILL_MIN = 0.03  # of the distance: misfit from which lengths that hardly change tell an order
+XYZW = "The orientation fits if the quaternion is x y z w: the format wants w x y z."
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Trial:
+    """Lengths (S, n) [m] and poses, as measured or with a mix-up put right."""
+
+    robot: Robot
+    length: Array
+    position: Array
+    rotation: Array
+
+    @property
+    def distance(self) -> Array:
+        """Straight cables at the poses [m], shape (S, n), NaN where there is none."""
+        found = straight_length(self.robot, self.position, self.rotation)
+        return np.where(found.valid, found.length, np.nan)
+
+
+def find_mix_ups(robot: Robot, length: Array, pose: Pose) -> tuple[str, ...]:
+    """Say what shows that lengths and poses do not belong together as they are.
+
+    Args:
+        robot: Robot description, n cables.
+        length: Measured [m], shape (S, n), S >= 1.
+        pose: Measured at the same times.
+
+    Returns:
+        Sentences; none for a recording that is plausible.
+    """
+    some = np.unique(np.linspace(0, len(length) - 1, SAMPLES).round().astype(int))
+    trial = _Trial(
+        robot=robot,
+        length=length[some],
+        position=pose.position[some],
+        rotation=pose.rotation[some],
+    )
+    said, trial = _units(trial)
+    more, trial = _orders(trial)
+    said += more
+    said += _differences(trial)
+    return tuple(said or _winch_range(trial))
+
+
+def _units(trial: _Trial) -> tuple[list[str], _Trial]:
+    """Lengths or positions in other units than metres."""
+    ratio = _median(trial.length / trial.distance)
+    if not abs(ratio - 1.0) > OFF:
+        return [], trial
+    best, repaired, chosen = OFF, trial, ("m", "m")
+    for units in product(UNITS, UNITS if _outside(trial) else ("m",)):
+        scales = [UNITS[unit] for unit in units]
+        other = replace(trial, length=trial.length * scales[0], position=trial.position * scales[1])
+        misfit = abs(_median(other.length / other.distance) - 1.0)
+        if misfit < best:
+            best, repaired, chosen = misfit, other, units
+    said = []
+    if chosen[0] != "m":
+        times = f"{1.0 / UNITS[chosen[0]]:.0f} times the distance at the measured poses"
+        said.append(f"Lengths are {times}: are they in {chosen[0]}?")
+    if chosen[1] != "m":
+        said.append(f"Lengths and poses fit if the positions are in {chosen[1]}: are they?")
+    return said, repaired
+
+
+def _outside(trial: _Trial) -> bool:
+    """Whether the platform is so far from the frame that no robot could hold it."""
+    points = trial.robot.exit_points
+    away = np.linalg.norm(trial.position - points.mean(axis=0), axis=1)
+    return bool(np.median(away) > OUTSIDE * np.ptp(points, axis=0).max())
+
+
+def _orders(trial: _Trial) -> tuple[list[str], _Trial]:
+    """Cables or quaternions in another order: one of the two explains more than half, or both."""
+    trials = {False: trial, True: _turned(trial)}
+    orders = {turn: _assignment(_pairs(each)) for turn, each in trials.items()}
+    same = np.arange(trial.robot.n)
+    left, turn, order = _misfit(trial, same), False, same
+    if not left >= MISFIT_MIN:  # also where there is no distance
+        return [], trial
+    simple, double = [(False, orders[False])], []
+    if _nearer_home(trial.rotation, trials[True].rotation, trial.robot):
+        simple, double = [*simple, (True, same)], [(True, orders[True])]
+    for group in (simple, double):
+        found = [
+            (_misfit(trials[turn], order), turn, order)
+            for turn, order in group
+            if _tells_order(trials[turn], order)
+        ]
+        best = min(found, key=lambda entry: entry[0], default=(np.inf, False, same))
+        if best[0] < CLEAR * left:
+            left, turn, order = best
+    said = [XYZW] if turn else []
+    swaps = [f"{i + 1} fits exit point {j + 1}" for i, j in enumerate(order) if i != j]
+    if swaps:
+        said.append(f"Cables seem swapped: measured length {', '.join(swaps)}.")
+    return said, replace(trials[turn], length=trial.length[:, np.argsort(order)])
+
+
+def _turned(trial: _Trial) -> _Trial:
+    """The orientations that were meant if the quaternions were written x y z w."""
+    swapped = quaternions.from_matrix(trial.rotation)[:, [3, 0, 1, 2]]
+    return replace(trial, rotation=quaternions.to_matrix(swapped))
+
+
+def _nearer_home(measured: Array, other: Array, robot: Robot) -> bool:
+    """Whether other orientations are those of a platform that hangs as at home, and these not."""
+    home = robot.home_rotation[None]
+    angles = [float(np.median(rotation_angle(home, each))) for each in (measured, other)]
+    return angles[1] < CLEAR * angles[0]
+
+
+def _misfit(trial: _Trial, order: Order) -> float:
+    """Mean over the cables of the median difference to the distance, as a share of it."""
+    difference = np.abs(trial.length - trial.distance[:, order])
+    return float(np.mean([_median(column) for column in difference.T])) / _median(trial.distance)
+
+
+def _tells_order(trial: _Trial, order: Order) -> bool:
+    """Whether lengths also change as in this order, or are too far off for wrong zeros."""
+    same = np.arange(trial.robot.n)
+    if (order == same).all() or _misfit(trial, same) >= STILL_MIN:
+        return True
+    distance = trial.distance
+    ok = np.isfinite(distance).all(axis=1)
+    length, distance = trial.length[ok], distance[ok]
+    length = length - np.median(length, axis=0)
+    distance = distance - np.median(distance, axis=0)
+    as_is, swapped = (np.abs(length - distance[:, each]).mean() for each in (same, order))
+    return bool(swapped < CLEAR * as_is)
+
+
+def _pairs(trial: _Trial) -> Array:
+    """Median difference of each measured length to the distance of each cable [m], (n, n)."""
+    distance = trial.distance
+    distance = distance[np.isfinite(distance).all(axis=1)]
+    if not len(distance):
+        return np.full((trial.robot.n, trial.robot.n), np.nan)
+    known = trial.length[np.isfinite(trial.distance).all(axis=1)]
+    return np.array([np.median(np.abs(row[:, None] - distance), axis=0) for row in known.T])
+
+
+def _assignment(pairs: Array) -> Order:
+    """Cable for each measured length that makes the differences least in sum, shape (n,)."""
+    from scipy.optimize import linear_sum_assignment
+
+    if not np.isfinite(pairs).all():
+        return np.arange(len(pairs))
+    return np.asarray(linear_sum_assignment(pairs)[1], dtype=np.intp)
+
+
+def _differences(trial: _Trial) -> Iterator[str]:
+    """Lengths that are far from the distance for no reason that was found."""
+    ratio = trial.length / trial.distance
+    each = np.array([_median(column) for column in ratio.T])
+    far = np.abs(each - 1.0) > OFF
+    if far.all():
+        yield (
+            f"Lengths are {_median(ratio):.3g} times the distance at the measured poses: check "
+            "units and zero of the lengths, the robot, and the frame of the poses."
+        )
+        return
+    if far.any():
+        which = ", ".join(f"{i + 1} ({each[i]:.3g} times)" for i in np.flatnonzero(far))
+        yield (
+            f"Some lengths are far from the distance at the measured poses, others fit: {which}. "
+            "Check their encoders and exit points, the robot, and the frame of the poses."
+        )
+
+
+def _winch_range(trial: _Trial) -> Iterator[str]:
+    """Lengths that the winches of this robot cannot wind."""
+    robot, typical = trial.robot, np.median(trial.length, axis=0)
+    for i in np.flatnonzero((typical < robot.length_min) | (typical > robot.length_max)):
+        yield (
+            f"Measured length {i + 1} is {typical[i]:.3g} m in the median; the winch of robot "
+            f"{robot.name} has {robot.length_min[i]:g} to {robot.length_max[i]:g} m: is it this "
+            "robot?"
+        )
+
+
+def _median(values: Array) -> float:
+    """Median of what is finite, NaN where nothing is."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else np.nan

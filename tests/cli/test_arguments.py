@@ -1,0 +1,47 @@
+import pytest
+
+from carosac_toolkit.cli.main import main
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["robots", "--seed", "abc"], "--seed: got 'abc'; allowed: a whole number"),
+        (["robots", "--seed=1.5"], "--seed: got '1.5'; allowed: a whole number"),
+        (["validate", "x", "--stop", "y"], "--stop: got 'y'; allowed: a whole number"),
+        (["robots", "--json"], "--json: got nothing; allowed: a value; see 'carosac robots"),
+        (["check"], "ROBOT: got nothing; allowed: a value; see 'carosac check --help'"),
+        (["check", "a", "b"], "argument: got 'b'; allowed: nothing more"),
+        (["robots", "--sead", "1"], "option: got '--sead'; allowed: --help, --json, --seed; "
+         "did you mean '--seed'?"),
+        (["check", "x", "--robot", "y"], "option: got '--robot'; allowed: --help, --json, --seed, "
+         "--picture"),
+        (["chek"], "command: got 'chek'; allowed: check, robots, "),
+        (["chek"], "did you mean 'check'?"),
+        (["robot:s"], "command: got 'robot:s'"),
+    ],
+)  # fmt: skip
+def test_a_wrong_word_is_one_line_and_status_two(capsys, words, message):
+    assert main(words) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("carosac: ") and len(captured.err.splitlines()) == 1
+    assert message in captured.err
+    assert "module:Class" not in captured.err
+
+
+@pytest.mark.parametrize("command", ["robots", "check", "validate"])
+def test_help_is_in_words(capsys, command):
+    with pytest.raises(SystemExit) as stopped:
+        main([command, "--help"])
+    assert not stopped.value.code
+    text = capsys.readouterr().out
+    assert "{None}" not in text and "default: None" not in text
+    assert "(default: none)" in text
+    if command == "validate":
+        assert "--robot TEXT" in text and "--stop INT" in text
+
+
+def test_numbers_are_read(capsys):
+    assert main(["robots", "--seed", "7"]) == 0
+    assert main(["robots", "--seed=-7"]) == 0
