@@ -145,10 +145,10 @@ def _cycles(
         reference = _reference(trajectory, controller, now, start)
         began = time.perf_counter()
         if belief is None:
-            belief = _checked_belief(estimator.reset(measurement), measurement)
+            belief = checked_belief(estimator.reset(measurement), measurement)
             controller.reset(belief)
         else:
-            belief = _checked_belief(estimator.update(belief, applied, measurement), measurement)
+            belief = checked_belief(estimator.update(belief, applied, measurement), measurement)
         asked = _checked_command(controller.command(belief, reference), measurement)
         latency = time.perf_counter() - began
         applied = driver.command(asked)
@@ -183,13 +183,20 @@ def _positive(name: str, value: float) -> float:
     return float(value)
 
 
-def _checked_belief(belief: object, measurement: Measurement) -> Belief:
-    """Refuse a belief of another batch; its arrays are finite by construction."""
-    size = len(measurement.unstrained_length)
+def checked_belief(belief: object, measurement: Measurement) -> Belief:
+    """Refuse what an estimator must not return; the arrays of a Belief are finite by construction.
+
+    Raises:
+        BadPlugin: No Belief, or one of another batch or number of cables.
+    """
+    size, n = measurement.unstrained_length.shape
     if not isinstance(belief, Belief):
         raise BadPlugin(f"estimator: got {type(belief).__name__}; allowed: a Belief")
     if len(belief.position) != size:
         raise BadPlugin(f"estimator: got {len(belief.position)} poses; allowed: {size}")
+    if belief.tension is not None and np.shape(belief.tension) != (size, n):
+        got = np.shape(belief.tension)
+        raise BadPlugin(f"estimator: got tensions of shape {got}; allowed: {(size, n)}")
     return belief
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -35,7 +37,7 @@ def period_and_horizon(factory: Factory, robot: Robot) -> None:
     """`period` is positive and finite, `horizon` finite and not negative."""
     controller = factory(robot, seed=SEED)
     for name, allowed in (("period", "> 0"), ("horizon", ">= 0")):
-        value = getattr(controller, name, None)
+        value: Any = getattr(controller, name, None)
         number = isinstance(value, float | int) and not isinstance(value, bool)
         good = number and np.isfinite(value) and (value > 0.0 or (value == 0.0 and "=" in allowed))
         require(good, f"{name}: got {value!r}; allowed: a finite number of seconds {allowed}")
@@ -96,11 +98,9 @@ def extremes_stay_finite(factory: Factory, robot: Robot) -> None:
         replace(calm, position=calm.position * 0.0 + robot.exit_points[0]),
         replace(calm, acceleration=calm.acceleration - 1e4),
     )
-    for belief in beliefs:
-        for reference in references:
-            with wide_numbers():
-                refuses("extreme but valid input", lambda b=belief, r=reference: _once(
-                    controller, b, r))  # fmt: skip
+    for belief, reference in product(beliefs, references):
+        with wide_numbers():
+            refuses("extreme but valid input", partial(_once, controller, belief, reference))
 
 
 def bare_belief_is_enough(factory: Factory, robot: Robot) -> None:

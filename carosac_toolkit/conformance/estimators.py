@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from carosac_toolkit.arrays import Array
-from carosac_toolkit.conformance.scenes import Playback, make_scene, other_robot, wide_numbers
+from carosac_toolkit.conformance.scenes import Playback, make_scene, wide_numbers
 from carosac_toolkit.conformance.verdicts import (
     BATCH_TOLERANCE,
     SEED,
@@ -72,11 +73,10 @@ def extremes_stay_finite(factory: Factory, robot: Robot) -> None:
         replace(first, time=first.time + 1e6),
     )  # fmt: skip
     for measurement in strange:
-        estimator = factory(robot, seed=SEED)
         for series in ((first, measurement), (measurement,)):
+            estimator = factory(robot, seed=SEED)
             with wide_numbers():
-                refuses("extreme but valid measurement",
-                        lambda s=series, e=estimator: _finite(_beliefs(e, s)))  # fmt: skip
+                refuses("extreme but valid measurement", partial(_run, estimator, series))
 
 
 def other_robot_refused(factory: Factory, robot: Robot) -> None:
@@ -95,8 +95,10 @@ def lengths_are_enough(factory: Factory, robot: Robot) -> None:
     """It runs on a driver that measures lengths alone and knows no truth, or says what it lacks."""
     scene = make_scene(robot)
 
+    hold = _Hold(scene.measurements[0].unstrained_length)
+
     def live() -> None:
-        run(Playback(scene.measurements), factory(robot, seed=SEED), _Hold(), scene.path)
+        run(Playback(scene.measurements), factory(robot, seed=SEED), hold, scene.path)
 
     refuses("a driver without truth, poses, tensions and IMU", live)
 
@@ -141,17 +143,19 @@ ESTIMATOR_CHECKS: dict[str, Check] = {
 
 
 class _Hold:
-    """A controller that holds still: it needs no more than a belief."""
+    """A controller that holds still."""
 
     period = 0.02
     horizon = 0.0
 
+    def __init__(self, unstrained_length: Array) -> None:
+        self._length = unstrained_length
+
     def reset(self, belief: Belief) -> None:
-        self._length: Array | None = None
+        pass
 
     def command(self, belief: Belief, reference: Reference) -> Command:
-        n = 0 if belief.tension is None else belief.tension.shape[1]
-        return Command(time=belief.time, unstrained_length=np.ones((1, n)))
+        return Command(time=belief.time, unstrained_length=self._length)
 
 
 def _beliefs(
@@ -180,8 +184,8 @@ def _poses(estimator: Any, measurements: tuple[Measurement, ...]) -> list[Array]
     ]
 
 
-def _finite(beliefs: list[tuple[Belief, Measurement]]) -> None:
+def _run(estimator: Any, measurements: tuple[Measurement, ...]) -> None:
     """Look at what `Belief` itself does not check."""
-    for belief, _ in beliefs:
+    for belief, _ in _beliefs(estimator, measurements):
         finite = belief.tension is None or bool(np.isfinite(belief.tension).all())
         require(finite, "extreme but valid measurement: tension: got a number that is not finite")

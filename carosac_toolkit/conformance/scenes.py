@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -78,7 +79,7 @@ def make_scene(robot: Robot, *, offset: float = 0.003) -> Scene:
 
 def other_robot(robot: Robot) -> Robot:
     """The same robot with one cable more, beside the last one."""
-    changed = {
+    changed: dict[str, Any] = {
         name: np.concatenate([value, value[-1:]])
         for name in PER_CABLE
         if (value := getattr(robot, name)) is not None

@@ -43,6 +43,8 @@ def run_all(
             check(factory, robot)
         except (CarosacError, AssertionError) as error:
             faults.append(f"{name}: {error}")
+        except Exception as error:
+            faults.append(f"{name}: got {type(error).__name__}: {error}; allowed: a CarosacError")
     if faults:
         raise NotConforming("\n  ".join([f"{kind}: {len(faults)} of its checks failed", *faults]))
 

@@ -80,10 +80,6 @@ class PoseSamples:
         matrix = quaternions.to_matrix(self.quaternion)
         return frozen_array("poses.rotation", matrix, matrix.shape)
 
-    def to_pose(self) -> Pose:
-        """Return all samples as one batched `Pose`."""
-        return Pose(time=self.time, position=self.position, rotation=self.rotation)
-
     def at(self, time: ArrayLike, *, gap_max: float) -> PoseInterpolation:
         """Interpolate: positions linearly, rotations along the great arc.
 

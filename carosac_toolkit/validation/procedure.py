@@ -146,10 +146,10 @@ class _Scoring:
         """Run and score one model."""
         try:
             run = run_open_loop(build_model(target, self._robot, seed), self._recording, stop)
-        except Exception as error:  # a user's model may raise anything; the others go on
+            return self._score(name, run)
+        except (Exception, SystemExit) as error:  # a user's model may raise anything
             reason = f"{type(error).__name__}: {error}".splitlines()[0]
             return ModelResult(name=name, reason=reason)
-        return self._score(name, run)
 
     def _score(self, name: str, run: ModelRun) -> ModelResult:
         """Score one run."""

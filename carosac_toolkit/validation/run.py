@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.loop import checked_belief
 from carosac_toolkit.protocols import Estimator
 from carosac_toolkit.recording import Recording
 from carosac_toolkit.robot import Robot
@@ -80,7 +81,7 @@ def run_open_loop(model: Estimator, recording: Recording, stop: int) -> ModelRun
             model.update(beliefs[-1], command, measurement) if beliefs else model.reset(measurement)
         )
         seconds[index] = perf_counter() - start
-        beliefs.append(belief)
+        beliefs.append(checked_belief(belief, measurement))
         previous = measurement
     tension = [_tension(belief, recording.n) for belief in beliefs]
     return ModelRun(

@@ -91,3 +91,39 @@ class Hopeless(Constant):
 
 class Unbuildable:
     """Has no ``build``."""
+
+
+class TwoRows(Constant):
+    """Returns a belief of two worlds for one measurement."""
+
+    def believe(self, measurement, count):
+        one = super().believe(measurement, count)
+        return Belief(
+            time=np.repeat(one.time, 2),
+            position=np.repeat(one.position, 2, axis=0),
+            rotation=np.repeat(one.rotation, 2, axis=0),
+        )
+
+
+class WrongTension(Constant):
+    """Returns tensions of three cables."""
+
+    def believe(self, measurement, count):
+        one = super().believe(measurement, count)
+        return Belief(
+            time=one.time, position=one.position, rotation=one.rotation, tension=np.ones((1, 3))
+        )
+
+
+class NoBelief(Constant):
+    """Returns something that only looks like a belief."""
+
+    def believe(self, measurement, count):
+        return SimpleNamespace(position=np.full((1, 3), np.nan), rotation=np.zeros((1, 3, 3)))
+
+
+class Quitting(Constant):
+    """Leaves."""
+
+    def believe(self, measurement, count):
+        raise SystemExit(0)

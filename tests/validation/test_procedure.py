@@ -129,6 +129,21 @@ def test_a_model_that_raises_costs_its_own_row_only():
     assert data["rmse_m"] == {"x": None, "y": None, "z": None, "norm": None}
 
 
+@pytest.mark.parametrize(
+    ("model", "reason"),
+    [
+        ("TwoRows", "BadPlugin: estimator: got 2 poses; allowed: 1"),
+        ("WrongTension", "BadPlugin: estimator: got tensions of shape (1, 3); allowed: (1, 4)"),
+        ("NoBelief", "BadPlugin: estimator: got SimpleNamespace; allowed: a Belief"),
+        ("Quitting", "SystemExit: 0"),
+    ],
+)
+def test_a_model_that_misbehaves_costs_its_own_row_only(model, reason):
+    result = validate(perfect(), ROBOT, [f"{NAME}:{model}", KS])
+    assert result.models[f"{NAME}:{model}"].reason == reason
+    assert result.models[KS].scores.max[3] < 1e-6
+
+
 def test_failures_are_counted_and_kept_out_of_the_scores():
     model = validate(perfect(), ROBOT, [f"{NAME}:Failing"]).models[f"{NAME}:Failing"]
     assert model.failures == len(perfect().time) // 4

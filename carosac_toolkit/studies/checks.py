@@ -1,0 +1,119 @@
+"""Whether a study can run at all: names that lead somewhere, numbers in their range."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from carosac_toolkit import registry, trajectories
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.perturbations import CONDITIONS
+from carosac_toolkit.robot_file import load_robot
+
+if TYPE_CHECKING:
+    from carosac_toolkit.studies.study import Study
+
+
+def check_study(study: Study) -> None:
+    """Refuse a study that could not run.
+
+    Raises:
+        CarosacError: What is wrong, and what is allowed.
+    """
+    for name, unit in (("speed_max", "m/s"), ("acceleration_max", "m/s^2")):
+        _positive(name, getattr(study, name), unit)
+    study.cases()
+    for robot in study.robots:
+        load_robot(robot)
+    _known("trajectory", study.trajectories, trajectories.NAMES)
+    _known("perturbation", study.perturbations, sorted(CONDITIONS))
+    driver = _plugin("drivers", study.driver)
+    _check_suites(driver, study.driver, study.suites)
+    _check_settings("driver_settings", study.driver, driver, study.driver_settings)
+    for kind in ("controllers", "estimators"):
+        names = getattr(study, kind)
+        wanted = getattr(study, f"{kind[:-1]}_settings")
+        _known(f"{kind[:-1]}_settings", wanted, names)
+        for name in names:
+            if kind == "estimators" and name == "truth":
+                _check_truth(driver, study.driver)
+                continue
+            plugin = _plugin(kind, name)
+            _check_settings(f"{kind[:-1]}_settings", name, plugin, wanted.get(name, {}))
+
+
+def _positive(name: str, value: Any, unit: str) -> None:
+    """Refuse what is no positive finite number."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InvalidField(name, repr(value), f"a number [{unit}]")
+    if not (value > 0.0 and np.isfinite(value)):
+        raise InvalidField(name, f"{value} {unit}", f"{name} > 0, finite")
+
+
+def _known(field: str, names: Any, allowed: Sequence[str]) -> None:
+    """Refuse names that are not in a list."""
+    for name in names:
+        if name not in allowed:
+            raise InvalidField(field, repr(name), f"one of {list(allowed)}{_hint(name, allowed)}")
+
+
+def _hint(name: Any, allowed: Sequence[str]) -> str:
+    """The most similar name, as a question."""
+    close = get_close_matches(str(name), allowed, n=1)
+    return f"; did you mean '{close[0]}'?" if close else ""
+
+
+def _plugin(kind: Any, name: str) -> Any:
+    """Import a plug-in; whatever its import raises is one message.
+
+    Raises:
+        CarosacError: It is not there, cannot be imported or has no `build`.
+    """
+    try:
+        plugin = registry.load(kind, name)
+    except CarosacError:
+        raise
+    except Exception as error:
+        raise CarosacError(
+            f"{kind[:-1]} '{name}': its import raised {type(error).__name__}: {error}"
+        ) from error
+    if not callable(getattr(plugin, "build", None)):
+        allowed = "a class with build(robot, settings, *, seed)"
+        raise InvalidField(kind[:-1], repr(name), allowed)
+    return plugin
+
+
+def _check_suites(driver: Any, name: str, suites: Sequence[str]) -> None:
+    """Refuse sensor suites that the driver does not have."""
+    kinds = getattr(driver, "Settings", None)
+    has_suites = is_dataclass(kinds) and "suite" in {field.name for field in fields(kinds)}
+    for suite in suites:
+        if not has_suites and suite != "lengths":
+            allowed = f"'lengths': driver {name} has no choice of sensors"
+            raise InvalidField("suite", repr(suite), allowed)
+        if has_suites:
+            replace(kinds(), suite=suite)  # type: ignore[misc]
+
+
+def _check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any]) -> None:
+    """Refuse settings that a plug-in does not have."""
+    if not wanted:
+        return
+    kinds = getattr(plugin, "Settings", None)
+    if not is_dataclass(kinds):
+        raise InvalidField(field, repr(dict(wanted)), f"nothing: {name} has no settings")
+    _known(f"{field} of {name}", wanted, sorted(item.name for item in fields(kinds)))
+    try:
+        kinds(**wanted)  # type: ignore[operator]
+    except TypeError as error:
+        raise InvalidField(field, repr(dict(wanted)), f"settings of {name}: {error}") from error
+
+
+def _check_truth(driver: Any, name: str) -> None:
+    """Refuse the estimator `truth` where nobody knows it."""
+    if not callable(getattr(driver, "truth", None)):
+        raise InvalidField("estimator", "'truth'", f"another one: driver {name} knows no truth")

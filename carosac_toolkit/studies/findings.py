@@ -1,0 +1,97 @@
+"""What the numbers of a study say, in sentences computed from them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from carosac_toolkit.studies.results import PAIR, StudyResults, pooled, steps, tracked
+from carosac_toolkit.validation.quantities import say_length
+
+ALIKE = 1.01  # ratio of two errors below which they are not told apart
+BLOCKS = 3  # robots and perturbations that get sentences
+
+
+def conclusions(results: StudyResults) -> list[str]:
+    """Say who tracks best and by how much, over cases that the compared ones share."""
+    blocks: dict[tuple[str, str], list[int]] = {}
+    for k, line in enumerate(results.summary):
+        blocks.setdefault((line["robot"], line["perturbation"]), []).append(k)
+    said = []
+    for names, members in list(blocks.items())[:BLOCKS]:
+        where = f"On {names[0]}, {names[1]}: " if len(blocks) > 1 else ""
+        said += [where + text for text in _of_block(results, members)]
+    return said + _notes(results)
+
+
+def _of_block(results: StudyResults, members: list[int]) -> Iterator[str]:
+    """Compare the groups of one robot and perturbation."""
+    errors = {
+        k: results.summary[k]["tracking_rmse_m"]["norm"]
+        for k in members
+        if results.summary[k]["tracking_rmse_m"]["norm"] is not None
+    }
+    ranked = sorted(errors, key=lambda k: errors[k])
+    if not ranked:
+        return
+    if len(ranked) == 1:
+        yield f"{results.labels[ranked[0]]} tracks with {say_length(errors[ranked[0]])} RMSE."
+        return
+    for other in dict.fromkeys((ranked[1], ranked[-1])):
+        yield _pair(results, ranked[0], other)
+    spread = [
+        f"{say_length(results.summary[k]['tracking_std_m'])} for {results.labels[k]}"
+        for k in ranked[:2]
+        if results.summary[k]["tracking_std_m"] is not None
+    ]
+    if len(spread) == 2:
+        yield (
+            "The RMSE of a single case scatters about their mean by "
+            f"{spread[0]}, {spread[1]} (standard deviation)."
+        )
+
+
+def _pair(results: StudyResults, one: int, two: int) -> str:
+    """Compare two groups over the cases in which both have a tracking error."""
+    by_case = [
+        {tuple(row[name] for name in PAIR): row for row in tracked(results.groups[k])}
+        for k in (one, two)
+    ]
+    common = [key for key in by_case[0] if key in by_case[1]]
+    rows = [[table[key] for key in common] for table in by_case]
+    size = [pooled(part, "tracking_rmse_norm_m", steps(part)) for part in rows]
+    names = [results.labels[one], results.labels[two]]
+    if size[0] is None or size[1] is None:
+        return f"{names[0]} and {names[1]} succeeded in no case together: no comparison."
+    if size[0] > size[1]:  # the ranking is over all cases, this is over those they share
+        rows, size, names = rows[::-1], size[::-1], names[::-1]
+    low, high = float(size[0] or 0.0), float(size[1] or 0.0)
+    over = f"RMSE over the same {len(common)} case" + ("s" if len(common) > 1 else "")
+    if high <= ALIKE * low:
+        texts = f"{say_length(low)} and {say_length(high)}"
+        return f"{names[0]} and {names[1]} track alike: {texts} {over}."
+    worse = sum(
+        float(b["tracking_rmse_norm_m"] or 0.0) > float(a["tracking_rmse_norm_m"] or 0.0)
+        for a, b in zip(*rows, strict=True)
+    )
+    factor = f"{high / low:.2g} times" if low > 0.0 else "larger than"
+    return (
+        f"The tracking error of {names[1]} is {factor} that of {names[0]}: "
+        f"{say_length(high)} against {say_length(low)} {over}, larger in {worse} of them."
+    )
+
+
+def _notes(results: StudyResults) -> list[str]:
+    """What a reader has to know to read the numbers right."""
+    notes = []
+    failed = sum(line["failures"] for line in results.summary)
+    if failed:
+        notes.append(
+            f"{failed} of {len(results.rows)} cases have no score; errors are those of the rest."
+        )
+    short = sum(line["incomplete"] for line in results.summary)
+    if short:
+        notes.append(f"In {short} cases the driver ended before the trajectory did.")
+    drivers = {str(row["settings"]) for row in results.rows}
+    if all('"driver":"quasi_static"' in text for text in drivers):
+        notes.append("The driver quasi_static has no inertia: the platform cannot sway in it.")
+    return notes
