@@ -69,7 +69,13 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
 
     Returns:
         Where they are, in order.
+
+    Raises:
+        InvalidField: A folder is in the way of a file.
     """
+    for name in files:
+        if (folder / name).is_dir():
+            raise InvalidField("output", f"'{folder / name}'", f"no folder named {name} in it")
     work = Path(tempfile.mkdtemp(prefix=".carosac-", dir=existing(folder)))
     try:
         for name, content in files.items():

@@ -81,6 +81,10 @@ class Dices(Control):
         return super().lengths(belief, reference) + 1e-3 * np.random.random()  # noqa: NPY002
 
 
+class DicesByAnotherClock(Dices, OtherClock):
+    pass
+
+
 class NanFarAway(Control):
     def lengths(self, belief, reference):
         with np.errstate(all="ignore"):

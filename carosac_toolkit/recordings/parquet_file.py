@@ -59,7 +59,11 @@ def read_parquet(path: Path) -> Recording:
     for name in names:
         column = stored[name].combine_chunks()
         empty[name] = np.asarray(column.is_null().to_numpy(zero_copy_only=False), dtype=np.bool_)
-        values = column.cast(pa.float64()).fill_null(0.0).to_numpy(zero_copy_only=False)
+        try:
+            values = column.cast(pa.float64()).fill_null(0.0).to_numpy(zero_copy_only=False)
+        except pa.ArrowException as error:
+            fault = f"column {name!r}: {str(error).splitlines()[0]}"
+            raise InvalidFile(path, [fault]) from error
         columns[name] = np.array(values, dtype=np.float64)
     document = _document((stored.schema.metadata or {}).get(KEY), path)
     return from_table(Table(columns=columns, empty=empty), document, path)
@@ -71,7 +75,7 @@ def _document(text: bytes | None, path: Path) -> dict[str, Any] | None:
         return None
     try:
         document = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         fault = f"metadata 'carosac' is no JSON document: {error}"
         raise InvalidFile(path, [fault]) from error
     if not isinstance(document, dict):

@@ -279,3 +279,11 @@ def test_the_bundled_recording_shows_delay_and_sway():
     assert solver["sway"]["clear"] and solver["sway"]["axis"] == "x"
     assert solver["delay_s"]["y"] == pytest.approx(0.030, abs=3e-3)
     assert solver["delay_s"]["z"] == pytest.approx(0.030, abs=3e-3)
+
+
+def test_a_folder_in_the_way_of_the_report_is_named_and_nothing_is_written(tmp_path, capsys):
+    (tmp_path / "out" / "report.html").mkdir(parents=True)
+    status = main(["validate", "synthetic", "--output", str(tmp_path / "out")])
+    assert status == 2
+    assert "no folder named report.html in it" in capsys.readouterr().err
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["report.html"]

@@ -97,7 +97,7 @@ def test_jacobian_agrees_with_finite_differences():
         # Closure of 1e-16 L divided by the step is the noise of the difference itself.
         noise = 1e-15 * (length + span) / step
         assert (error < 1e-6 + 10.0 * noise).all()
-    assert np.median(error) < 1e-8
+        assert np.median(error) < 1e-8
 
 
 def test_a_vertical_slack_cable_is_the_limit_of_a_nearly_vertical_one():

@@ -1,0 +1,94 @@
+"""Your own controller in a study, beside the straight line and the kinematic solver.
+
+`Tilted` is twenty lines: straight cables, as on most cable robots, but at the orientation that the
+estimator believes, where the plain straight line takes the platform to be upright. A suspended
+robot with four cables tilts, and that is most of the straight line's error; what is left is the
+weight and the stretch of the cables, which the kinematic solver knows.
+
+Writes my_controller.png and prints the tracking error of the three, on perturbed robots.
+"""
+
+import json
+import tempfile
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import carosac_toolkit as ct
+from carosac_toolkit.studies import product, run_cases
+
+
+class Tilted:
+    """Straight cables at the believed orientation."""
+
+    def __init__(self, robot):
+        self.robot = robot
+        self.period = 0.02  # [s]
+        self.horizon = 0.06  # [s], what winches and the hold of a command take
+
+    @classmethod
+    def build(cls, robot, settings=None, *, seed=0):
+        """Make one for the nominal robot."""
+        return cls(robot)
+
+    def reset(self, belief):
+        """There is nothing to forget."""
+
+    def command(self, belief, reference):
+        """Straight-line lengths of the last row of the reference, `horizon` ahead of now."""
+        length = ct.straight_line.inverse_kinematics(
+            self.robot, reference.position[:, -1], belief.rotation
+        )
+        return ct.Command(time=belief.time, unstrained_length=length)
+
+
+CONTROLLERS = {
+    "straight_line": "straight line",
+    "my_controller:Tilted": "my controller: straight line, tilted",
+    "kinematic_solver": "kinematic solver",
+}
+COLOURS = ("tab:orange", "tab:green", "tab:blue")
+SEEDS = (0, 1, 2)
+
+
+def main():
+    """Run the study and draw it."""
+    cases = product(
+        robots=["carosac"], controllers=list(CONTROLLERS), estimators=["kinematic_solver"],
+        suites=["lengths"], trajectories=["circle"], perturbations=["nominal-1"], seeds=SEEDS,
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        function = "carosac_toolkit.studies.run_case:run_case"
+        rows = run_cases(cases, function, folder=folder, workers=0, progress=False)
+    assert all(row["status"] == "ok" for row in rows), [row["reason"] for row in rows]
+    error = {
+        name: 1e3 * np.array([r["tracking_rmse_norm_m"] for r in rows if r["controller"] == name])
+        for name in CONTROLLERS
+    }  # [mm], one per seed
+
+    figure, (seen, over) = plt.subplots(1, 2, figsize=(11.0, 4.4), layout="constrained")
+    for (name, label), colour in zip(CONTROLLERS.items(), COLOURS, strict=True):
+        first = next(row for row in rows if row["controller"] == name and row["seed"] == 0)
+        series = {k: np.array(v) for k, v in json.loads(first["series"]).items()}
+        path, asked = series["position_m"], series["reference_m"]
+        seen.plot(path[:, 0], path[:, 1], color=colour, label=label)
+        off = 1e3 * np.linalg.norm(path - asked, axis=1)
+        over.plot(series["time_s"], off, color=colour,
+                  label=f"{label}, {error[name].mean():.0f} mm")  # fmt: skip
+    seen.plot(asked[:, 0], asked[:, 1], color="k", ls="--", lw=1.0, label="reference")
+    seen.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="Seen from above, seed 0")
+    over.set(xlabel="time [s]", ylabel="distance from the reference [mm]", yscale="log",
+             title=f"Tracking error, seed 0; RMSE over {len(SEEDS)} robots")  # fmt: skip
+    for axes in (seen, over):
+        axes.legend(loc="best", fontsize=8)
+    figure.savefig("my_controller.png", dpi=120)
+    means = ", ".join(f"{error[name].mean():.0f} mm ({name})" for name in CONTROLLERS)
+    print(f"tracking error: {means}")
+
+
+if __name__ == "__main__":
+    main()
