@@ -51,6 +51,8 @@ bench: $(STAMP)  ## measure speed: statics, limits
 
 bars: $(STAMP)  ## run the slow acceptance measurements; figures go to benchmarks/RESULTS.md
 	$(BIN)/python -m benchmarks.bars
+	$(BIN)/python -m benchmarks.limits_bar
+	$(BIN)/python -m benchmarks.studies
 
 docs: $(STAMP)  ## build the documentation into docs/_build
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
