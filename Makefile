@@ -28,10 +28,10 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(BIN)/python -m pip check
 	@touch $@
 
-demo: $(STAMP)  ## score the models on a bundled synthetic recording, with pictures
-	@echo "Scoring each model on the bundled recording 'synthetic'. Kernels are compiled at the"
-	@echo "first run, which takes up to a minute; later runs find them cached."
-	$(BIN)/carosac validate synthetic --output $(RESULTS)/demo
+demo: $(STAMP)  ## compare two controllers on a sagging-cable robot, with pictures
+	@echo "Comparing straight-line kinematics with the kinematic solver on the robot 'carosac'. Kernels"
+	@echo "are compiled at the first run, which takes up to a minute; later runs find them cached."
+	$(BIN)/carosac compare --output $(RESULTS)/demo
 	@echo
 	@echo "Pictures and report (open report.html in a browser):"
 	@ls -1 $(RESULTS)/demo/*.png $(RESULTS)/demo/*.html

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from carosac_toolkit.recordings.poses import PoseSamples
     from carosac_toolkit.robot import Robot
     from carosac_toolkit.robot_file import list_robots, load_robot
+    from carosac_toolkit.studies.results import StudyResults
+    from carosac_toolkit.studies.study import Study
     from carosac_toolkit.validation import validate
     from carosac_toolkit.values import Belief, Command, Measurement, Pose, Reference, State
 
@@ -44,6 +46,8 @@ _HOME = {
     "Reference": "values",
     "Robot": "robot",
     "State": "values",
+    "Study": "studies.study",
+    "StudyResults": "studies.results",
     "list_robots": "robot_file",
     "load_recording": "recording",
     "load_robot": "robot_file",
@@ -74,6 +78,8 @@ __all__ = [
     "Reference",
     "Robot",
     "State",
+    "Study",
+    "StudyResults",
     "catenary",
     "list_robots",
     "load_recording",

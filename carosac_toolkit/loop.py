@@ -78,16 +78,12 @@ class Log:
 
 
 def run(
-    driver: Driver,
-    estimator: Estimator,
-    controller: Controller,
-    trajectory: Trajectory,
-    *,
+    driver: Driver, estimator: Estimator, controller: Controller, trajectory: Trajectory, *,
     duration: float | None = None,
-) -> Log:
+) -> Log:  # fmt: skip
     """Run one controller and one estimator on one driver along one trajectory.
 
-    The driver is connected, stopped and closed here, also when something fails.
+    The driver is connected here, and stopped and closed whatever fails.
 
     Args:
         driver: Simulated, recorded or real.
@@ -125,13 +121,9 @@ def run(
 
 
 def _cycles(
-    driver: Driver,
-    estimator: Estimator,
-    controller: Controller,
-    trajectory: Trajectory,
-    count: int,
-    steps: list[Step],
-) -> bool:
+    driver: Driver, estimator: Estimator, controller: Controller, trajectory: Trajectory,
+    count: int, steps: list[Step],
+) -> bool:  # fmt: skip
     """Run `count` cycles; False where the driver ended earlier."""
     measurement = driver.measure()
     start = float(measurement.time[0])
@@ -152,17 +144,11 @@ def _cycles(
         asked = _checked_command(controller.command(belief, reference), measurement)
         latency = time.perf_counter() - began
         applied = driver.command(asked)
-        steps.append(
-            Step(
-                measurement=measurement,
-                belief=belief,
-                reference=reference,
-                asked=asked,
-                command=applied,
-                truth=truth,
-                latency=latency,
-            )
-        )
+        step = Step(
+            measurement=measurement, belief=belief, reference=reference, asked=asked,
+            command=applied, truth=truth, latency=latency,
+        )  # fmt: skip
+        steps.append(step)
         if not driver.wait(controller.period):
             return k == count - 1
     return True

@@ -5,7 +5,7 @@ estimator believes, where the plain straight line takes the platform to be uprig
 robot with four cables tilts, and that is most of the straight line's error; what is left is the
 weight and the stretch of the cables, which the kinematic solver knows.
 
-Writes my_controller.png and prints the tracking error of the three, on perturbed robots.
+Writes my_controller.png and prints the tracking error of `Tilted`, mean of two drawn robots.
 """
 
 import json
@@ -52,7 +52,7 @@ CONTROLLERS = {
     "kinematic_solver": "kinematic solver",
 }
 COLOURS = ("tab:orange", "tab:green", "tab:blue")
-SEEDS = (0, 1, 2)
+SEEDS = (0, 1)
 
 
 def main():
@@ -82,12 +82,11 @@ def main():
     seen.plot(asked[:, 0], asked[:, 1], color="k", ls="--", lw=1.0, label="reference")
     seen.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="Seen from above, seed 0")
     over.set(xlabel="time [s]", ylabel="distance from the reference [mm]", yscale="log",
-             title=f"Tracking error, seed 0; RMSE over {len(SEEDS)} robots")  # fmt: skip
+             ylim=(1.0, 600.0), title="Tracking error, seed 0; RMSE over all seeds")  # fmt: skip
     for axes in (seen, over):
         axes.legend(loc="best", fontsize=8)
     figure.savefig("my_controller.png", dpi=120)
-    means = ", ".join(f"{error[name].mean():.0f} mm ({name})" for name in CONTROLLERS)
-    print(f"tracking error: {means}")
+    print(f"tracking error of my controller: {error['my_controller:Tilted'].mean():.0f} mm")
 
 
 if __name__ == "__main__":

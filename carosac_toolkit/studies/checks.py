@@ -13,6 +13,7 @@ from carosac_toolkit import registry, trajectories
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.perturbations import CONDITIONS
 from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.studies.folder import check_statuses
 
 if TYPE_CHECKING:
     from carosac_toolkit.studies.study import Study
@@ -27,6 +28,7 @@ def check_study(study: Study) -> None:
     for name, unit in (("speed_max", "m/s"), ("acceleration_max", "m/s^2")):
         _positive(name, getattr(study, name), unit)
     study.cases()
+    _check_execution(study)
     for robot in study.robots:
         load_robot(robot)
     _known("trajectory", study.trajectories, trajectories.NAMES)
@@ -44,6 +46,18 @@ def check_study(study: Study) -> None:
                 continue
             plugin = _plugin(kind, name)
             _check_settings(f"{kind[:-1]}_settings", name, plugin, wanted.get(name, {}))
+
+
+def _check_execution(study: Study) -> None:
+    """Refuse what `run_cases` would refuse, before anybody is told that something runs."""
+    if not 0.0 < study.timeout < 1e7:
+        raise InvalidField("timeout", f"{study.timeout} s", "0 < timeout < 1e7 s")
+    check_statuses(study.retry)
+    if study.workers is not None and study.scheduler is not None:
+        allowed = "no number of workers with a scheduler"
+        raise InvalidField("workers", str(study.workers), allowed)
+    if study.workers is not None and study.workers < 0:
+        raise InvalidField("workers", str(study.workers), "0 or more")
 
 
 def _positive(name: str, value: Any, unit: str) -> None:
@@ -108,7 +122,7 @@ def _check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any
         raise InvalidField(field, repr(dict(wanted)), f"nothing: {name} has no settings")
     _known(f"{field} of {name}", wanted, sorted(item.name for item in fields(kinds)))
     try:
-        kinds(**wanted)  # type: ignore[operator]
+        kinds(**{name: x for name, x in wanted.items() if not isinstance(x, Mapping)})  # type: ignore[operator]
     except TypeError as error:
         raise InvalidField(field, repr(dict(wanted)), f"settings of {name}: {error}") from error
 

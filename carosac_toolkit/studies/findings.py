@@ -86,7 +86,7 @@ def _notes(results: StudyResults) -> list[str]:
     failed = sum(line["failures"] for line in results.summary)
     if failed:
         notes.append(
-            f"{failed} of {len(results.rows)} cases have no score; errors are those of the rest."
+            f"{failed} of {len(results.rows)} cases without a score: errors are those of the rest."
         )
     short = sum(line["incomplete"] for line in results.summary)
     if short:

@@ -12,7 +12,6 @@ How rows become one line:
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,7 +26,6 @@ from carosac_toolkit.studies.rows import Row
 GROUP = ("robot", "controller", "estimator", "suite", "perturbation")
 PAIR = ("trajectory", "seed")  # with robot and perturbation: the same plant on the same path
 NAMES = ("x", "y", "z", "norm")
-PASSIVE = ("replay",)  # drivers that follow no command: there is nothing to be tracked
 _NUMBER = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 
 
@@ -81,12 +79,7 @@ def scored(rows: Sequence[Row]) -> list[Row]:
 
 def tracked(rows: Sequence[Row]) -> list[Row]:
     """Rows with a tracking error: a driver that follows commands, and a known truth."""
-    return [
-        row
-        for row in scored(rows)
-        if row.get("tracking_rmse_norm_m") is not None
-        and json.loads(str(row["settings"])).get("driver") not in PASSIVE
-    ]
+    return [row for row in scored(rows) if row.get("tracking_rmse_norm_m") is not None]
 
 
 def pooled(rows: Sequence[Row], name: str, weights: Sequence[float]) -> float | None:
@@ -135,6 +128,7 @@ def _line(rows: Sequence[Row]) -> dict[str, Any]:
         "tracking_centre_m": pooled(moved, "tracking_centre_m", inside),
         "tracking_boundary_m": pooled(moved, "tracking_boundary_m", outside),
         "residual_sway_m": pooled(moved, "residual_sway_m", [1.0] * len(moved)),
+        "command_rmse_m": pooled(good, "command_rmse_m", steps(good)),
         "limited": int(sum(_number(row, "limited") for row in good)),
         "latency_p95_s": float(np.median(latency)) if latency else None,
         "reasons": reasons(rows),

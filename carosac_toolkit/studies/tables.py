@@ -58,7 +58,7 @@ def failures(results: StudyResults) -> list[str]:
     for label, line in zip(results.labels, results.summary, strict=True):
         if not line["failures"]:
             continue
-        lines.append(f"{label}: {line['failures']} of {line['cases']} cases have no score")
+        lines.append(f"{label}: {line['failures']} of {line['cases']} cases without a score")
         listed = list(line["reasons"].items())
         lines += [f"  {count} {_short(reason)}" for reason, count in listed[:REASONS_SHOWN]]
         if len(listed) > REASONS_SHOWN:

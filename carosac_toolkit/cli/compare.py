@@ -1,0 +1,165 @@
+"""Compare controllers and estimators on the same draws of plants, paths and noise.
+
+Every combination is a case; cases run on all cores, or on a dask cluster. Prints a table of
+tracking and estimation errors, what failed and why, and who is better; writes pictures, one
+self-contained report.html and the row of every case in Parquet. Interrupted, the same command with
+the same --output goes on.
+
+Exit status 1 means that a row of the table is empty: none of its cases succeeded.
+"""
+
+from __future__ import annotations
+
+import shutil
+import textwrap
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import tyro
+
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.report_page import check_folder
+from carosac_toolkit.studies.engine import TIMEOUT
+from carosac_toolkit.studies.findings import conclusions
+from carosac_toolkit.studies.report import write_report
+from carosac_toolkit.studies.results import StudyResults
+from carosac_toolkit.studies.study import QUICK_SEEDS, SEEDS, TRAJECTORIES, Study
+from carosac_toolkit.studies.tables import SHORT_UNITS, failures, text_table
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(CommonOptions):
+    """Options of ``carosac compare``."""
+
+    robots: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--robot"])] = ("carosac",)
+    """Bundled robots or YAML files."""
+    controllers: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--controller"])] = (
+        "straight_line",
+        "kinematic_solver",
+    )
+    """Controllers by name, or `module:Class` for your own."""
+    estimators: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--estimator"])] = (
+        "kinematic_solver",
+    )
+    """Estimators by name, or `module:Class`; `truth` is what a simulated driver knows."""
+    suites: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--suite"])] = ("lengths",)
+    """Sensor suites of the driver."""
+    trajectories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--trajectory"])] = TRAJECTORIES
+    """Trajectories of the catalogue."""
+    perturbations: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--perturbation"])] = (
+        "nominal-1",
+    )
+    """By how much plants differ from the nominal robot."""
+    seeds: int | None = None
+    """How many draws of plant, path and noise, counted up from --seed; by default 10."""
+    driver: str = "quasi_static"
+    """What is controlled."""
+    speed: float = 1.0
+    """Largest speed of the trajectories [m/s]."""
+    acceleration: float = 1.0
+    """Largest acceleration of the trajectories [m/s^2]."""
+    quick: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Two draws, unless --seeds says otherwise: in under a minute. A full run in the same folder
+    goes on from there."""
+    scheduler: str | None = None
+    """Address of a dask scheduler, such as tcp://host:8786."""
+    workers: int | None = None
+    """Worker processes on this machine; 0 is none but this one; by default one per core."""
+    timeout: float = TIMEOUT
+    """How long a case may run [s]."""
+    retry: tuple[str, ...] = ()
+    """Run again what has ended as `failed`, `crashed` or `timed_out`."""
+    output: OutputFolder = None
+    """Folder of the results; goes on with the study that is there. By default
+    carosac-results/compare, numbered where another study is there already."""
+
+
+def run(options: Options) -> CommandResult:
+    """Run the study, print and draw it."""
+    study = _study(options)
+    study.check()
+    study = replace(study, output=study.folder())
+    check_folder("--output", study.folder())
+    width = max(80, shutil.get_terminal_size().columns)
+    print(_wrapped(_what(study), width), flush=True)
+    results = study.run()
+    said = conclusions(results)
+    _print(results, said, width)
+    files = write_report(results, said, _words(options, study))
+    pictures = sum(file.suffix == ".png" for file in files)
+    print(f"\nreport: {results.folder / 'report.html'}, with {pictures} pictures and the rows of")
+    print("all cases (Parquet) beside it")
+    data = {**results.data(), "conclusions": said, "output": str(results.folder)}
+    return CommandResult(data, status=0 if results.complete else 1)
+
+
+def _study(options: Options) -> Study:
+    """The study that was asked for."""
+    count = options.seeds if options.seeds is not None else QUICK_SEEDS if options.quick else SEEDS
+    if count < 1:
+        raise InvalidField("--seeds", str(count), "1 or more")
+    if options.seed < 0:
+        raise InvalidField("--seed", str(options.seed), "0 or more")
+    return Study(
+        robots=options.robots,
+        controllers=options.controllers,
+        estimators=options.estimators,
+        suites=options.suites,
+        trajectories=options.trajectories,
+        perturbations=options.perturbations,
+        seeds=range(options.seed, options.seed + count),
+        driver=options.driver,
+        speed_max=options.speed,
+        acceleration_max=options.acceleration,
+        output=options.output,
+        scheduler=options.scheduler,
+        workers=options.workers,
+        timeout=options.timeout,
+        retry=options.retry,
+    )
+
+
+def _words(options: Options, study: Study) -> list[str]:
+    """The command that repeats this."""
+    words = ["carosac", "compare"]
+    for name in ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations"):
+        words += [f"--{name}", *getattr(options, name)]
+    words += ["--seed", str(options.seed), "--seeds", str(len(study.seed_list))]
+    words += ["--driver", options.driver, "--timeout", f"{options.timeout:g}"]
+    words += ["--speed", f"{options.speed:g}", "--acceleration", f"{options.acceleration:g}"]
+    return words
+
+
+def _what(study: Study) -> str:
+    """What is about to be run."""
+    count = len(study.seed_list)
+    return (
+        f"{', '.join(map(str, study.robots))} on driver {study.driver}, plants drawn from "
+        f"{', '.join(study.perturbations)}: {len(study.trajectories)} trajectories "
+        f"({', '.join(study.trajectories)}) of up to {study.speed_max:g} m/s and "
+        f"{study.acceleration_max:g} m/s^2, {count} seed" + ("s" if count > 1 else "")
+    )
+
+
+def _print(results: StudyResults, said: list[str], width: int) -> None:
+    """Print the table, what failed, and what it all says."""
+    print(f"\n{SHORT_UNITS}")
+    print(text_table(results, width))
+    lost = failures(results)
+    if lost:
+        print()
+    for line in lost:
+        indent = " " * (len(line) - len(line.lstrip()))
+        print(_wrapped(line.lstrip(), width, indent))
+    print()
+    for line in said:
+        print(_wrapped(line, width, "* "))
+
+
+def _wrapped(text: str, width: int, start: str = "") -> str:
+    """Break a sentence into lines; names stay whole."""
+    return textwrap.fill(
+        text, width, initial_indent=start, subsequent_indent=" " * len(start),
+        break_long_words=False, break_on_hyphens=False,
+    )  # fmt: skip

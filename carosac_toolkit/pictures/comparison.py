@@ -1,0 +1,244 @@
+"""Pictures of a study: errors over cases, time, space and regions, one colour per group."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.pictures.drawing import (
+    COLORS,
+    MEASURED,
+    REST,
+    draw_violin,
+    limits_of,
+    new_figure,
+    put_legend,
+    put_patches,
+    set_space,
+)
+from carosac_toolkit.studies.examples import MM, Example, examples_of
+from carosac_toolkit.studies.results import NAMES, StudyResults, tracked
+from carosac_toolkit.studies.rows import Row
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST = len(COLORS)  # groups that can be told apart
+WITH_RESTS = ("waypoints", "minimum_snap")  # what is shown over time, first choice first
+IN_SPACE = ("spiral", "minimum_snap")
+
+
+def draw_violins(results: StudyResults) -> Figure:
+    """Draw the distribution of the absolute tracking error over the samples of example cases."""
+    figure = new_figure(12.0, 4.8)
+    groups = _groups(results)
+    panels = figure.subplots(1, 4)
+    shown: set[str] = set()
+    for place, (rows, color) in enumerate(groups.values()):
+        examples = examples_of(rows)
+        shown |= {example.trajectory for example in examples}
+        errors = [example.error for example in examples]
+        for column, axes in enumerate(panels if errors else ()):
+            draw_violin(axes, np.concatenate(errors)[:, column], place, color)
+    for name, axes in zip(NAMES, panels, strict=True):
+        axes.set_title(name, fontsize=10)
+        axes.set_xticks([])
+        axes.set_xlim(-0.6, len(groups) - 0.2)
+        axes.set_ylim(-0.04 * axes.get_ylim()[1], axes.get_ylim()[1])
+        axes.grid(axis="y", alpha=0.25)
+    panels[0].set_ylabel("absolute tracking error [mm]")
+    count = f"{len(shown)} trajector" + ("ies" if len(shown) != 1 else "y")
+    figure.suptitle(
+        f"Tracking error of all samples of {count}, first seed; bar: RMSE; dot: median"
+        + _left_out(results)
+    )
+    put_patches(figure, _colors(groups))
+    return figure
+
+
+def draw_gaussians(results: StudyResults) -> Figure:
+    """Draw how the RMSE of a case scatters: a normal distribution over the cases themselves."""
+    figure = new_figure(12.0, 7.0)
+    groups = _groups(results)
+    panels = figure.subplots(2, 2).ravel()
+    for axes, name in zip(panels, NAMES, strict=True):
+        for place, (rows, color) in enumerate(groups.values()):
+            column = [row[f"tracking_rmse_{name}_m"] for row in tracked(rows)]
+            _bell(axes, MM * np.array(column, dtype=float), place, color)
+        axes.set_title(name, fontsize=10)
+        axes.set_xlabel("RMSE of a case [mm]")
+        axes.set_yticks([])
+        axes.set_xlim(left=0.0)
+        axes.axhline(0.0, color=MEASURED, lw=0.6)
+        axes.grid(axis="x", alpha=0.25)
+    figure.suptitle(
+        "RMSE per case: its normal distribution, scaled to one height; ticks: the cases; "
+        "number: mean and standard deviation" + _left_out(results)
+    )
+    put_patches(figure, _colors(groups))
+    return figure
+
+
+def draw_time(results: StudyResults) -> Figure:
+    """Draw the absolute tracking error of one example case per axis, rests shaded."""
+    figure = new_figure(12.0, 8.0)
+    examples = _same_example(results, WITH_RESTS)
+    panels = figure.subplots(3, 1, sharex=True)
+    for axis, axes in enumerate(panels):
+        for label, (example, color) in examples.items():
+            axes.plot(example.time, example.error[:, axis], color=color, lw=1.2, label=label)
+        rests = next(iter(examples.values()))[0].rests() if examples else []
+        for k, (first, end) in enumerate(rests):
+            shade = axes.axvspan(first, end, color=REST, lw=0, zorder=0)
+            if axis == k == 0:
+                shade.set_label("reference at rest")
+        axes.set_ylabel(f"|error| in {NAMES[axis]} [mm]")
+        axes.set_ylim(bottom=0.0)
+        axes.margins(x=0.005)
+        axes.grid(alpha=0.25)
+    figure.align_ylabels(panels)
+    panels[-1].set_xlabel("time [s]")
+    figure.suptitle(f"Tracking error over time{_title_of(examples)}")
+    put_legend(figure, panels[0])
+    return figure
+
+
+def draw_paths(results: StudyResults) -> Figure:
+    """Draw the path of one example case in space, from above and from the side."""
+    figure = new_figure(12.0, 7.2)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1.0))
+    space = figure.add_subplot(grid[:, 0], projection="3d")
+    examples = _same_example(results, IN_SPACE)
+    paths = {label: (one.position, color) for label, (one, color) in examples.items()}
+    if examples:
+        paths["reference"] = (next(iter(examples.values()))[0].reference, MEASURED)
+    limits = limits_of([path for path, _ in paths.values()] or [np.zeros((1, 3))])
+    for label, (path, color) in paths.items():
+        style = {"ls": "--", "lw": 1.1} if label == "reference" else {"lw": 1.5}
+        space.plot(*path.T, color=color, label=label, **style)
+    set_space(space, limits)
+    views = (((0, 1), "from above"), ((0, 2), "from the side, along y"))
+    for row, (pair, title) in enumerate(views):
+        axes = figure.add_subplot(grid[row, 1])
+        for label, (path, color) in paths.items():
+            style = {"ls": "--", "lw": 0.9} if label == "reference" else {"lw": 1.2}
+            axes.plot(*path[:, list(pair)].T, color=color, **style)
+        axes.set(xlabel=f"{'xyz'[pair[0]]} [m]", ylabel=f"{'xyz'[pair[1]]} [m]")
+        axes.set(xlim=limits[pair[0]], ylim=limits[pair[1]], aspect="equal")
+        axes.set_title(title, fontsize=9)
+        axes.grid(alpha=0.25)
+    figure.suptitle(f"Path of the platform origin{_title_of(examples)}")
+    put_legend(figure, space)
+    return figure
+
+
+def draw_bars(results: StudyResults) -> Figure:
+    """Draw where the tracking error is large, and how far estimates are off."""
+    figure = new_figure(12.0, 4.6)
+    groups = _groups(results)
+    lines = dict(zip(results.labels, results.summary, strict=True))
+    where, estimate = figure.subplots(1, 2, width_ratios=(1.0, 1.5))
+    for place, (label, (_, color)) in enumerate(groups.items()):
+        line = lines[label]
+        regions = [line["tracking_centre_m"], line["tracking_boundary_m"]]
+        errors = [line["estimation_rmse_m"][name] for name in NAMES]
+        for axes, values in ((where, regions), (estimate, errors)):
+            _bars(axes, values, place, len(groups), color)
+    where.set_xticks(range(2), ["centre", "boundary"])
+    where.set_ylabel("RMSE of the tracking error [mm]")
+    where.set_title("tracking error by region", fontsize=10)
+    estimate.set_xticks(range(4), NAMES)
+    estimate.set_ylabel("RMSE of the estimation error [mm]")
+    estimate.set_title("estimation error", fontsize=10)
+    for axes in (where, estimate):
+        axes.grid(axis="y", alpha=0.25)
+        axes.set_axisbelow(True)
+        axes.margins(y=0.12)
+    figure.suptitle(
+        "Errors over all cases; centre: the middle half of each side of the workspace box"
+        + _left_out(results)
+    )
+    put_patches(figure, _colors(groups))
+    return figure
+
+
+PICTURES: Mapping[str, Callable[[StudyResults], Figure]] = {
+    "paths": draw_paths,
+    "error_over_time": draw_time,
+    "error_violins": draw_violins,
+    "rmse_gaussians": draw_gaussians,
+    "regions_and_estimates": draw_bars,
+}
+
+
+def _groups(results: StudyResults) -> dict[str, tuple[list[Row], str]]:
+    """Rows and colour of the first groups, by label."""
+    pairs = zip(results.labels[:MOST], results.groups[:MOST], COLORS, strict=False)
+    return {label: (rows, color) for label, rows, color in pairs}
+
+
+def _left_out(results: StudyResults) -> str:
+    """Say that not all groups are there."""
+    count = len(results.labels)
+    return f" (the first {MOST} of {count} rows of the table)" if count > MOST else ""
+
+
+def _colors(groups: Mapping[str, tuple[list[Row], str]]) -> dict[str, str]:
+    return {label: color for label, (_, color) in groups.items()}
+
+
+def _same_example(results: StudyResults, wanted: tuple[str, ...]) -> dict[str, tuple[Example, str]]:
+    """One case of every group on the same plant and path, by label, with its colour."""
+    groups = _groups(results)
+    first = results.summary[0]
+    block = {
+        label: ({e.trajectory: e for e in examples_of(rows)}, color)
+        for label, (rows, color) in groups.items()
+        if (rows[0]["robot"], rows[0]["perturbation"]) == (first["robot"], first["perturbation"])
+    }
+    have = dict.fromkeys(name for found, _ in block.values() for name in found)
+    name = next((name for name in (*wanted, *have) if name in have), None)
+    return {
+        label: (found[name], color)
+        for label, (found, color) in block.items()
+        if name is not None and name in found
+    }
+
+
+def _title_of(examples: Mapping[str, tuple[Example, str]]) -> str:
+    """What is shown."""
+    titles = [example.title for example, _ in examples.values()]
+    return f": {titles[0]}" if titles else ": no case to show"
+
+
+def _bell(axes: Any, values: Array, place: int, color: str) -> None:
+    """Draw values as ticks below zero, and their normal distribution above."""
+    if len(values) == 0:
+        return
+    low = -0.08 * (place + 1)
+    axes.plot(values, np.full(len(values), low), "|", color=color, ms=7, alpha=0.7)
+    mean, deviation = float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
+    text = f"{mean:.1f}"
+    if deviation > 0.0:
+        text += f" ± {deviation:.1f}"
+        grid = mean + deviation * np.linspace(-3.5, 3.5, 141)
+        axes.fill_between(grid, np.exp(-0.5 * ((grid - mean) / deviation) ** 2), color=color,
+                          alpha=0.35, lw=1.2, edgecolor=color)  # fmt: skip
+    axes.annotate(text, (mean, 1.0), xytext=(0, 3), textcoords="offset points", ha="center",
+                  color=color, fontsize=9)  # fmt: skip
+    axes.set_ylim(bottom=min(low - 0.06, axes.get_ylim()[0]), top=1.22)
+
+
+def _bars(axes: Any, values: list[float | None], place: int, count: int, color: str) -> None:
+    """Draw one group's bars, with their numbers."""
+    width = 0.8 / count
+    for position, value in enumerate(values):
+        if value is None:
+            continue
+        where = position + (place - (count - 1) / 2) * width
+        axes.bar(where, MM * value, 0.92 * width, color=color, alpha=0.75)
+        axes.annotate(f"{MM * value:.1f}", (where, MM * value), xytext=(0, 2), fontsize=8,
+                      textcoords="offset points", ha="center")  # fmt: skip

@@ -1,0 +1,85 @@
+"""A study as a page: table, failures, pictures and settings, in its folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+
+from carosac_toolkit.report_page import (
+    bullets,
+    definitions,
+    made_with,
+    page,
+    picture,
+    png,
+    repeat,
+    table,
+    write_files,
+)
+from carosac_toolkit.studies.results import StudyResults, tracked
+from carosac_toolkit.studies.tables import UNITS, failures, header, name_columns, rows
+
+CAPTIONS = {
+    "paths": "One case: where the platform origin went, against the reference.",
+    "error_over_time": "One case: absolute tracking error per axis; grey: the reference rests.",
+    "error_violins": "Distribution of the absolute tracking error over the samples of all "
+    "trajectories, first seed.",
+    "rmse_gaussians": "How much the RMSE differs from case to case, over all trajectories and "
+    "seeds: the narrower, the more one case says about the next.",
+    "regions_and_estimates": "Tracking error in the centre and near the boundary of the workspace "
+    "box, and estimation error per axis, over all cases.",
+}
+
+
+def write_report(results: StudyResults, said: Sequence[str], words: Sequence[str]) -> list[Path]:
+    """Draw the pictures and write ``report.html`` into the folder of the study.
+
+    Args:
+        results: What was found.
+        said: Sentences on it.
+        words: The command that repeats it.
+
+    Returns:
+        The files, the report last.
+    """
+    from carosac_toolkit.pictures.comparison import PICTURES
+
+    drawn = PICTURES.items() if tracked(results.rows) else ()
+    images = {f"{name}.png": png(draw(results)) for name, draw in drawn}
+    document = _html(results, said, words, images)
+    return write_files(results.folder, {**images, "report.html": document.encode()})
+
+
+def _html(
+    results: StudyResults, said: Sequence[str], words: Sequence[str], images: Mapping[str, bytes]
+) -> str:
+    """The whole document."""
+    names = list(dict.fromkeys(str(row["controller"]) for row in results.rows))
+    lost = "\n".join(failures(results))
+    parts = [
+        bullets(said),
+        f"<h2>Errors</h2><p>{escape(UNITS)}</p>",
+        table(header(results), rows(results), left=name_columns(results)),
+        f"<h2>Cases without a score</h2><pre>{escape(lost)}</pre>" if lost else "",
+        *(picture(image, CAPTIONS[Path(file).stem]) for file, image in images.items()),
+        "<h2>Settings</h2>",
+        definitions({**_settings(results), **made_with()}),
+        repeat(words),
+    ]
+    return page(f"Comparison of {', '.join(names)}", parts)
+
+
+def _settings(results: StudyResults) -> dict[str, str]:
+    """What the cases were."""
+    terms = {"cases": str(len(results.rows))}
+    for name in ("robot", "controller", "estimator", "suite", "trajectory", "perturbation", "seed"):
+        values = dict.fromkeys(str(row[name]) for row in results.rows)
+        terms[name] = ", ".join(values)
+    shared: dict[str, dict[str, None]] = {}
+    for row in results.rows:
+        for name, value in json.loads(str(row["settings"])).items():
+            shared.setdefault(name, {})[json.dumps(value).strip('"')] = None
+    terms |= {name: "; ".join(values) for name, values in shared.items()}
+    return terms | {"results": f"Parquet files beside this page, in {results.folder.resolve()}"}

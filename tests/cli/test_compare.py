@@ -1,0 +1,222 @@
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from carosac_toolkit.cli.main import main
+from carosac_toolkit.studies import read_rows
+
+FAST = ["--trajectories", "line", "--speed", "2.5", "--acceleration", "2.5", "--seeds", "1"]
+ALONE = [*FAST, "--workers", "0"]
+PACKAGE = "somebodys_controllers"
+SOURCE = """
+import numpy as np
+from carosac_toolkit.physics import straight_line
+from carosac_toolkit.values import Command
+
+class Good:
+    period, horizon = 0.02, 0.02
+
+    @classmethod
+    def build(cls, robot, settings=None, *, seed=0):
+        made = cls()
+        made.robot = robot
+        return made
+
+    def reset(self, belief):
+        pass
+
+    def lengths(self, reference):
+        return straight_line.inverse_kinematics(self.robot, reference.position[:, 0])
+
+    def command(self, belief, reference):
+        return Command(time=belief.time, unstrained_length=self.lengths(reference))
+
+class Raising(Good):
+    def lengths(self, reference):
+        raise RuntimeError("no luck")
+
+class Nan(Good):
+    def lengths(self, reference):
+        return np.nan * super().lengths(reference)
+
+class Wrong(Good):
+    def lengths(self, reference):
+        return super().lengths(reference)[:, :3]
+
+class Nothing(Good):
+    def command(self, belief, reference):
+        return None
+
+class Unbuildable:
+    build = None
+"""
+
+
+@pytest.fixture(autouse=True)
+def in_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def package(tmp_path_factory):
+    """Controllers of somebody else, importable from here and from workers."""
+    folder = tmp_path_factory.mktemp("installed")
+    (folder / f"{PACKAGE}.py").write_text(SOURCE)
+    (folder / "broken_at_import.py").write_text("1 / 0\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(folder))
+        yield
+
+
+def names(folder="."):
+    return sorted(str(path) for path in Path(folder).rglob("*"))
+
+
+def test_the_contract_of_the_json_the_table_and_the_files(capsys):
+    words = ["--trajectories", "line", "circle", "--speed", "2.5", "--acceleration", "2.5"]
+    words = [*words, "--seeds", "1", "--workers", "0", "--output", "out", "--json", "x.json"]
+    assert main(["compare", *words]) == 0
+    data = json.loads(Path("x.json").read_text())
+    assert data["cases"] == 4
+    assert [line["controller"] for line in data["summary"]] == ["straight_line", "kinematic_solver"]
+    for line in data["summary"]:
+        assert line["estimator"] == "kinematic_solver" and line["suite"] == "lengths"
+        assert line["robot"] == "carosac" and line["reasons"] == {}
+        for key in ("tracking_rmse_m", "estimation_rmse_m"):
+            assert set(line[key]) == {"x", "y", "z", "norm"}
+            assert all(isinstance(value, float) for value in line[key].values())
+        for key in ("tracking_std_m", "tracking_centre_m", "tracking_boundary_m",
+                    "residual_sway_m", "latency_p95_s"):  # fmt: skip
+            assert isinstance(line[key], float), key
+        assert line["failures"] == 0 and line["cases"] == 2
+    out = capsys.readouterr().out
+    for line in data["summary"]:
+        assert f"{line['tracking_rmse_m']['norm'] * 1e3:.1f}" in out
+    assert max(map(len, out.splitlines())) <= 80
+    assert all(f"* {line}" in " ".join(out.split()) for line in data["conclusions"])
+    kinds = {path.suffix for path in Path("out").iterdir()}
+    assert {".parquet", ".png", ".html", ".json"} <= kinds
+    assert "--trajectories line circle" in Path("out/report.html").read_text()
+
+
+def test_broken_controllers_cost_their_own_cases_and_say_why(capsys):
+    reasons = {
+        "Raising": "RuntimeError: no luck",
+        "Nan": "unstrained_length",
+        "Wrong": "controller: got lengths of shape (1, 3); allowed: (1, 4)",
+        "Nothing": "controller: got NoneType; allowed: a Command",
+    }
+    broken = [f"{PACKAGE}:{name}" for name in reasons]
+    controllers = ["straight_line", *broken, f"{PACKAGE}:Good"]
+    words = ["compare", *ALONE, "--controllers", *controllers, "--output", "o", "--json", "x.json"]
+    assert main(words) == 1
+    out = " ".join(capsys.readouterr().out.split())
+    lines = json.loads(Path("x.json").read_text())["summary"]
+    summary = {line["controller"]: line for line in lines}
+    assert list(summary) == controllers
+    report = Path("o/report.html").read_text()
+    for name, reason in reasons.items():
+        line = summary[f"{PACKAGE}:{name}"]
+        assert line["failures"] == line["cases"] == 1
+        assert line["tracking_rmse_m"]["norm"] is None
+        assert reason in " ".join(line["reasons"]) and reason in out and reason in report
+    for name in ("straight_line", f"{PACKAGE}:Good"):
+        assert summary[name]["failures"] == 0 and summary[name]["tracking_rmse_m"]["norm"] > 0.0
+
+
+def test_somebody_elses_controller_runs_on_workers_as_in_this_process(capsys):
+    words = ["compare", *FAST, "--controllers", f"{PACKAGE}:Good", f"{PACKAGE}:Raising"]
+    tables = []
+    for workers in ("0", "2"):
+        out = ["--workers", workers, "--output", workers, "--json", f"{workers}.json"]
+        assert main([*words, *out]) == 1
+        summary = json.loads(Path(f"{workers}.json").read_text())["summary"]
+        tables.append([{k: x for k, x in row.items() if k != "latency_p95_s"} for row in summary])
+    assert tables[0] == tables[1]
+    assert tables[0][0]["failures"] == 0 and tables[0][1]["failures"] == 1
+
+
+def test_a_second_call_goes_on_and_another_study_is_refused(capsys):
+    words = ["compare", *ALONE, "--controllers", "straight_line"]
+    assert main([*words, "--output", "o"]) == 0
+    first = read_rows("o")
+    assert main([*words, "--output", "o"]) == 0
+    assert read_rows("o") == first
+    before = names()
+    assert main([*words, "--speed", "2", "--output", "o"]) == 2
+    assert "o holds another study" in capsys.readouterr().err
+    assert names() == before
+    for _ in range(2):
+        assert main(words) == 0
+    assert main([*words, "--acceleration", "2"]) == 0
+    assert sorted(os.listdir("carosac-results")) == ["compare", "compare-2"]
+
+
+def test_the_seed_moves_the_draws_and_their_pictures():
+    numbers = []
+    for seed in ("0", "7"):
+        words = ["--controllers", "straight_line", "--seed", seed, "--json", "x.json"]
+        assert main(["compare", *ALONE, *words, "--output", seed]) == 0
+        summary = json.loads(Path("x.json").read_text())["summary"]
+        numbers.append(summary[0]["tracking_rmse_m"]["norm"])
+        assert Path(seed, "paths.png").exists()
+        assert read_rows(seed)[0]["series"]
+    assert numbers[0] != numbers[1]
+    assert "--seed 7" in Path("7/report.html").read_text()
+
+
+def test_the_quick_preset_is_a_part_of_the_whole():
+    from carosac_toolkit.cli.compare import Options, _study
+
+    quick, whole = (_study(Options(quick=flag)).cases() for flag in (True, False))
+    assert len(quick) == 20 and set(quick) < set(whole)
+    assert len(_study(Options(quick=True, seeds=3)).cases()) == 30
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--controllers", "straight_lin"], "did you mean 'straight_line'"),
+        (["--controllers", "no.such.module:X"], "cannot import no.such.module"),
+        (["--controllers", "broken_at_import:X"], "its import raised ZeroDivisionError"),
+        (["--controllers", f"{PACKAGE}:Goood"], "did you mean 'Good'"),
+        (["--controllers", f"{PACKAGE}:Unbuildable"], "a class with build("),
+        (["--controllers", "straight_line", "straight_line"], "different values"),
+        (["--estimators", "kinematic_solvr"], "did you mean 'kinematic_solver'"),
+        (["--estimator", "json:loads"], "a class with build("),
+        (["--suite", "lenghts"], "suite: got 'lenghts'"),
+        (["--suite", "lengths+imu"], "no inertia"),
+        (["--trajectories", "spirall"], "did you mean 'spiral'"),
+        (["--perturbations", "nominal-2"], "did you mean 'nominal-1'"),
+        (["--robot", "carosak"], "did you mean 'carosac'"),
+        (["--robots", "missing.yaml"], "missing.yaml: no such file"),
+        (["--driver", "quasistatic"], "did you mean 'quasi_static'"),
+        (["--seeds", "0"], "--seeds: got 0; allowed: 1 or more"),
+        (["--seeds", "many"], "a whole number"),
+        (["--seed", "-1"], "--seed: got -1"),
+        (["--speed", "0"], "speed_max: got 0.0 m/s"),
+        (["--speed", "nan"], "speed_max: got nan m/s"),
+        (["--acceleration", "-2"], "acceleration_max: got -2.0"),
+        (["--timeout", "0"], "timeout: got 0.0 s"),
+        (["--workers", "-2"], "workers: got -2"),
+        (["--retry", "lost"], "retry: got 'lost'"),
+        (["--scheduler", "nowhere"], "scheduler: got 'nowhere'"),
+        (["--scheduler", "tcp://127.0.0.1:1", "--workers", "2"], "no number of workers"),
+        (["--output", "a_file"], "--output: got 'a_file'; allowed: a folder"),
+        (["--output", "a_file/below"], "a_file is a file"),
+        (["--json", "no/such/x.json"], "--json: got"),
+        (["--quik"], "did you mean '--quick'"),
+    ],
+)
+def test_bad_input_is_one_message_and_status_two_and_nothing_is_written(words, message, capsys):
+    Path("a_file").write_text("hello")
+    before = names()
+    outputs = [] if "--json" in words else ["--json", "x.json"]
+    assert main(["compare", *words, *outputs]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("carosac: ") and captured.err.count("carosac: ") == 1
+    assert message in captured.err.replace('"', "'")
+    assert captured.out == ""
+    assert names() == before
