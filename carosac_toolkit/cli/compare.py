@@ -133,11 +133,12 @@ def _words(options: Options, study: Study) -> list[str]:
 
 def _what(study: Study) -> str:
     """What is about to be run."""
-    count = len(study.seed_list)
+    count, paths = len(study.seed_list), len(study.trajectories)
     return (
         f"{', '.join(map(str, study.robots))} on driver {study.driver}, plants drawn from "
-        f"{', '.join(study.perturbations)}: {len(study.trajectories)} trajectories "
-        f"({', '.join(study.trajectories)}) of up to {study.speed_max:g} m/s and "
+        f"{', '.join(study.perturbations)}: {paths} trajector"
+        + ("ies" if paths > 1 else "y")
+        + f" ({', '.join(study.trajectories)}) of up to {study.speed_max:g} m/s and "
         f"{study.acceleration_max:g} m/s^2, {count} seed" + ("s" if count > 1 else "")
     )
 
