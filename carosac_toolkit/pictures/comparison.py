@@ -26,6 +26,7 @@ from carosac_toolkit.studies.rows import Row
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+FEW_BARS = 4  # groups up to which bars have room for their numbers
 MOST = len(COLORS)  # groups that can be told apart
 WITH_RESTS = ("waypoints", "minimum_snap")  # what is shown over time, first choice first
 IN_SPACE = ("spiral", "minimum_snap")
@@ -71,7 +72,7 @@ def draw_gaussians(results: StudyResults) -> Figure:
         axes.set_title(name, fontsize=10)
         axes.set_xlabel("RMSE of a case [mm]")
         axes.set_yticks([])
-        axes.set_xlim(left=0.0)
+        axes.set_xlim(-0.02 * axes.get_xlim()[1], 1.1 * axes.get_xlim()[1])
         axes.axhline(0.0, color=MEASURED, lw=0.6)
         axes.grid(axis="x", alpha=0.25)
     figure.suptitle(
@@ -218,18 +219,18 @@ def _bell(axes: Any, values: Array, place: int, color: str) -> None:
     """Draw values as ticks below zero, and their normal distribution above."""
     if len(values) == 0:
         return
-    low = -0.08 * (place + 1)
+    low = -0.11 * (place + 1)
     axes.plot(values, np.full(len(values), low), "|", color=color, ms=7, alpha=0.7)
     mean, deviation = float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
     text = f"{mean:.1f}"
     if deviation > 0.0:
         text += f" ± {deviation:.1f}"
         grid = mean + deviation * np.linspace(-3.5, 3.5, 141)
-        axes.fill_between(grid, np.exp(-0.5 * ((grid - mean) / deviation) ** 2), color=color,
-                          alpha=0.35, lw=1.2, edgecolor=color)  # fmt: skip
-    axes.annotate(text, (mean, 1.0), xytext=(0, 3), textcoords="offset points", ha="center",
-                  color=color, fontsize=9)  # fmt: skip
-    axes.set_ylim(bottom=min(low - 0.06, axes.get_ylim()[0]), top=1.22)
+        height = np.exp(-0.5 * ((grid - mean) / deviation) ** 2)
+        axes.fill_between(grid, height, color=color, alpha=0.35, lw=1.2, edgecolor=color)
+    beside = axes.get_yaxis_transform()
+    axes.text(0.99, low, text, transform=beside, ha="right", va="center", color=color, fontsize=9)
+    axes.set_ylim(bottom=min(low - 0.09, axes.get_ylim()[0]), top=1.1)
 
 
 def _bars(axes: Any, values: list[float | None], place: int, count: int, color: str) -> None:
@@ -240,5 +241,7 @@ def _bars(axes: Any, values: list[float | None], place: int, count: int, color: 
             continue
         where = position + (place - (count - 1) / 2) * width
         axes.bar(where, MM * value, 0.92 * width, color=color, alpha=0.75)
+        if count > FEW_BARS:
+            continue
         axes.annotate(f"{MM * value:.1f}", (where, MM * value), xytext=(0, 2), fontsize=8,
                       textcoords="offset points", ha="center")  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +17,7 @@ MEASURED = "#202020"
 REST = "#d9dde2"
 FEW = 20  # samples up to which each is drawn as a dot
 LONG = 2.0  # times as far along y as along x: the view from above is turned
+CHARACTERS = 11.0  # of a legend per inch
 COLORS = ("#d1622b", "#1f6f8b", "#7b4fa3", "#4c8c2b", "#b8336a", "#8a6d1f", "#5a6b7b", "#c79a00")
 
 
@@ -96,7 +97,7 @@ def _number(value: float) -> str:
 def put_legend(figure: Figure, axes: Any) -> None:
     """Put the labels of one panel below the figure."""
     handles, labels = axes.get_legend_handles_labels()
-    columns = min(len(labels), 6)
+    columns = _columns(figure, labels)
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
 
 
@@ -105,5 +106,12 @@ def put_patches(figure: Figure, colors: Mapping[str, str]) -> None:
     from matplotlib.patches import Patch
 
     handles = [Patch(color=color, alpha=0.6, label=name) for name, color in colors.items()]
-    columns = min(max(len(handles), 1), 6)
+    columns = _columns(figure, list(colors))
     figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False)
+
+
+def _columns(figure: Figure, labels: Sequence[str]) -> int:
+    """How many columns of a legend fit below a figure."""
+    longest = max((len(label) for label in labels), default=1)
+    fit = int(figure.get_size_inches()[0] * CHARACTERS / (longest + 6))
+    return max(1, min(len(labels), fit, 6))

@@ -8,6 +8,7 @@ from carosac_toolkit.studies.results import PAIR, StudyResults, pooled, steps, t
 from carosac_toolkit.validation.quantities import say_length
 
 ALIKE = 1.01  # ratio of two errors below which they are not told apart
+WAYS = ("controller", "estimator", "suite")  # what is compared
 BLOCKS = 3  # robots and perturbations that get sentences
 
 
@@ -31,23 +32,21 @@ def _of_block(results: StudyResults, members: list[int]) -> Iterator[str]:
         if results.summary[k]["tracking_rmse_m"]["norm"] is not None
     }
     ranked = sorted(errors, key=lambda k: errors[k])
+    labels = results.labels_of(WAYS)
     if not ranked:
         return
     if len(ranked) == 1:
-        yield f"{results.labels[ranked[0]]} tracks with {say_length(errors[ranked[0]])} RMSE."
+        yield f"{labels[ranked[0]]} tracks with {say_length(errors[ranked[0]])} RMSE."
         return
     for other in dict.fromkeys((ranked[1], ranked[-1])):
         yield _pair(results, ranked[0], other)
     spread = [
-        f"{say_length(results.summary[k]['tracking_std_m'])} for {results.labels[k]}"
-        for k in ranked[:2]
+        f"{say_length(results.summary[k]['tracking_std_m'])} for {labels[k]}"
+        for k in (ranked[0], ranked[-1])
         if results.summary[k]["tracking_std_m"] is not None
     ]
     if len(spread) == 2:
-        yield (
-            "The RMSE of a single case scatters about their mean by "
-            f"{spread[0]}, {spread[1]} (standard deviation)."
-        )
+        yield (f"From case to case the RMSE has a standard deviation of {spread[0]}, {spread[1]}.")
 
 
 def _pair(results: StudyResults, one: int, two: int) -> str:
@@ -59,7 +58,8 @@ def _pair(results: StudyResults, one: int, two: int) -> str:
     common = [key for key in by_case[0] if key in by_case[1]]
     rows = [[table[key] for key in common] for table in by_case]
     size = [pooled(part, "tracking_rmse_norm_m", steps(part)) for part in rows]
-    names = [results.labels[one], results.labels[two]]
+    labels = results.labels_of(WAYS)
+    names = [labels[one], labels[two]]
     if size[0] is None or size[1] is None:
         return f"{names[0]} and {names[1]} succeeded in no case together: no comparison."
     if size[0] > size[1]:  # the ranking is over all cases, this is over those they share

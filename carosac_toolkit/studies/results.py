@@ -57,9 +57,14 @@ class StudyResults:
     @cached_property
     def labels(self) -> list[str]:
         """Short names of the groups, all different: what they do not share."""
-        varies = [name for name in GROUP if len({line[name] for line in self.summary}) > 1]
+        return self.labels_of(GROUP)
+
+    def labels_of(self, names: Sequence[str]) -> list[str]:
+        """Names of the groups by those of some fields that they do not share."""
+        varies = [name for name in names if len({line[name] for line in self.summary}) > 1]
         return [
-            ", ".join(str(line[name]) for name in varies or ["controller"]) for line in self.summary
+            " / ".join(str(line[name]) for name in varies or ["controller"])
+            for line in self.summary
         ]
 
     @property
