@@ -30,11 +30,11 @@ class AheadSettings:
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
-        if not self.period > 0.0:
+        if not 0.0 < self.period < np.inf:
             raise InvalidField("period", f"{self.period} s", "period > 0")
-        if self.delay is not None and not self.delay >= 0.0:
+        if self.delay is not None and not 0.0 <= self.delay < np.inf:
             raise InvalidField("delay", f"{self.delay} s", "delay >= 0, or none")
-        if not self.gain >= 0.0:
+        if not 0.0 <= self.gain < np.inf:
             raise InvalidField("gain", f"{self.gain} 1/s", "gain >= 0")
 
 

@@ -100,7 +100,7 @@ def run(
             finite; the driver was stopped.
         InvalidField: A period, horizon or duration that is not positive.
     """
-    period = _positive("controller.period", controller.period)
+    period = _positive("controller.period", getattr(controller, "period", None))
     total = trajectory.duration + 1.0 if duration is None else _positive("duration", duration)
     count = max(1, round(total / period))
     steps: list[Step] = []
@@ -162,10 +162,12 @@ def _reference(
     return window if start == 0.0 else replace(window, time=window.time + start)
 
 
-def _positive(name: str, value: float) -> float:
-    """Refuse zero, negative and NaN."""
-    if not value > 0.0 or not np.isfinite(value):
-        raise InvalidField(name, value, "> 0 s, finite")
+def _positive(name: str, value: object) -> float:
+    """Refuse zero, negative, NaN and what is no number."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.floating):
+        raise InvalidField(name, repr(value), "a number of seconds")
+    if not 0.0 < value < np.inf:
+        raise InvalidField(name, f"{value} s", "> 0 s, finite")
     return float(value)
 
 

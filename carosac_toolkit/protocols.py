@@ -116,7 +116,7 @@ class MotionDriver(Driver, Protocol):
         ...
 
 
-def replays(driver: Driver) -> bool:
+def replays(driver: object) -> bool:
     """Whether commands change nothing, so that tracking says nothing about the controller."""
     return bool(getattr(driver, "replays", False))
 

@@ -92,20 +92,20 @@ def test_a_faster_camera_than_encoder_keeps_its_own_rate():
 
 
 def test_readings_are_late_by_the_delay_and_say_when_they_were_taken():
-    settings = QuasiStaticSettings(sensors=replace(PERFECT, encoder_delay=0.03))
+    settings = QuasiStaticSettings(sensors=replace(PERFECT, encoder_delay=0.03), period=0.01)
     driver = QuasiStaticDriver.build(simple_robot(), settings)
     driver.connect()
     start = driver.measure().unstrained_length
     true, late = [], []
-    for k in range(30):
-        driver.command(Command(time=np.zeros(1), unstrained_length=start + 0.005 * k))
-        for _ in range(2):
-            true.append(driver.truth().unstrained_length[0])
-            measurement = driver.measure()
-            late.append(measurement.unstrained_length[0])
-            taken = measurement.length_rate.time[0]
-            assert taken == pytest.approx(max(measurement.time[0] - 0.03, 0.0), abs=1e-9)
-            driver.wait(0.01)
+    for k in range(60):
+        asked = start + 0.005 * (k // 2)
+        driver.command(Command(time=np.zeros(1), unstrained_length=asked))
+        true.append(driver.truth().unstrained_length[0])
+        measurement = driver.measure()
+        late.append(measurement.unstrained_length[0])
+        taken = measurement.length_rate.time[0]
+        assert taken == pytest.approx(max(measurement.time[0] - 0.03, 0.0), abs=1e-9)
+        driver.wait(0.01)
     assert np.array(late[3:]) == pytest.approx(np.array(true[:-3]), abs=1e-12)
     assert late[0] == pytest.approx(start[0])
 
@@ -136,3 +136,9 @@ def test_delay_line_holds_samples_back():
 def test_impossible_sensors_are_refused(name, value):
     with pytest.raises(InvalidField, match=f"{name}: got .*; allowed: {name} >"):
         SensorSettings(**{name: value})
+
+
+def test_the_rate_is_the_difference_of_two_readings_with_their_noise():
+    found, _ = readings(replace(PERFECT, encoder_noise=2e-4), count=200)
+    rates = np.array([m.length_rate.value[0] for m in found[2:]])
+    assert rates.std() == pytest.approx(np.sqrt(2.0) * 2e-4 * 100.0, rel=0.1)

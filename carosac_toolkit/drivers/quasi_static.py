@@ -79,8 +79,10 @@ class QuasiStaticDriver:
         if not rest.converged[0]:
             reason = statics.REASONS[rest.status[0]]
             raise InvalidField("start_position", start, f"a position of rest ({reason})")
-        self._rng = np.random.default_rng(self._seed)
-        self._bias = settings.sensors.encoder_bias * self._rng.standard_normal(robot.n)
+        # A stream for each purpose: another sensor must not change what this one says.
+        streams = np.random.SeedSequence(self._seed).spawn(3)
+        bias, self._encoder_rng, self._mocap_rng = map(np.random.default_rng, streams)
+        self._bias = settings.sensors.encoder_bias * bias.standard_normal(robot.n)
         self._winches = Winches(robot, rest.unstrained_length[0])
         self._rest = rest
         self._time = 0.0
@@ -93,13 +95,15 @@ class QuasiStaticDriver:
         self._connected = True
         self._stopping = False
         self._sent = False
+        self._reading = quantised(self._command, sensors.encoder_resolution)
         self._sample()
 
     def measure(self) -> Measurement:
         """Newest samples that have arrived."""
         self._check_connected()
         now = np.array([self._time])
-        taken, reading = self._encoders.newest(self._time)
+        n = self._robot.n
+        taken, packed_lengths = self._encoders.newest(self._time)
         pose = None
         if self._settings.suite == "lengths+pose":
             when, packed = self._mocap.newest(self._time)
@@ -108,17 +112,19 @@ class QuasiStaticDriver:
                 rotation=packed[None, 3:].reshape(1, 3, 3),
                 time=np.array([when]),
             )
-        rate = Stamped(time=np.array([taken]), value=reading[None, self._robot.n :])
-        return Measurement(
-            time=now,
-            unstrained_length=reading[None, : self._robot.n],
-            length_rate=rate,
-            pose=pose,
-        )
+        rate = Stamped(time=np.array([taken]), value=packed_lengths[None, n:])
+        length = packed_lengths[None, :n]
+        return Measurement(time=now, unstrained_length=length, length_rate=rate, pose=pose)
 
     def command(self, command: Command) -> Command:
-        """Limit the command and hold it until the next one; once stopped, brake instead."""
+        """Limit the command and hold it until the next one; once stopped, brake instead.
+
+        Raises:
+            CarosacError: This cycle has its command already; limits count one a period.
+        """
         self._check_connected()
+        if self._sent and not self._stopping:
+            raise CarosacError("quasi_static: one command a cycle; call wait() before the next")
         if self._stopping:
             self._brake()
             return Command(time=command.time, unstrained_length=self._command[None])
@@ -129,12 +135,22 @@ class QuasiStaticDriver:
         return sent
 
     def wait(self, duration: float) -> bool:
-        """Let time pass; the winches follow the last command."""
+        """Let one period pass; the winches follow the command of this cycle.
+
+        A cycle without a command holds the last one, within the limits.
+
+        Raises:
+            InvalidField: Another duration than the period, for which the limits count.
+        """
         self._check_connected()
-        if not 0.0 < duration < np.inf:
-            raise InvalidField("duration", f"{duration} s", "a finite duration > 0")
+        period = self._settings.period
+        if not abs(duration - period) <= 1e-9 * period:
+            raise InvalidField("duration", f"{duration} s", f"the driver's period, {period} s")
         if self._stopping:
             self._brake()
+        elif not self._sent:
+            now = np.array([self._time])
+            self.command(Command(time=now, unstrained_length=self._command[None]))
         end = self._time + duration
         while self._time < end - 1e-9:
             h = min(end, self._next_sample()) - self._time
@@ -195,16 +211,20 @@ class QuasiStaticDriver:
 
         sensors = self._settings.sensors
         if self._encoders.due(self._time):
-            noise = sensors.encoder_noise * self._rng.standard_normal(self._robot.n)
+            noise = sensors.encoder_noise * self._encoder_rng.standard_normal(self._robot.n)
             reading = quantised(
                 self._winches.length + self._bias + noise, sensors.encoder_resolution
             )
-            self._encoders.put(self._time, np.concatenate([reading, self._winches.rate]))
+            # The rate is what two readings say, their noise included.
+            rate = (reading - self._reading) * sensors.encoder_rate
+            self._reading = reading
+            self._encoders.put(self._time, np.concatenate([reading, rate]))
         if self._settings.suite == "lengths+pose" and self._mocap.due(self._time):
             self._settle()
-            turn = pinocchio.exp3(sensors.rotation_noise * self._rng.standard_normal(3))
+            noise = self._mocap_rng.standard_normal(6)
+            turn = pinocchio.exp3(sensors.rotation_noise * noise[:3])
             position = self._rest.position[0]
-            position = position + sensors.position_noise * self._rng.standard_normal(3)
+            position = position + sensors.position_noise * noise[3:]
             packed: Array = np.concatenate([position, (turn @ self._rest.rotation[0]).ravel()])
             self._mocap.put(self._time, packed)
 

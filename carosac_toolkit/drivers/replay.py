@@ -57,6 +57,11 @@ class ReplayDriver:
         chosen = settings or ReplaySettings()
         return cls(robot, load_recording(find_recording(chosen.recording)), chosen)
 
+    @property
+    def recording(self) -> Recording:
+        """What is played."""
+        return self._recording
+
     def connect(self) -> None:
         """Go to the first sample."""
         self._index = 0

@@ -68,8 +68,13 @@ class Case:
 
     @cached_property
     def sensor_seed(self) -> int:
-        """Seed of sensor noise: depends on robot, perturbation, seed and sensor suite only."""
-        return self._seed_from("sensors", "robot", "perturbation", "seed", "suite")
+        """Seed of sensor bias and noise: depends on robot and seed only."""
+        return self._seed_from("sensors", "robot", "seed")
+
+    @cached_property
+    def path_seed(self) -> int:
+        """Seed of a random trajectory: depends on robot and seed only."""
+        return self._seed_from("path", "robot", "seed")
 
     @cached_property
     def rng_seed(self) -> int:

@@ -12,11 +12,15 @@ import numpy as np
 from carosac_toolkit import registry, trajectories
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.perturbations import CONDITIONS
+from carosac_toolkit.protocols import replays
 from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.studies.folder import check_statuses
 
 if TYPE_CHECKING:
     from carosac_toolkit.studies.study import Study
+
+
+RECORDED = "recorded"  # the path of a recording, the only one on a driver that replays
 
 
 def check_study(study: Study) -> None:
@@ -31,9 +35,13 @@ def check_study(study: Study) -> None:
     _check_execution(study)
     for robot in study.robots:
         load_robot(robot)
-    _known("trajectory", study.trajectories, trajectories.NAMES)
-    _known("perturbation", study.perturbations, sorted(CONDITIONS))
     driver = _plugin("drivers", study.driver)
+    paths = (RECORDED,) if replays(driver) else trajectories.NAMES
+    _known("trajectory", study.trajectories, paths)
+    _known("perturbation", study.perturbations, sorted(CONDITIONS))
+    for taken in sorted({"suite", "period", "start_position"} & set(study.driver_settings)):
+        value = repr(study.driver_settings[taken])
+        raise InvalidField(f"driver_settings.{taken}", value, "none: each case says it")
     _check_suites(driver, study.driver, study.suites)
     _check_settings("driver_settings", study.driver, driver, study.driver_settings)
     for kind in ("controllers", "estimators"):
@@ -129,5 +137,5 @@ def _check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any
 
 def _check_truth(driver: Any, name: str) -> None:
     """Refuse the estimator `truth` where nobody knows it."""
-    if not callable(getattr(driver, "truth", None)):
+    if replays(driver) or not callable(getattr(driver, "truth", None)):
         raise InvalidField("estimator", "'truth'", f"another one: driver {name} knows no truth")

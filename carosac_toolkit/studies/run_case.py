@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
@@ -13,11 +14,11 @@ import numpy as np
 from carosac_toolkit import registry, trajectories
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.loop import Log, run
+from carosac_toolkit.loop import BadPlugin, Log, run
 from carosac_toolkit.perturbations import draw_plant, find_condition
 from carosac_toolkit.protocols import TruthSource, replays
 from carosac_toolkit.robot import Robot
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.robot_file import load_robot, robot_text
 from carosac_toolkit.studies.case import Case
 from carosac_toolkit.values import Belief, Command, Measurement
 
@@ -25,7 +26,7 @@ REST = 1.0  # [s] after the end of the trajectory that counts as residual sway
 SERIES = 250  # samples kept of a case for pictures
 SETTINGS = (
     "driver", "speed_max", "acceleration_max", "controller_settings", "estimator_settings",
-    "driver_settings", "timeout", "example_seed",
+    "driver_settings", "timeout", "example_seed", "robot_digest",
 )  # fmt: skip
 CENTRE = 0.5  # of each side of the workspace box: inside is the centre, outside the boundary
 
@@ -34,8 +35,8 @@ class Truth:
     """The estimator `truth`: what the driver's world knows. For simulation only."""
 
     def __init__(self, source: object) -> None:
-        if not isinstance(source, TruthSource):
-            raise InvalidField("estimator", "'truth'", "a driver that knows the truth")
+        if not isinstance(source, TruthSource) or replays(source):
+            raise InvalidField("estimator", "'truth'", "a simulated driver, which knows the truth")
         self._source = source
 
     def reset(self, measurement: Measurement) -> Belief:
@@ -73,29 +74,44 @@ def run_case(case: Case) -> dict[str, Any]:
         InvalidField: A setting that nobody reads.
     """
     settings = _known(case.settings)
-    robot = _robot(case.robot)
+    robot = _robot(case.robot, _digest_of(case))
     plant = draw_plant(
         robot, find_condition(case.perturbation), np.random.default_rng(case.plant_seed)
     )
     limits = {x: float(settings.get(x, 1.0)) for x in ("speed_max", "acceleration_max")}
-    path = trajectories.build(case.trajectory, robot, case.plant_seed % 2**32, **limits)
     controller = _build("controllers", case.controller, robot, case, "controller_settings", {})
-    start = path.sample(np.zeros(1)).position[0]
+    name = str(settings.get("driver", "quasi_static"))
+    recorded = replays(registry.load("drivers", name))
+    path = (
+        None
+        if recorded
+        else trajectories.build(case.trajectory, robot, case.path_seed % 2**32, **limits)
+    )
+    start = robot.home_position if path is None else path.sample(np.zeros(1)).position[0]
     given = {
         "suite": case.suite,
-        "period": controller.period,
+        "period": _period(controller),
         "start_position": tuple(float(x) for x in start),
     }
-    name = str(settings.get("driver", "quasi_static"))
     driver = _build("drivers", name, plant, case, "driver_settings", given)
     if case.estimator == "truth":
         estimator: Any = Truth(driver)
     else:
         estimator = _build("estimators", case.estimator, robot, case, "estimator_settings", {})
-    log = run(driver, estimator, controller, path, duration=path.duration + REST)
-    row = score(log, robot, path.duration, replayed=replays(driver))
+    duration = REST + path.duration if path else controller.period * len(driver.recording.time)
+    path = path or trajectories.from_recording(driver.recording)
+    log = run(driver, estimator, controller, path, duration=duration)
+    row = score(log, robot, path.duration, replayed=recorded)
     example = case.seed == settings.get("example_seed", 0)
     return row | {"series": _series(log) if example else None}
+
+
+def _period(controller: Any) -> float:
+    """Time between two commands [s], which drivers need to know."""
+    period = getattr(controller, "period", None)
+    if not isinstance(period, int | float) or not 0.0 < period < np.inf:
+        raise BadPlugin(f"controller: got period {period!r}; allowed: > 0 s, finite")
+    return float(period)
 
 
 def score(log: Log, robot: Robot, duration: float, *, replayed: bool = False) -> dict[str, Any]:
@@ -116,7 +132,7 @@ def score(log: Log, robot: Robot, duration: float, *, replayed: bool = False) ->
         "latency_median_s": float(np.median(log.latency)),
         "latency_p95_s": float(np.quantile(log.latency, 0.95)),
         "command_rmse_m": _rms(log.asked - log.command),
-        "limited": len(log.limited),
+        "limited": len({cycle for cycle, _ in log.limited}),
         "completed": log.completed,
         "steps": len(log.time),
     }
@@ -198,6 +214,8 @@ def _build(
             raise InvalidField(key, asked, f"nothing: {name} has no Settings")
         return plugin.build(robot, None, seed=seed)
     known = {field.name for field in fields(kinds)}
+    for taken in sorted(set(given) & set(asked)):
+        raise InvalidField(f"{key}.{taken}", repr(asked[taken]), "none: the case itself says it")
     wanted = {k: v for k, v in given.items() if k in known} | asked
     return plugin.build(robot, _filled(key, kinds(), wanted), seed=seed)
 
@@ -215,7 +233,20 @@ def _filled(where: str, settings: Any, values: Mapping[str, Any]) -> Any:
     return replace(settings, **chosen)
 
 
+def robot_digest(name: str) -> str:
+    """What stands for the content of a robot file in the identity of a case."""
+    return hashlib.sha256(robot_text(name).encode()).hexdigest()[:16]
+
+
+def _digest_of(case: Case) -> str:
+    """Digest of the robot file as it is here, which must be the one the case was made for."""
+    here = robot_digest(case.robot)
+    if case.settings.get("robot_digest", here) != here:
+        raise CarosacError(f"robot {case.robot}: this file is not the one the study was made for")
+    return here
+
+
 @lru_cache(maxsize=8)
-def _robot(name: str) -> Robot:
-    """Robots are read once per process, so that their device buffers are kept."""
+def _robot(name: str, digest: str) -> Robot:
+    """Robots are read once per process and content, so that their device buffers are kept."""
     return load_robot(name)

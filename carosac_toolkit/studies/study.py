@@ -10,11 +10,12 @@ from typing import Any
 
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.studies.case import Case, product
-from carosac_toolkit.studies.checks import check_study
-from carosac_toolkit.studies.cluster import remote_client
+from carosac_toolkit.studies.checks import RECORDED, check_study
+from carosac_toolkit.studies.cluster import remote_client, usable_cores
 from carosac_toolkit.studies.engine import TIMEOUT, run_cases
 from carosac_toolkit.studies.folder import MANIFEST, read_cases
 from carosac_toolkit.studies.results import StudyResults
+from carosac_toolkit.studies.run_case import robot_digest
 
 FUNCTION = "carosac_toolkit.studies.run_case:run_case"
 FOLDER = Path("carosac-results") / "compare"
@@ -35,7 +36,8 @@ class Study:
         controllers: Names, or ``module:Class``.
         estimators: Names, or ``module:Class``; ``truth`` is what a simulated driver knows.
         suites: Sensor suites that the driver has.
-        trajectories: Of the catalogue, `carosac_toolkit.trajectories.NAMES`.
+        trajectories: Of the catalogue, `carosac_toolkit.trajectories.NAMES`; on the driver
+            `replay` the only one is ``recorded``, the path of the recording.
         perturbations: Conditions that the plants are drawn from.
         seeds: How many draws, 0, 1, 2 and so on; or which.
         driver: Name, or ``module:Class``.
@@ -79,6 +81,8 @@ class Study:
                 if isinstance(value, str) or not isinstance(value, Sequence):
                     raise InvalidField(item.name, repr(value), "a list")
                 object.__setattr__(self, item.name, tuple(value))
+        if self.driver == "replay" and self.trajectories == TRAJECTORIES:
+            object.__setattr__(self, "trajectories", (RECORDED,))
         if isinstance(self.seeds, int) and (isinstance(self.seeds, bool) or self.seeds < 1):
             raise InvalidField("seeds", repr(self.seeds), "1 or more, or a list of seeds")
 
@@ -133,9 +137,19 @@ class Study:
         folder = self.folder()
         rows = run_cases(
             self.cases(), FUNCTION, folder=folder, scheduler=self.scheduler,
-            workers=self.workers, timeout=self.timeout, retry=self.retry, progress=progress,
+            workers=self._worker_count(), timeout=self.timeout, retry=self.retry, progress=progress,
         )  # fmt: skip
         return StudyResults(rows=tuple(rows), folder=folder)
+
+    def _worker_count(self) -> int | None:
+        """Workers to ask for: code from outside never runs in this process unless asked to.
+
+        A plug-in of the user may hang or end its process, which must cost its own cases only.
+        """
+        outside = any(":" in name for name in (*self.controllers, *self.estimators, self.driver))
+        if self.workers is None and self.scheduler is None and outside:
+            return usable_cores()
+        return self.workers
 
     def _settings(self) -> dict[str, Any]:
         """What all cases share; pictures are of the first seed."""
@@ -151,7 +165,7 @@ class Study:
 
     def _settings_of(self, case: Case) -> dict[str, Any]:
         """Settings of one case, those of its own controller and estimator included."""
-        settings = dict(case.settings)
+        settings = dict(case.settings) | {"robot_digest": robot_digest(case.robot)}
         if case.controller in self.controller_settings:
             settings["controller_settings"] = dict(self.controller_settings[case.controller])
         if case.estimator in self.estimator_settings:

@@ -156,14 +156,40 @@ def test_time_passes_in_wait_alone():
     driver = connected()
     for _ in range(3):
         ask(driver, driver.measure().unstrained_length)
-        driver.wait(0.0123)
-    assert driver.measure().time[0] == pytest.approx(3 * 0.0123)
+        driver.wait(0.02)
+    assert driver.measure().time[0] == pytest.approx(3 * 0.02)
 
 
-@pytest.mark.parametrize("duration", [0.0, -0.1, np.nan, np.inf])
-def test_a_duration_that_is_none_is_refused(duration):
-    with pytest.raises(InvalidField, match=r"duration: got .*; allowed: a finite duration > 0"):
+@pytest.mark.parametrize("duration", [0.0, -0.1, 0.002, 0.1, np.nan, np.inf])
+def test_a_duration_other_than_the_period_is_refused(duration):
+    with pytest.raises(InvalidField, match=r"duration: got .*; allowed: the driver's period, 0.02"):
         connected().wait(duration)
+
+
+def test_a_second_command_in_a_cycle_is_refused():
+    driver = connected()
+    start = driver.measure().unstrained_length
+    ask(driver, start)
+    with pytest.raises(CarosacError, match="one command a cycle"):
+        ask(driver, start + 0.01)
+    driver.wait(0.02)
+    ask(driver, start)
+
+
+def test_no_interleaving_of_commands_and_waits_breaks_a_limit():
+    robot = simple_robot()
+    driver = connected()
+    rng = np.random.default_rng(8)
+    start = driver.measure().unstrained_length
+    lengths = [driver._command.copy()]
+    for _ in range(400):
+        if rng.random() < 0.6:
+            ask(driver, start + rng.normal(0.0, 0.5, start.shape))
+        driver.wait(0.02)
+        lengths.append(driver._command.copy())
+    speed = np.diff(lengths, axis=0) / 0.02
+    assert (np.abs(speed) <= robot.speed_max * (1 + 1e-9)).all()
+    assert (np.abs(np.diff(speed, axis=0)) / 0.02 <= robot.acceleration_max * (1 + 1e-6)).all()
 
 
 def test_one_seed_is_one_run():

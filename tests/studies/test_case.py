@@ -34,9 +34,10 @@ def test_identity_changes_with_settings_and_version(monkeypatch):
 
 def test_identity_and_seeds_are_the_same_everywhere():
     case = one_case("mpc", 3)
-    assert (case.plant_seed, case.sensor_seed, case.rng_seed) == (
+    assert (case.plant_seed, case.sensor_seed, case.path_seed, case.rng_seed) == (
         763508348114864695,
-        3990687388529641527,
+        5307601706005652439,
+        2096325253211715654,
         274152644371951678,
     )
     assert len(case.identity) == 16
@@ -48,7 +49,8 @@ def test_identity_and_seeds_are_the_same_everywhere():
     ("seed", "depends_on"),
     [
         ("plant_seed", {"robot", "perturbation", "seed"}),
-        ("sensor_seed", {"robot", "perturbation", "seed", "suite"}),
+        ("sensor_seed", {"robot", "seed"}),
+        ("path_seed", {"robot", "seed"}),
         ("rng_seed", {*ALL_NAMES, "seed"}),
     ],
 )

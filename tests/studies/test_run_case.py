@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.loop import Log
+from carosac_toolkit.robot_file import robot_text
 from carosac_toolkit.studies import Case
 from carosac_toolkit.studies.rows import checked_values
-from carosac_toolkit.studies.run_case import Truth, run_case, score
+from carosac_toolkit.studies.run_case import Truth, robot_digest, run_case, score
 from tests.recordings.synthetic import full_recording
 from tests.robots import simple_robot
 
@@ -79,7 +80,31 @@ def test_controllers_meet_the_same_plant_noise_and_trajectory(watched):
     assert np.array_equal(first.unstrained_length[0], second.unstrained_length[0])
     assert not np.array_equal(first.command[1], second.command[1])
     # the noise of each sample is the same draw, whatever the lengths are
-    assert one._rng.bit_generator.state == other._rng.bit_generator.state
+    assert one._encoder_rng.bit_generator.state == other._encoder_rng.bit_generator.state
+
+
+def test_another_sensor_changes_neither_plant_nor_encoders():
+    """A controller that uses no belief tracks the same, whatever else is measured."""
+    rows = [run_case(case(suite=suite)) for suite in ("lengths", "lengths+pose")]
+    for name in ("tracking_rmse_norm_m", "tension_max_N", "command_rmse_m"):
+        assert rows[0][name] == pytest.approx(rows[1][name], rel=1e-9)  # rounding of the pose
+
+
+def test_what_the_case_says_cannot_be_overridden():
+    settings = FAST | {"driver_settings": {"suite": "lengths+pose"}}
+    with pytest.raises(InvalidField, match=r"driver_settings.suite: .*the case itself says it"):
+        run_case(case(settings=settings))
+
+
+def test_a_robot_file_that_has_changed_is_refused(tmp_path):
+    path = tmp_path / "robot.yaml"
+    text = robot_text("carosac")
+    path.write_text(text)
+    digest = robot_digest(str(path))
+    path.write_text(text.replace("23.655 kg", "50.0 kg"))
+    assert robot_digest(str(path)) != digest
+    with pytest.raises(CarosacError, match="not the one the study was made for"):
+        run_case(case(robot=str(path), settings=FAST | {"robot_digest": digest}))
 
 
 def test_estimator_truth_has_no_estimation_error():
@@ -89,7 +114,7 @@ def test_estimator_truth_has_no_estimation_error():
 
 
 def test_truth_needs_a_driver_that_knows_it():
-    with pytest.raises(InvalidField, match="estimator: got 'truth'; allowed: a driver that knows"):
+    with pytest.raises(InvalidField, match="estimator: got 'truth'; allowed: a simulated driver"):
         Truth(object())
 
 
@@ -163,12 +188,12 @@ def test_on_a_recording_only_commands_and_estimates_are_scored():
     assert row["estimation_rmse_norm_m"] > 0.0
 
 
-def test_a_recording_that_ends_early_is_not_complete(tmp_path):
+def test_a_recording_is_played_to_its_end(tmp_path):
     path = tmp_path / "short.parquet"
     replace(full_recording(), exit_points=None).save(path)
     settings = FAST | {"driver": "replay", "driver_settings": {"recording": str(path)}}
-    row = run_case(case(settings=settings | {"acceleration_max": 0.1}, estimator="straight_line"))
-    assert (row["completed"], row["steps"]) == (False, 50)
+    row = run_case(case(settings=settings, estimator="straight_line", trajectory="recorded"))
+    assert (row["completed"], row["steps"]) == (True, 50)
     assert row["estimation_rmse_norm_m"] is None  # not every sample has a pose
 
 

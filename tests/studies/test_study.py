@@ -206,7 +206,7 @@ def test_without_a_folder_another_study_gets_a_folder_of_its_own(tmp_path, monke
 
 def test_on_a_recording_nothing_is_tracked(tmp_path):
     results = ct.Study(
-        driver="replay", **FAST, controllers=["straight_line"], seeds=1, workers=0,
+        driver="replay", controllers=["straight_line"], seeds=1, workers=0,
         perturbations=["none"], output=tmp_path / "out",
     ).run(progress=False)  # fmt: skip
     line = results.summary[0]
