@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
-from baselines.reference_ahead import Ahead, AheadSettings
+from baselines.reference_ahead import AheadController
 from carosac_toolkit.errors import CarosacError
 from carosac_toolkit.physics import statics
-from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Belief, Command, Reference
 
 
@@ -15,30 +12,11 @@ class UnreachableReference(CarosacError):
     """A reference position at which the robot cannot rest within its tension limits."""
 
 
-class KinematicSolverController:
+class KinematicSolverController(AheadController):
     """Sends the lengths at which the platform rests at the reference: sag, tilt and stretch count.
 
     With six cables or more the orientation is held at home; with fewer it follows from statics.
     """
-
-    Settings: ClassVar = AheadSettings
-
-    def __init__(self, robot: Robot, settings: AheadSettings) -> None:
-        self._robot = robot
-        self._ahead = Ahead(robot, settings)
-        self.period = settings.period
-        self.horizon = self._ahead.horizon
-
-    @classmethod
-    def build(
-        cls, robot: Robot, settings: AheadSettings | None = None, *, seed: int = 0
-    ) -> KinematicSolverController:
-        """Make one for the nominal robot; it draws no random numbers, so `seed` has no effect."""
-        return cls(robot, settings or AheadSettings())
-
-    def reset(self, belief: Belief) -> None:
-        """Forget the correction."""
-        self._ahead.reset(belief)
 
     def command(self, belief: Belief, reference: Reference) -> Command:
         """Lengths of rest at the pose ahead.

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar, Self
 
 import numpy as np
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Belief, Reference
+from carosac_toolkit.values import Belief, Command, Reference
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,3 +74,28 @@ class Ahead:
             for values in (reference.position, reference.velocity)
         )
         return position + self._correction, np.broadcast_to(velocity, error.shape)
+
+
+class AheadController(ABC):
+    """A controller that sends the lengths of the pose ahead; subclasses say which lengths."""
+
+    Settings: ClassVar = AheadSettings
+
+    def __init__(self, robot: Robot, settings: AheadSettings) -> None:
+        self._robot = robot
+        self._ahead = Ahead(robot, settings)
+        self.period = settings.period
+        self.horizon = self._ahead.horizon
+
+    @classmethod
+    def build(cls, robot: Robot, settings: AheadSettings | None = None, *, seed: int = 0) -> Self:
+        """Make one for the nominal robot; it draws no random numbers, so `seed` has no effect."""
+        return cls(robot, settings or AheadSettings())
+
+    def reset(self, belief: Belief) -> None:
+        """Forget the correction."""
+        self._ahead.reset(belief)
+
+    @abstractmethod
+    def command(self, belief: Belief, reference: Reference) -> Command:
+        """Lengths of the pose ahead."""

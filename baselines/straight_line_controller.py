@@ -2,37 +2,15 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
-from baselines.reference_ahead import Ahead, AheadSettings
+from baselines.reference_ahead import AheadController
 from carosac_toolkit.physics import straight_line
-from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Belief, Command, Reference
 
 
-class StraightLineController:
+class StraightLineController(AheadController):
     """Sends the straight-line lengths of the reference, orientation held at home."""
-
-    Settings: ClassVar = AheadSettings
-
-    def __init__(self, robot: Robot, settings: AheadSettings) -> None:
-        self._robot = robot
-        self._ahead = Ahead(robot, settings)
-        self.period = settings.period
-        self.horizon = self._ahead.horizon
-
-    @classmethod
-    def build(
-        cls, robot: Robot, settings: AheadSettings | None = None, *, seed: int = 0
-    ) -> StraightLineController:
-        """Make one for the nominal robot; it draws no random numbers, so `seed` has no effect."""
-        return cls(robot, settings or AheadSettings())
-
-    def reset(self, belief: Belief) -> None:
-        """Forget the correction."""
-        self._ahead.reset(belief)
 
     def command(self, belief: Belief, reference: Reference) -> Command:
         """Lengths of straight cables at the pose ahead, and their rates."""
