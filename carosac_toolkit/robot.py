@@ -67,7 +67,8 @@ class Robot:
         winch_lag: Time constant from commanded to wound length [s], shape (n,).
         length_min: Shortest unstrained length the winch can reach [m], shape (n,).
         length_max: Longest unstrained length the winch can reach [m], shape (n,).
-        drum_radius: [m], shape (n,); None: unknown, lengths are commanded directly.
+        drum_radius: At unstrained length 0, the cable fully wound in [m], shape (n,); None:
+            unknown, lengths are commanded directly.
         drum_buildup: Decrease of the squared drum radius per length paid out [m], shape (n,);
             None: unknown.
         mass: Platform with payloads [kg].

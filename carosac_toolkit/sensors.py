@@ -10,7 +10,7 @@ import numpy as np
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
 
-SUITES = ("lengths", "lengths+imu", "lengths+imu+pose")
+SUITES = ("lengths", "lengths+imu", "lengths+pose", "lengths+imu+pose")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +27,17 @@ class SensorSettings:
         position_noise: Per axis [m].
         rotation_noise: Per axis [rad].
         pose_delay: From the sample to its arrival [s].
+        imu_rate: [Hz].
+        angular_rate_noise: Per axis and sample [rad/s].
+        angular_rate_bias: Constant, drawn once per axis [rad/s].
+        specific_force_noise: Per axis and sample [m/s^2].
+        specific_force_bias: Constant, drawn once per axis [m/s^2].
+        imu_delay: From the sample to its arrival [s].
+        tension: Whether there are tension sensors at the platform, in any suite.
+        tension_rate: [Hz].
+        tension_noise: [N].
+        tension_bias: Constant, drawn once per cable [N].
+        tension_delay: From the sample to its arrival [s].
     """
 
     encoder_rate: float = 100.0
@@ -38,14 +49,31 @@ class SensorSettings:
     position_noise: float = 1e-3
     rotation_noise: float = 0.5e-3
     pose_delay: float = 0.01
+    imu_rate: float = 200.0
+    angular_rate_noise: float = 3.5e-3
+    angular_rate_bias: float = 5e-3
+    specific_force_noise: float = 0.017
+    specific_force_bias: float = 0.05
+    imu_delay: float = 0.0
+    tension: bool = False
+    tension_rate: float = 100.0
+    tension_noise: float = 0.5
+    tension_bias: float = 1.0
+    tension_delay: float = 0.01
 
     def __post_init__(self) -> None:
         """Refuse negative numbers and rates of zero."""
+        if not isinstance(self.tension, bool):
+            raise InvalidField("tension", repr(self.tension), "True or False")
         for name, value in vars(self).items():
-            lowest = "> 0" if name.endswith("rate") else ">= 0"
+            if name == "tension":
+                continue
+            lowest = "> 0" if name in _RATES else ">= 0"
             if not (value > 0.0 or (value == 0.0 and lowest == ">= 0")) or not np.isfinite(value):
                 raise InvalidField(name, value, f"{name} {lowest}")
 
+
+_RATES = ("encoder_rate", "pose_rate", "imu_rate", "tension_rate")
 
 PERFECT = SensorSettings(
     encoder_noise=0.0,
@@ -55,6 +83,13 @@ PERFECT = SensorSettings(
     position_noise=0.0,
     rotation_noise=0.0,
     pose_delay=0.0,
+    angular_rate_noise=0.0,
+    angular_rate_bias=0.0,
+    specific_force_noise=0.0,
+    specific_force_bias=0.0,
+    tension_noise=0.0,
+    tension_bias=0.0,
+    tension_delay=0.0,
 )
 
 
@@ -95,6 +130,25 @@ class DelayLine:
         while len(self._samples) > 1 and self._samples[1][0] + self._delay <= now + 1e-9:
             self._samples.popleft()
         return self._samples[0]
+
+    def arrived(self, now: float) -> list[tuple[float, Array]]:
+        """Take out all samples that have arrived, the oldest first."""
+        found = []
+        while self._samples and self._samples[0][0] + self._delay <= now + 1e-9:
+            found.append(self._samples.popleft())
+        return found
+
+
+def check_suite(suite: str, *, inertial: bool) -> None:
+    """Refuse a suite that there is not, or an IMU where nothing has inertia.
+
+    Raises:
+        InvalidField: Names ``suite``.
+    """
+    allowed = [name for name in SUITES if inertial or "imu" not in name]
+    if suite not in allowed:
+        why = "" if inertial else ": no inertia here"
+        raise InvalidField("suite", repr(suite), f"one of {allowed}{why}")
 
 
 def quantised(value: Array, resolution: float) -> Array:

@@ -18,7 +18,7 @@ def readings(sensors, count=200, period=0.02, seed=0, suite="lengths"):
     driver = QuasiStaticDriver.build(simple_robot(), settings, seed=seed)
     driver.connect()
     found = [driver.measure()]
-    hold = Command(time=np.zeros(1), unstrained_length=driver._command[None])
+    hold = Command(time=np.zeros(1), unstrained_length=driver._command)
     for _ in range(count - 1):
         driver.command(hold)
         driver.wait(period)

@@ -11,9 +11,8 @@ from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.recording import Recording, load_recording
 from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.robot import Robot
+from carosac_toolkit.sensors import check_suite
 from carosac_toolkit.values import Command, Measurement, State
-
-SUITES = ("lengths", "lengths+imu", "lengths+pose", "lengths+imu+pose")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,8 +29,7 @@ class ReplaySettings:
 
     def __post_init__(self) -> None:
         """Refuse an unknown suite."""
-        if self.suite not in SUITES:
-            raise InvalidField("suite", repr(self.suite), f"one of {list(SUITES)}")
+        check_suite(self.suite, inertial=True)
 
 
 class ReplayDriver:

@@ -40,6 +40,7 @@ class Cable:
     run_length: wp.float64  # [m]
     weight_per_length: wp.float64  # [N/m]
     axial_stiffness: wp.float64  # EA [N]
+    axial_damping: wp.float64  # tension per strain rate [N s]
     tension_min: wp.float64  # [N]
     tension_max: wp.float64  # [N]
 

@@ -16,6 +16,7 @@ from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable_kernels import Cable
+from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.platform_kernels import Body
 from carosac_toolkit.robot import Robot
 
@@ -28,7 +29,7 @@ def cable_records(robot: Robot) -> NDArray[Any]:
     records = np.zeros(robot.n, dtype=Cable.numpy_dtype())
     for name in (
         "exit_point", "swivel_axis", "anchor_point", "pulley_radius", "run_length",
-        "weight_per_length", "axial_stiffness", "tension_min", "tension_max",
+        "weight_per_length", "axial_stiffness", "axial_damping", "tension_min", "tension_max",
     ):  # fmt: skip
         plural = f"{name}s" if name.endswith("point") else name
         records[name] = getattr(robot, plural)
@@ -124,19 +125,30 @@ class Buffers:
         self._launches[key].launch()
 
 
-_uploads: WeakKeyDictionary[Robot, dict[str, tuple[wp.array, wp.array]]] = WeakKeyDictionary()
-_buffers: WeakKeyDictionary[Robot, OrderedDict[Any, Buffers]] = WeakKeyDictionary()
+_uploads: WeakKeyDictionary[Robot | Fleet, dict[str, tuple[wp.array, wp.array]]] = (
+    WeakKeyDictionary()
+)
+_buffers: WeakKeyDictionary[Robot | Fleet, OrderedDict[Any, Buffers]] = WeakKeyDictionary()
 _lock = threading.Lock()
 
 
-def check_call(robot: Robot, device: str) -> None:
+def check_call(robot: Robot | Fleet, device: str) -> None:
     """Refuse what is no robot, and a device that is not there.
 
     Raises:
         InvalidField: Names the argument.
     """
-    if not isinstance(robot, Robot):
+    if not isinstance(robot, Robot | Fleet):
         raise InvalidField("robot", repr(robot), "a Robot; load_robot(name or file) gives one")
+    check_device(device)
+
+
+def check_device(device: str) -> None:
+    """Refuse a device that is not there.
+
+    Raises:
+        InvalidField: Names those that are.
+    """
     if device != "cpu":
         warp_setup.initialise()
         known = [str(found) for found in wp.get_devices()]
@@ -144,23 +156,29 @@ def check_call(robot: Robot, device: str) -> None:
             raise InvalidField("device", repr(device), f"one of {known}")
 
 
-def device_robot(robot: Robot, device: str) -> tuple[wp.array, wp.array]:
-    """Cables (1, n) and body (1,) of a robot on a device, uploaded once."""
+def device_robot(robot: Robot | Fleet, device: str) -> tuple[wp.array, wp.array]:
+    """Cables (R, n) and bodies (R,) on a device, uploaded once; one row for one robot."""
     with _lock:
         kept = _uploads.setdefault(robot, {})
         if device not in kept:
-            kept[device] = upload_robots([robot], device)
+            kept[device] = upload_robots(robots_of(robot), device)
         return kept[device]
 
 
+def robots_of(robot: Robot | Fleet) -> tuple[Robot, ...]:
+    """The robots of a fleet, or the one robot."""
+    return robot.robots if isinstance(robot, Fleet) else (robot,)
+
+
 def kept_buffers(
-    robot: Robot, purpose: str, size: int, device: str, shapes: Callable[[], dict[str, Any]]
+    robot: Robot | Fleet, purpose: str, size: int, device: str, shapes: Callable[[], dict[str, Any]]
 ) -> Buffers:
     """Buffers of a robot for a purpose and batch size; small ones are kept for the next call."""
 
     def make() -> Buffers:
         buffers = Buffers(device, shapes())
-        buffers.length_scale = float(body_record(robot)["size"])
+        sizes = [body_record(one)["size"] for one in robots_of(robot)]
+        buffers.length_scale = float(np.mean(sizes))
         return buffers
 
     if size > KEPT_SIZE:

@@ -24,6 +24,7 @@ from carosac_toolkit.physics import (
 )
 from carosac_toolkit.physics.cable_kernels import mat66d, vec6d
 from carosac_toolkit.physics.device import Buffers, check_call, device_robot, kept_buffers
+from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Pose
 
@@ -73,7 +74,7 @@ class Equilibrium:
 
 
 def forward_kinematics(
-    robot: Robot,
+    robot: Robot | Fleet,
     unstrained_length: ArrayLike,
     *,
     guess: Equilibrium | Pose | None = None,
@@ -86,7 +87,7 @@ def forward_kinematics(
     After inverse kinematics pass its result as the guess.
 
     Args:
-        robot: Robot description, n cables.
+        robot: Robot description, n cables; a `Fleet` has a robot for each row.
         unstrained_length: [m], shape (B, n).
         guess: An earlier `Equilibrium` of the same batch (fastest), a `Pose`, or None.
         device: Warp device.
@@ -104,6 +105,7 @@ def forward_kinematics(
         b, i = (int(k) for k in np.argwhere(length <= 0.0)[0])
         raise InvalidField(f"unstrained_length[{b}, {i}]", f"{length[b, i]} m", "> 0 m")
     size = len(length)
+    _check_rows(robot, "unstrained_length", size)
     _check_guess(guess, size, robot)
     warp_setup.load(forward_kernels, device)
     cables, bodies = device_robot(robot, device)
@@ -120,7 +122,7 @@ def forward_kinematics(
 
 
 def inverse_kinematics(
-    robot: Robot,
+    robot: Robot | Fleet,
     position: ArrayLike,
     rotation: ArrayLike | None = None,
     *,
@@ -134,7 +136,7 @@ def inverse_kinematics(
     equilibria near the guess, the one with the least squared tensions within the limits.
 
     Args:
-        robot: Robot description, n cables.
+        robot: Robot description, n cables; a `Fleet` has a robot for each row.
         position: Platform origin in W [m], shape (B, 3).
         rotation: Rotation from P to W, shape (B, 3, 3); None is the home rotation. With n < 6 it
             must be None.
@@ -151,6 +153,7 @@ def inverse_kinematics(
     check_call(robot, device)
     where = batch("position", position, (3,))
     size = len(where)
+    _check_rows(robot, "position", size)
     free = robot.n < 6
     if free and rotation is not None:
         raise InvalidField("rotation", "a rotation", f"None: {robot.n} cables leave it free")
@@ -167,7 +170,9 @@ def inverse_kinematics(
         return _equilibrium(robot, buffers)
 
 
-def _launch_inverse(robot: Robot, buffers: Buffers, size: int, free: bool, device: str) -> None:
+def _launch_inverse(
+    robot: Robot | Fleet, buffers: Buffers, size: int, free: bool, device: str
+) -> None:
     """Solve, then judge the answer by its lengths alone."""
     cables, bodies = device_robot(robot, device)
     common = (cables, bodies, "position", "rotation", "unstrained_length", "q", "tension", "wanted")
@@ -231,7 +236,13 @@ def sag(robot: Robot, equilibrium: Equilibrium, *, samples: int = 101) -> Array:
     return distance
 
 
-def _check_guess(guess: Equilibrium | Pose | None, size: int, robot: Robot) -> None:
+def _check_rows(robot: Robot | Fleet, name: str, size: int) -> None:
+    """Refuse a batch of another size than the fleet."""
+    if isinstance(robot, Fleet) and len(robot) not in (1, size):
+        raise InvalidField(name, f"{size} rows", f"{len(robot)}, one for each robot of the fleet")
+
+
+def _check_guess(guess: Equilibrium | Pose | None, size: int, robot: Robot | Fleet) -> None:
     """Refuse a guess of another kind, batch size or robot."""
     if guess is None:
         return
@@ -245,7 +256,7 @@ def _check_guess(guess: Equilibrium | Pose | None, size: int, robot: Robot) -> N
         raise InvalidField("guess", f"{guess.exit_tension.shape[1]} cables", f"{robot.n} cables")
 
 
-def _put_guess(robot: Robot, buffers: Buffers, guess: Equilibrium | Pose | None) -> int:
+def _put_guess(robot: Robot | Fleet, buffers: Buffers, guess: Equilibrium | Pose | None) -> int:
     """Fill in the start; 0: home, 1: a pose, 2: a pose with tension vectors."""
     if guess is None:
         buffers.put("position", robot.home_position)
@@ -259,7 +270,7 @@ def _put_guess(robot: Robot, buffers: Buffers, guess: Equilibrium | Pose | None)
     return 2
 
 
-def _held_rotation(robot: Robot, rotation: ArrayLike | None, size: int) -> Array:
+def _held_rotation(robot: Robot | Fleet, rotation: ArrayLike | None, size: int) -> Array:
     """The rotation to hold, checked."""
     if rotation is None:
         return np.broadcast_to(robot.home_rotation, (size, 3, 3))
@@ -285,7 +296,7 @@ def _shapes(size: int, n: int) -> dict[str, tuple[Any, Any]]:
     }  # fmt: skip
 
 
-def _equilibrium(robot: Robot, buffers: Buffers) -> Equilibrium:
+def _equilibrium(robot: Robot | Fleet, buffers: Buffers) -> Equilibrium:
     """Copy the answer out and judge it."""
     tension = buffers.get("tension")
     length = buffers.get("unstrained_length")

@@ -9,7 +9,6 @@ from baselines.kinematic_solver import KinematicSolver
 from baselines.kinematic_solver_controller import KinematicSolverController
 from carosac_toolkit import trajectories
 from carosac_toolkit.drivers.quasi_static import QuasiStaticDriver, QuasiStaticSettings
-from carosac_toolkit.drivers.winch import STEP, Winches
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.loop import run
 from carosac_toolkit.physics import statics
@@ -87,30 +86,6 @@ def test_an_encoder_bias_shifts_the_pose_as_statics_says():
     assert truth.position == pytest.approx(moved.position, abs=1e-6)
     assert np.linalg.norm(truth.position - robot.home_position) > 1e-3
     assert driver.measure().unstrained_length == pytest.approx(wanted, abs=1e-7)
-
-
-def test_winches_keep_their_speed_and_acceleration():
-    robot = simple_robot(speed_max=[0.5, 1.0, 2.0, 2.5], acceleration_max=[1.0, 2.0, 5.0, 50.0])
-    winches = Winches(robot, np.full(4, 8.0))
-    lengths, rates = [winches.length.copy()], [winches.rate.copy()]
-    for _ in range(500):
-        winches.advance(np.array([10.0, 6.0, 10.0, 6.0]), STEP)
-        lengths.append(winches.length.copy())
-        rates.append(winches.rate.copy())
-    speed = np.abs(np.diff(lengths, axis=0)).max(axis=0) / STEP
-    acceleration = np.abs(np.diff(rates, axis=0)).max(axis=0) / STEP
-    assert (speed <= robot.speed_max * (1 + 1e-9)).all()
-    assert (acceleration <= robot.acceleration_max * (1 + 1e-9)).all()
-    assert speed[:2] == pytest.approx(robot.speed_max[:2])  # and they reach it
-    assert acceleration == pytest.approx(robot.acceleration_max)
-
-
-def test_a_small_step_is_followed_with_the_lag_of_the_winch():
-    robot = simple_robot(winch_lag=[0.05, 0.1, 0.2, 0.0], acceleration_max=[1e3] * 4)
-    winches = Winches(robot, np.full(4, 8.0))
-    winches.advance(np.full(4, 8.01), 0.1)
-    missing = (8.01 - winches.length) / 0.01
-    assert missing == pytest.approx(np.exp([-2.0, -1.0, -0.5, -np.inf]), abs=0.02)
 
 
 def test_commands_that_jump_are_limited_and_say_so():

@@ -1,0 +1,59 @@
+"""What a simulated driver needs of a simulation: the robot behind winches and sensors."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import State
+
+
+class Plant(Protocol):
+    """B simulated robots with their winches, without clock, sensors or command limits.
+
+    Attributes:
+        robot: Its limits and gravity count for all B robots; n cables.
+        size: B.
+        inertial: Whether there are a twist and an `acceleration`, without which there is no IMU.
+    """
+
+    robot: Robot
+    size: int
+    inertial: bool
+
+    def reset(self, position: Array) -> None:
+        """Set the robots down at rest; whatever is random starts over.
+
+        Args:
+            position: Platform origin in W [m], shape (B, 3).
+
+        Raises:
+            InvalidField: One of them cannot rest there; names ``start_position``.
+        """
+        ...
+
+    def advance(self, command: Array, duration: float) -> None:
+        """Let time pass while the winches follow a constant command.
+
+        Args:
+            command: Unstrained lengths asked of the winches [m], shape (B, n).
+            duration: [s].
+        """
+        ...
+
+    def truth(self) -> State:
+        """The state now; its `time` is ignored."""
+        ...
+
+    def acceleration(self) -> Array:
+        """Acceleration of the platform now; only asked of what is `inertial`.
+
+        Returns:
+            Linear [m/s^2], then angular [rad/s^2], in W at the platform origin, shape (B, 6).
+        """
+        ...
+
+    def read_lengths(self) -> Array:
+        """What perfect encoders say, by the drums that the drives believe in [m], (B, n)."""
+        ...

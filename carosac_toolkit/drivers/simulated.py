@@ -1,0 +1,203 @@
+"""What all simulated drivers share: clock, sensors, command limits and the controlled stop.
+
+A `Plant` is the simulation behind them. Time passes in `wait` alone; the plant is advanced from
+one sample of a sensor to the next.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array, as_floats, frozen_array
+from carosac_toolkit.drivers.plant import Plant
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.limits import Limiter, LimitSettings
+from carosac_toolkit.physics.winch import WinchSettings
+from carosac_toolkit.sensor_suite import SensorSuite
+from carosac_toolkit.sensors import SensorSettings, check_suite
+from carosac_toolkit.values import Command, Measurement, State
+
+__all__ = ["Plant", "SimulatedDriver", "SimulatedSettings"]
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedSettings:
+    """Settings that all simulated drivers share.
+
+    Attributes:
+        suite: One of `carosac_toolkit.sensors.SUITES`; an IMU needs inertia.
+        sensors: Their numbers.
+        limits: Of the commands.
+        winch: How the drives control the winches; for the plant.
+        period: Time between two commands [s].
+        start_position: Platform origin at the start in W [m], one for all robots or one each; None
+            is the home position.
+        real_time: Whether `wait` also waits for the wall clock.
+    """
+
+    inertial: ClassVar[bool] = True
+
+    suite: str = "lengths"
+    sensors: SensorSettings = field(default_factory=SensorSettings)
+    limits: LimitSettings = field(default_factory=lambda: LimitSettings(box=False))
+    winch: WinchSettings = field(default_factory=WinchSettings)
+    period: float = 0.02
+    start_position: Point | tuple[Point, ...] | None = None
+    real_time: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown suite, and a switch that is none."""
+        check_suite(self.suite, inertial=self.inertial)
+        if not isinstance(self.real_time, bool):
+            raise InvalidField("real_time", repr(self.real_time), "True or False")
+
+
+class SimulatedDriver:
+    """B simulated robots, as fast as possible or in real time; time passes in `wait`.
+
+    In real time `wait` returns at the ticks of an absolute schedule of one period, which starts at
+    `connect` and does not drift. Where the cycle took longer than a period, it waits for the next
+    tick that lies ahead and counts those missed in `overruns`. Simulated time goes on by one period
+    a cycle all the same: it then stays behind the wall clock, and no burst of cycles makes up.
+
+    Attributes:
+        overruns: Ticks of the wall clock that were missed since `connect`, in real time.
+    """
+
+    Settings: ClassVar[type[SimulatedSettings]] = SimulatedSettings
+    name: ClassVar[str] = "simulated"
+
+    def __init__(self, plant: Plant, settings: SimulatedSettings, seed: int = 0) -> None:
+        """Take a plant; `seed` draws bias and noise of the sensors."""
+        self._plant = plant
+        self._settings = settings
+        self._seed = seed
+        self._connected = False
+        self.overruns = 0
+
+    def connect(self) -> None:
+        """Set the robots down at rest at their start.
+
+        Raises:
+            InvalidField: One cannot rest there.
+        """
+        plant, settings = self._plant, self._settings
+        self._connected = False
+        plant.reset(self._start())
+        self._time = 0.0
+        self._sensors = SensorSuite(settings.suite, settings.sensors, plant, self._seed)
+        self._command = plant.read_lengths() + self._sensors.encoder_bias
+        self._limiter = Limiter(plant.robot, settings.limits, period=settings.period)
+        self._limiter.reset(self._command)
+        self._sensors.sample(plant, self._time)
+        self._connected = True
+        self._stopping = False
+        self._sent = False
+        self.overruns = 0
+        self._ticks = 0
+        self._origin = time.monotonic()
+
+    def measure(self) -> Measurement:
+        """Newest samples that have arrived; the same again at the same time."""
+        self._check_connected()
+        return self._sensors.measure(self._time)
+
+    def command(self, command: Command) -> Command:
+        """Limit the command and hold it until the next one; once stopped, brake instead.
+
+        Raises:
+            CarosacError: This cycle has its command already; limits count one a period.
+        """
+        self._check_connected()
+        if self._sent and not self._stopping:
+            raise CarosacError(f"{self.name}: one command a cycle; call wait() before the next")
+        if self._stopping:
+            self._brake()
+            return Command(time=command.time, unstrained_length=self._command)
+        sent = self._limiter.apply(command, self._sensors.newest_lengths(self._time))
+        self._command = np.array(sent.unstrained_length)
+        self._sent = True
+        return sent
+
+    def wait(self, duration: float) -> bool:
+        """Let one period pass; the winches follow the command of this cycle.
+
+        A cycle without a command holds the last one, within the limits.
+
+        Raises:
+            InvalidField: Another duration than the period, for which the limits count.
+        """
+        self._check_connected()
+        period = self._settings.period
+        if not abs(duration - period) <= 1e-9 * period:
+            raise InvalidField("duration", f"{duration} s", f"the driver's period, {period} s")
+        if self._stopping:
+            self._brake()
+        elif not self._sent:
+            now = np.full(self._plant.size, self._time)
+            self.command(Command(time=now, unstrained_length=self._command))
+        self._pass_time(duration)
+        self._sent = False
+        if self._settings.real_time:
+            self._wait_for_tick()
+        return not self._stopping
+
+    def stop(self, reason: str) -> None:
+        """Brake from now on, whatever is commanded, and also where nothing is."""
+        self._stopping = True
+
+    def close(self) -> None:
+        """Let go."""
+        self._connected = False
+
+    def truth(self) -> State:
+        """The state of the plant now."""
+        self._check_connected()
+        return replace(self._plant.truth(), time=np.full(self._plant.size, self._time))
+
+    def _start(self) -> Array:
+        """Where the platforms start in W [m], shape (B, 3)."""
+        plant, asked = self._plant, self._settings.start_position
+        if asked is None:
+            return np.tile(plant.robot.home_position, (plant.size, 1))
+        each = as_floats("start_position", asked).ndim == 2
+        start = frozen_array("start_position", asked, (plant.size, 3) if each else (3,))
+        return np.array(np.broadcast_to(start, (plant.size, 3)))
+
+    def _pass_time(self, duration: float) -> None:
+        """Advance the plant, with a stop at each sample."""
+        # A winch closes its loop on its own encoder: what that says too much is missing.
+        asked = self._command - self._sensors.encoder_bias
+        end = self._time + duration
+        while self._time < end - 1e-9:
+            h = min(end, self._sensors.next_due) - self._time
+            self._plant.advance(asked, h)
+            self._time += h
+            self._sensors.sample(self._plant, self._time)
+
+    def _brake(self) -> None:
+        """Send the next command of the controlled stop, unless this cycle has its command."""
+        if not self._sent:
+            self._command = np.array(self._limiter.brake().unstrained_length)
+            self._sent = True
+
+    def _wait_for_tick(self) -> None:
+        """Sleep to the next tick that lies ahead; count those that passed."""
+        period = self._settings.period
+        elapsed = time.monotonic() - self._origin
+        self._ticks += 1
+        missed = max(0, int(np.ceil(elapsed / period)) - self._ticks)
+        self.overruns += missed
+        self._ticks += missed
+        time.sleep(max(0.0, self._ticks * period - elapsed))
+
+    def _check_connected(self) -> None:
+        """Refuse to work before `connect` and after `close`."""
+        if not self._connected:
+            raise CarosacError(f"{self.name}: not connected; call connect() first")

@@ -1,0 +1,71 @@
+"""Several robots of one kind, one for each row of a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.robot import Robot
+
+
+class Fleet:
+    """Robots with the same number of cables and the same gravity, whose numbers may differ.
+
+    Stands for one robot in `statics` where each row of the batch has its own. Its attributes are
+    those of `Robot`, stacked along a first axis.
+
+    Attributes:
+        robots: The robots.
+        n: Number of cables of each.
+        gravity: [m/s^2].
+        mass: [kg], shape (B,).
+        weight: [N], shape (B,).
+        tension_min: [N], shape (B, n).
+        length_min: [m], shape (B, n).
+        length_max: [m], shape (B, n).
+        home_position: In W [m], shape (B, 3).
+        home_rotation: From P to W, shape (B, 3, 3).
+    """
+
+    def __init__(self, robots: Sequence[Robot]) -> None:
+        """Stack them.
+
+        Raises:
+            InvalidField: No robots, or robots that are too different.
+        """
+        self.robots = tuple(robots)
+        if not self.robots or not all(isinstance(robot, Robot) for robot in self.robots):
+            raise InvalidField("robots", repr(robots), "at least one Robot")
+        first = self.robots[0]
+        for i, robot in enumerate(self.robots):
+            if robot.n != first.n:
+                raise InvalidField(f"robots[{i}]", f"{robot.n} cables", f"{first.n}, as robots[0]")
+            if robot.gravity != first.gravity:
+                allowed = f"{first.gravity} m/s^2, as robots[0]"
+                raise InvalidField(f"robots[{i}].gravity", f"{robot.gravity} m/s^2", allowed)
+        self.n = first.n
+        self.gravity = first.gravity
+        self.mass = self._stacked("mass")
+        self.weight = self.mass * self.gravity
+        self.tension_min = self._stacked("tension_min")
+        self.length_min = self._stacked("length_min")
+        self.length_max = self._stacked("length_max")
+        self.home_position = self._stacked("home_position")
+        self.home_rotation = self._stacked("home_rotation")
+
+    def __len__(self) -> int:
+        return len(self.robots)
+
+    def rows(self, which: NDArray[Any]) -> Fleet:
+        """The robots of some rows; a fleet of one serves them all."""
+        return self if len(self) == 1 else Fleet([self.robots[int(i)] for i in which])
+
+    def _stacked(self, name: str) -> Array:
+        """One field of all robots."""
+        values: list[ArrayLike] = [getattr(robot, name) for robot in self.robots]
+        return np.array(values, dtype=np.float64)

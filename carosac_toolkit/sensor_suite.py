@@ -1,0 +1,174 @@
+"""The sensors of simulated robots: what they sample, when it arrives, and what they get wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.drivers.plant import Plant
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.sensors import DelayLine, SensorSettings, check_suite, quantised
+from carosac_toolkit.values import Imu, Measurement, Pose, Stamped, State
+
+# Random streams in a fixed order: a new one comes last, so that the others keep their draws.
+STREAMS = ("encoder_bias", "encoders", "pose", "imu_bias", "imu", "tension_bias", "tension")
+
+
+class SensorSuite:
+    """The sensors of B simulated robots, each with its own rate, delay and random stream.
+
+    Another sensor, or more of its samples, never changes what this one says.
+
+    Attributes:
+        encoder_bias: What the encoders say too much [m], shape (B, n).
+    """
+
+    def __init__(self, suite: str, settings: SensorSettings, plant: Plant, seed: int) -> None:
+        """Draw the biases; nothing is sampled yet.
+
+        Args:
+            suite: One of `SUITES`.
+            settings: Their numbers.
+            plant: At rest where it starts, at time 0.
+            seed: Of biases and noise.
+
+        Raises:
+            InvalidField: An unknown suite, or an IMU on a plant without inertia.
+        """
+        check_suite(suite, inertial=plant.inertial)
+        self._settings = settings
+        self._size, self._n = plant.size, plant.robot.n
+        streams = np.random.SeedSequence(seed).spawn(len(STREAMS))
+        self._rng = {k: np.random.default_rng(s) for k, s in zip(STREAMS, streams, strict=True)}
+        self.encoder_bias = settings.encoder_bias * self._draw("encoder_bias", self._n)
+        self._tension_bias = settings.tension_bias * self._draw("tension_bias", self._n)
+        scale = np.repeat([settings.angular_rate_bias, settings.specific_force_bias], 3)
+        self._imu_bias = scale * self._draw("imu_bias", 6)
+        self._lines = _delay_lines(suite, settings)
+        self._reading = quantised(
+            plant.read_lengths() + self.encoder_bias, settings.encoder_resolution
+        )
+        self._measured: Measurement | None = None
+
+    @property
+    def next_due(self) -> float:
+        """When the next sample of any sensor is to be taken [s]."""
+        return min(line.next_due for line in self._lines.values())
+
+    def sample(self, plant: Plant, now: float) -> None:
+        """Take the samples that are due at this time [s]."""
+        due = {name for name, line in self._lines.items() if line.due(now)}
+        if "encoders" in due:
+            self._lines["encoders"].put(now, self._lengths(plant))
+        if not due - {"encoders"}:
+            return
+        state = plant.truth()
+        if "pose" in due:
+            self._lines["pose"].put(now, self._pose(state))
+        if "imu" in due:
+            self._lines["imu"].put(now, self._imu(state, plant))
+        if "tension" in due:
+            self._lines["tension"].put(now, self._tension(state))
+
+    def newest_lengths(self, now: float) -> Array:
+        """Newest lengths that have arrived [m], shape (B, n)."""
+        return self._lines["encoders"].newest(now)[1][:, : self._n]
+
+    def measure(self, now: float) -> Measurement:
+        """Newest samples that have arrived; of the IMU all that came since the last measurement.
+
+        Measuring again at the same time gives the same measurement.
+        """
+        if self._measured is None or self._measured.time[0] != now:
+            self._measured = Measurement(
+                time=np.full(self._size, now),
+                unstrained_length=self.newest_lengths(now),
+                length_rate=self._stamped("encoders", now, self._n),
+                tension=self._stamped("tension", now) if "tension" in self._lines else None,
+                pose=self._measured_pose(now) if "pose" in self._lines else None,
+                imu=self._measured_imu(now) if "imu" in self._lines else None,
+            )
+        return self._measured
+
+    def _draw(self, stream: str, count: int) -> Array:
+        """Standard normal numbers of a stream, shape (B, count)."""
+        return self._rng[stream].standard_normal((self._size, count))
+
+    def _lengths(self, plant: Plant) -> Array:
+        """Readings of the encoders [m], then their rates [m/s], shape (B, 2 n)."""
+        sensors = self._settings
+        noise = sensors.encoder_noise * self._draw("encoders", self._n)
+        reading = quantised(
+            plant.read_lengths() + self.encoder_bias + noise, sensors.encoder_resolution
+        )
+        # The rate is what two readings say, their noise included.
+        rate = (reading - self._reading) * sensors.encoder_rate
+        self._reading = reading
+        return np.concatenate([reading, rate], axis=1)
+
+    def _pose(self, state: State) -> Array:
+        """Position [m] and rotation of motion capture, shape (B, 12)."""
+        import pinocchio
+
+        sensors = self._settings
+        noise = self._draw("pose", 6)
+        turn = np.stack([pinocchio.exp3(sensors.rotation_noise * row) for row in noise[:, :3]])
+        position = state.position + sensors.position_noise * noise[:, 3:]
+        rotation = (turn @ state.rotation).reshape(self._size, 9)
+        return np.concatenate([position, rotation], axis=1)
+
+    def _imu(self, state: State, plant: Plant) -> Array:
+        """Angular rate [rad/s] and specific force [m/s^2] at the platform origin in P, (B, 6)."""
+        if state.twist is None:
+            raise CarosacError("sensors: a plant that is inertial must say its twist")
+        sensors = self._settings
+        scale = np.repeat([sensors.angular_rate_noise, sensors.specific_force_noise], 3)
+        force = plant.acceleration()[:, :3] + np.array([0.0, 0.0, plant.robot.gravity])
+        in_world = np.stack([state.twist[:, 3:], force], axis=1)  # (B, 2, 3)
+        true = (in_world @ state.rotation).reshape(self._size, 6)  # R^T of each row
+        return true + self._imu_bias + scale * self._draw("imu", 6)
+
+    def _tension(self, state: State) -> Array:
+        """Tensions at the platform [N], shape (B, n)."""
+        if state.tension is None:
+            raise InvalidField("tension", "True", "False: this plant knows no tensions")
+        noise = self._settings.tension_noise * self._draw("tension", self._n)
+        return state.tension + self._tension_bias + noise
+
+    def _stamped(self, sensor: str, now: float, first: int = 0) -> Stamped:
+        """Newest sample of a sensor from a column on."""
+        taken, packed = self._lines[sensor].newest(now)
+        return Stamped(time=np.full(self._size, taken), value=packed[:, first:])
+
+    def _measured_pose(self, now: float) -> Pose:
+        """Newest pose that has arrived."""
+        taken, packed = self._lines["pose"].newest(now)
+        return Pose(
+            position=packed[:, :3],
+            rotation=packed[:, 3:].reshape(self._size, 3, 3),
+            time=np.full(self._size, taken),
+        )
+
+    def _measured_imu(self, now: float) -> Imu | None:
+        """Inertial samples that came since the last measurement; None where none did."""
+        found = self._lines["imu"].arrived(now)
+        if not found:
+            return None
+        samples = np.stack([packed for _, packed in found], axis=1)  # (B, K, 6)
+        time = np.tile([taken for taken, _ in found], (self._size, 1))
+        return Imu(time=time, angular_rate=samples[..., :3], specific_force=samples[..., 3:])
+
+
+def _delay_lines(suite: str, settings: SensorSettings) -> Mapping[str, DelayLine]:
+    """The sensors of a suite by name, always in the same order."""
+    parts = suite.split("+")
+    lines = {"encoders": DelayLine(settings.encoder_rate, settings.encoder_delay)}
+    if "pose" in parts:
+        lines["pose"] = DelayLine(settings.pose_rate, settings.pose_delay)
+    if "imu" in parts:
+        lines["imu"] = DelayLine(settings.imu_rate, settings.imu_delay)
+    if settings.tension:
+        lines["tension"] = DelayLine(settings.tension_rate, settings.tension_delay)
+    return lines

@@ -1,0 +1,178 @@
+"""Chains of particles at rest: the discrete equilibrium near a continuous one, in float64 Warp.
+
+The unknown of a chain is the tension vector of its first segment; all others follow node by node,
+as each node hangs from the one above. So a chain has the closure and the stiffness that
+`cable_kernels.hang` gives of a catenary, and the platform is brought to rest by the same Newton.
+"""
+
+import warp as wp
+
+from carosac_toolkit.physics.body_kernels import System, attach, solve_system
+from carosac_toolkit.physics.cable_kernels import HALF, ONE, ZERO, Cable, inverse33, pulley_wrap
+from carosac_toolkit.physics.platform_kernels import orthonormal, rotation_of
+from carosac_toolkit.physics.world_kernels import Plants, Worlds
+from sim_warp.particle_kernels import Chains, share_out
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+ROUNDS = wp.constant(20)
+CLOSE = wp.constant(wp.float64(1.0e-13))  # of the typical length
+BALANCED = wp.constant(wp.float64(1.0e-11))  # of the weight
+
+
+@wp.struct
+class Chain:
+    """A chain for a given tension vector of its first segment."""
+
+    closure: wp.vec3d  # anchor + chain - tangent point [m]
+    closure_t: wp.mat33d  # d closure / d tension vector [m/N]
+    force: wp.vec3d  # on the platform [N]
+    arc: wp.float64  # on the pulley [m]
+
+
+@wp.func
+def hang_chain(t: wp.vec3d, anchor: wp.vec3d, length: wp.float64, cable: Cable,
+               gravity: wp.float64, segments: int) -> Chain:  # fmt: skip
+    """Evaluate a chain at rest; t points from the first node to the pulley."""
+    wrap = pulley_wrap(t, cable)
+    out = Chain()
+    out.arc = cable.pulley_radius * wrap.angle
+    feed = share_out(cable, length, ZERO, out.arc, wp.length(t), gravity, segments)
+    count = wp.float64(segments)
+    reach = wp.vec3d()
+    compliance = wp.mat33d()
+    units = wp.vec3d()
+    pull = t
+    last = segments - 1
+    for k in range(segments):
+        tension = wp.length(pull)
+        unit = pull / tension
+        strain = tension / cable.axial_stiffness
+        span = feed.other * (ONE + strain)
+        axial = feed.other / cable.axial_stiffness
+        mass = feed.other_mass
+        if k == 0:
+            span = feed.first + (feed.first + cable.run_length) * strain - out.arc
+            axial = (feed.first + cable.run_length) / cable.axial_stiffness
+            mass = HALF * (feed.first_mass + feed.other_mass)
+        if k == last:
+            mass = HALF * feed.other_mass
+        reach = reach + span * unit
+        units = units + unit
+        turn = span / tension
+        compliance = (
+            compliance
+            + turn * wp.identity(n=3, dtype=wp.float64)
+            + (axial - turn) * wp.outer(unit, unit)
+        )
+        pull = pull - wp.vec3d(ZERO, ZERO, mass * gravity)
+    out.force = pull
+    out.closure = anchor + reach - wrap.tangent_point
+    out.closure_t = (
+        compliance
+        - wrap.tangent_point_q
+        - wp.outer(units, (cable.pulley_radius / count) * wrap.angle_q)
+    )
+    return out
+
+
+@wp.func
+def close_chain(guess: wp.vec3d, anchor: wp.vec3d, length: wp.float64, cable: Cable,
+                gravity: wp.float64, segments: int, tolerance: wp.float64,
+                ) -> wp.vec3d:  # fmt: skip
+    """Tension vector of the first segment with which the chain reaches its anchor point."""
+    t = guess
+    chain = hang_chain(t, anchor, length, cable, gravity, segments)
+    rounds = int(0)
+    while wp.length(chain.closure) > tolerance and rounds < ROUNDS:
+        step = -(inverse33(chain.closure_t) * chain.closure)
+        # Never past a fraction of the tension: the directions of slack segments turn round.
+        share = wp.min(ONE, HALF * wp.length(t) / (wp.length(step) + wp.float64(1.0e-30)))
+        t = t + share * step
+        chain = hang_chain(t, anchor, length, cable, gravity, segments)
+        rounds += 1
+    return t
+
+
+@wp.kernel
+def settle_chains(plants: Plants, chains: Chains, which: wp.array(dtype=int),
+                  position: wp.array(dtype=wp.vec3d), rotation: wp.array(dtype=wp.mat33d),
+                  length: wp.array2d(dtype=wp.float64), q: wp.array2d(dtype=wp.vec3d),
+                  tension: wp.array2d(dtype=wp.float64),
+                  residual: wp.array(dtype=wp.float64)):  # fmt: skip
+    """Bring pose and tension vectors of continuous equilibria to discrete ones, in place."""
+    j = wp.tid()
+    row = wp.min(which[j], plants.bodies.shape[0] - 1)
+    body = plants.bodies[row]
+    r = rotation[j]
+    center = position[j] + r * body.center_of_mass
+    n = length.shape[1]
+    for i in range(n):
+        cable = plants.cables[row, i]
+        half = HALF * cable.weight_per_length * length[j, i] / wp.float64(chains.segments)
+        q[j, i] = q[j, i] - wp.vec3d(ZERO, ZERO, half)
+    rounds = int(0)
+    going = bool(True)
+    while going:
+        system = System()
+        system.force = wp.vec3d(ZERO, ZERO, -body.mass * body.gravity)
+        for i in range(n):
+            cable = plants.cables[row, i]
+            arm = r * (cable.anchor_point - body.center_of_mass)
+            anchor = center + arm
+            t = close_chain(
+                q[j, i], anchor, length[j, i], cable, body.gravity, chains.segments,
+                CLOSE * body.size,
+            )  # fmt: skip
+            q[j, i] = t
+            chain = hang_chain(t, anchor, length[j, i], cable, body.gravity, chains.segments)
+            k = inverse33(chain.closure_t)
+            tension[j, i] = wp.length(chain.force)
+            system = attach(system, arm, chain.force, HALF * (k + wp.transpose(k)))
+        residual[j] = wp.length(system.force) + wp.length(system.moment) / body.arm
+        rounds += 1
+        going = residual[j] > BALANCED * body.mass * body.gravity and rounds < ROUNDS
+        if going:
+            newton = solve_system(system)
+            center = center + newton.move
+            r = orthonormal(rotation_of(newton.turn) * r)
+    rotation[j] = r
+    position[j] = center - r * body.center_of_mass
+
+
+@wp.kernel
+def place_chains(plants: Plants, worlds: Worlds, chains: Chains, which: wp.array(dtype=int),
+                 q: wp.array2d(dtype=wp.vec3d)):  # fmt: skip
+    """Nodes of worlds that have been placed, moving along with the platform; a thread a row."""
+    j = wp.tid()
+    b = which[j]
+    row = wp.min(b, plants.bodies.shape[0] - 1)
+    body = plants.bodies[row]
+    count = wp.float64(chains.segments)
+    for i in range(worlds.winch.shape[1]):
+        cable = plants.cables[row, i]
+        pull = q[j, i]
+        wrap = pulley_wrap(pull, cable)
+        arc = cable.pulley_radius * wrap.angle
+        feed = share_out(
+            cable, worlds.winch[b, i].length, ZERO, arc, wp.length(pull), body.gravity,
+            chains.segments,
+        )  # fmt: skip
+        chains.arc[b, i] = arc
+        point = wrap.tangent_point
+        for k in range(chains.segments):
+            tension = wp.length(pull)
+            strain = tension / cable.axial_stiffness
+            span = feed.other * (ONE + strain)
+            mass = feed.other_mass
+            if k == 0:
+                span = feed.first + (feed.first + cable.run_length) * strain - arc
+                mass = HALF * (feed.first_mass + feed.other_mass)
+            point = point - (span / tension) * pull
+            chains.predicted[b, i, k] = tension
+            if k < chains.segments - 1:
+                chains.position[b, i, k] = point
+                share = wp.float64(k + 1) / count
+                chains.velocity[b, i, k] = share * worlds.anchor_velocity[b, i]
+                chains.rate[b, i, k] = wp.vec3d()
+            pull = pull - wp.vec3d(ZERO, ZERO, mass * body.gravity)

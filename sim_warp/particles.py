@@ -1,0 +1,114 @@
+"""Worlds whose cables are chains of particles; the kernels say how."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.physics import warp_setup
+from carosac_toolkit.physics.dynamics import place_worlds
+from carosac_toolkit.physics.statics import Equilibrium
+from sim_warp import chain_start_kernels, particle_kernels
+
+
+class ParticleDynamics:
+    """B worlds of cables with N segments each, advanced by implicit steps."""
+
+    def __init__(
+        self, plants: Any, worlds: Any, size: int, n: int, device: str, segments: int, drag: float
+    ) -> None:
+        """Allocate; `place` comes before `advance`.
+
+        Args:
+            plants: `Plants` struct.
+            worlds: `Worlds` struct.
+            size: Number of worlds B.
+            n: Cables of each.
+            device: Warp device.
+            segments: Segments N of a cable.
+            drag: Air drag of the cables per mass [1/s].
+        """
+        warp_setup.load(particle_kernels, device)
+        self._plants = plants
+        self._worlds = worlds
+        self._size = size
+        self._device = device
+        self.chains = self._allocate(size, n, segments, drag)
+        self._launches: dict[int, Any] = {}
+
+    def _allocate(self, size: int, n: int, segments: int, drag: float) -> Any:
+        """The `Chains` struct; scratch for one world where they are computed in turn."""
+        on_host = wp.get_device(self._device).is_cpu
+        rows = 1 if on_host else size
+        out = particle_kernels.Chains()
+        nodes, scratch = (size, n, segments - 1), (rows, n, segments)
+        for name, shape, kind in (
+            ("position", nodes, wp.vec3d), ("velocity", nodes, wp.vec3d),
+            ("rate", nodes, wp.vec3d), ("predicted", (size, n, segments), wp.float64),
+            ("arc", (size, n), wp.float64), ("trial", scratch, wp.vec3d),
+            ("follow", scratch, wp.mat33d), ("shift", scratch, wp.vec3d),
+            ("pull", scratch, wp.vec3d), ("tension", scratch, wp.float64),
+            ("end_load", (rows, n), wp.vec3d), ("end_unit", (rows, n), wp.vec3d),
+        ):  # fmt: skip
+            setattr(out, name, wp.zeros(shape, dtype=kind, device=self._device))
+        out.drag = drag
+        out.segments = segments
+        return out
+
+    @property
+    def arrays(self) -> dict[str, wp.array]:
+        """What a world needs to go on, beside its `Worlds`."""
+        names = ("position", "velocity", "rate", "predicted", "arc")
+        return {name: getattr(self.chains, name) for name in names}
+
+    def place(self, which: NDArray[np.int32], rest: Equilibrium, twist: Array) -> None:
+        """Put worlds at rest, in the equilibrium of the chains next to a continuous one."""
+        warp_setup.load(chain_start_kernels, self._device)
+        device = self._device
+        rows = wp.array(which, dtype=int, device=device)
+        position = wp.array(rest.position, dtype=wp.vec3d, device=device)
+        rotation = wp.array(rest.rotation, dtype=wp.mat33d, device=device)
+        q = wp.array(rest.exit_tension, dtype=wp.vec3d, device=device)
+        tension = wp.array(rest.tension, dtype=wp.float64, device=device)
+        residual = wp.zeros(len(which), dtype=wp.float64, device=device)
+        length = wp.array(rest.unstrained_length, dtype=wp.float64, device=device)
+        wp.launch(
+            chain_start_kernels.settle_chains, len(which),
+            inputs=[self._plants, self.chains, rows, position, rotation, length, q, tension,
+                    residual],
+            device=device,
+        )  # fmt: skip
+        settled = replace(
+            rest, position=position.numpy(), rotation=rotation.numpy(), tension=tension.numpy(),
+            residual=residual.numpy(),
+        )  # fmt: skip
+        place_worlds(self._plants, self._worlds, which, settled, twist, device)
+        wp.launch(
+            chain_start_kernels.place_chains, len(which),
+            inputs=[self._plants, self._worlds, self.chains, rows, q], device=device,
+        )  # fmt: skip
+
+    def advance(self, follow: bool, count: int, h: float) -> None:
+        """Advance all worlds by `count` time steps of h [s] towards the commands of `Worlds`.
+
+        Args:
+            follow: Whether the lengths go straight to the command, without winches.
+            count: Time steps.
+            h: Size of each [s].
+        """
+        key = int(follow)
+        if key not in self._launches:
+            self._launches[key] = wp.launch(
+                particle_kernels.advance, self._size,
+                inputs=[self._plants, self._worlds, self.chains, key, count, h],
+                device=self._device, record_cmd=True,
+            )  # fmt: skip
+        launch = self._launches[key]
+        launch.set_param_at_index(4, count)
+        launch.set_param_at_index(5, h)
+        launch.launch()

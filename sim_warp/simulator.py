@@ -1,0 +1,374 @@
+"""Many simulated cable robots at once: platforms, sagging cables, winches and wind.
+
+Four models of the cables share one interface:
+
+* ``particles``: chains of masses and unilateral springs, advanced by implicit Newton steps
+  (`sim_warp.particle_kernels`): sag, sway, slack and waves.
+* ``catenary``: quasi-static elastic catenaries on a rigid platform
+  (`carosac_toolkit.physics.dynamics`): sag, sway and slack without waves, several times faster.
+* ``straight``: straight massless springs: the baseline without sag.
+* ``xpbd``: chains by extended position-based dynamics (`sim_warp.xpbd_kernels`), the method of game
+  engines, for comparison.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from carosac_toolkit.arrays import Array, batch, check_rotations
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.perturbations import draw_plant, find_condition
+from carosac_toolkit.physics import statics, warp_setup
+from carosac_toolkit.physics.device import check_call
+from carosac_toolkit.physics.dynamics import NodelessDynamics
+from carosac_toolkit.physics.fleet import Fleet
+from carosac_toolkit.physics.statics import Equilibrium
+from carosac_toolkit.physics.winch import WinchSettings
+from carosac_toolkit.physics.worlds import STATE, allocate_worlds, upload_plants
+from carosac_toolkit.robot import Robot
+from sim_warp.particles import ParticleDynamics
+from sim_warp.snapshot import Snapshot
+from sim_warp.state import StateViews
+from sim_warp.xpbd import XpbdDynamics
+
+Cables = Literal["particles", "catenary", "straight", "xpbd"]
+STEPS: dict[str, float] = {
+    "particles": 1.0 / 120.0, "catenary": 1.0 / 100.0, "straight": 1.0 / 120.0, "xpbd": 1e-3
+}  # fmt: skip  # [s]
+SEGMENTS_MAX = 256
+WEIGHTLESS = 1e-12  # [kg/m] of straight cables, where the statics asks for some mass
+
+
+class Simulator:
+    """B worlds, each with a robot of its own, that advance together; float64 throughout."""
+
+    def __init__(
+        self,
+        robot: Robot | Sequence[Robot],
+        *,
+        worlds: int | None = None,
+        cables: Cables = "particles",
+        segments: int = 16,
+        time_step: float | None = None,
+        device: str = "cpu",
+        seed: int | Sequence[int] = 0,
+        perturbation: str = "none",
+        wind_force: float | None = None,
+        wind_time: float | None = None,
+        cable_drag: float = 0.5,
+        winch: WinchSettings | None = None,
+        iterations: int = 20,
+    ) -> None:
+        """Set all worlds at rest at home.
+
+        Args:
+            robot: The robot of all worlds, or one for each.
+            worlds: Number of worlds B; None: one, or as many as there are robots.
+            cables: How cables are modelled.
+            segments: Segments of a cable, for ``particles`` and ``xpbd``.
+            time_step: Longest time step [s]; None takes 1/120 s (``particles``, ``straight``),
+                1/100 s (``catenary``) or 1 ms (``xpbd``). `step` divides its duration evenly.
+            device: Warp device.
+            seed: Of the plants and the wind: one number, from which each world gets its own, or
+                one for each world.
+            perturbation: Condition from which each world's plant and wind are drawn; see
+                `carosac_toolkit.perturbations`.
+            wind_force: Standard deviation of the force of the wind on the platform per horizontal
+                axis [N]; None: as the condition says.
+            wind_time: Its correlation time [s]; None: as the condition says.
+            cable_drag: Air drag of the cables per mass [1/s], for ``particles`` and ``xpbd``.
+            winch: How the drives follow commands; None takes the defaults.
+            iterations: Of the constraints in a time step, for ``xpbd``.
+
+        Raises:
+            InvalidField: Names the argument; no kernel has run then.
+        """
+        robots = [robot] if isinstance(robot, Robot) else _robots(robot)
+        check_call(robots[0], device)
+        size = len(robots) if worlds is None else worlds
+        _check_whole("worlds", size, 1, None)
+        if len(robots) not in (1, size):
+            raise InvalidField("robot", f"{len(robots)} robots", f"1 or {size}, as worlds")
+        if cables not in get_args(Cables):
+            raise InvalidField("cables", repr(cables), f"one of {list(get_args(Cables))}")
+        _check_whole("segments", segments, 2, SEGMENTS_MAX)
+        _check_whole("iterations", iterations, 1, None)
+        _check_positive("time_step", STEPS[cables] if time_step is None else time_step, "s")
+        _check_not_negative("cable_drag", cable_drag, "1/s")
+        self.cables: Cables = cables
+        self.segments = segments
+        self.time_step = STEPS[cables] if time_step is None else float(time_step)
+        self.device = device
+        self.seeds = _seeds(seed, size)
+        self._size = size
+        condition = find_condition(perturbation)
+        if perturbation != "none":
+            robots = robots * size if len(robots) == 1 else robots
+            draws = [np.random.default_rng([int(s), 1]) for s in self.seeds]
+            robots = [draw_plant(r, condition, g) for r, g in zip(robots, draws, strict=True)]
+        force = condition.wind_force if wind_force is None else wind_force
+        gust = condition.wind_time if wind_time is None else wind_time
+        _check_positive("wind_time", gust, "s")
+        _check_not_negative("wind_force", force, "N")
+        self.fleet = Fleet(robots)
+        n = self.fleet.n
+        warp_setup.initialise()
+        self._plants = upload_plants(
+            self.fleet, device, winch or WinchSettings(), float(force), float(gust)
+        )
+        self._worlds = allocate_worlds(size, n, device, self.seeds.astype(np.int32))
+        common = (self._plants, self._worlds, size, n, device)
+        self._dynamics: NodelessDynamics | ParticleDynamics | XpbdDynamics
+        if cables == "particles":
+            self._dynamics = ParticleDynamics(*common, segments, float(cable_drag))
+        elif cables == "xpbd":
+            self._dynamics = XpbdDynamics(*common, segments, float(cable_drag), iterations)
+        else:
+            self._dynamics = NodelessDynamics(*common, cables)
+        self.state = StateViews(self._worlds, self._dynamics.arrays.get("position"))
+        self.reset()
+
+    @property
+    def size(self) -> int:
+        """Number of worlds B."""
+        return self._size
+
+    @property
+    def robots(self) -> tuple[Robot, ...]:
+        """The plants: one for all worlds, or one for each."""
+        return self.fleet.robots
+
+    def reset(
+        self,
+        position: ArrayLike | None = None,
+        rotation: ArrayLike | None = None,
+        *,
+        unstrained_length: ArrayLike | None = None,
+        twist: ArrayLike | None = None,
+        worlds: Sequence[int] | NDArray[Any] | None = None,
+    ) -> None:
+        """Put worlds at rest in static equilibrium; their winches hold what they have wound.
+
+        Cables of particles end within micrometres of `position`: their own equilibrium counts.
+
+        Args:
+            position: Platform origins in W [m], shape (K, 3); None: home.
+            rotation: From P to W, shape (K, 3, 3), with six cables or more; None: home rotation.
+            unstrained_length: Lengths to hang on instead of a position [m], shape (K, n).
+            twist: Velocity with which they start, linear [m/s] then angular [rad/s] of the
+                platform origin in W, shape (K, 6); cables move along. None: at rest.
+            worlds: Indices of K worlds, or a mask of shape (B,); None: all of them.
+
+        Raises:
+            InvalidField: A wrong shape, numbers that are not finite, or a pose at which that
+                world's robot cannot rest. No world has been changed then.
+        """
+        which = self._which(worlds)
+        count = len(which)
+        moving = np.zeros((count, 6)) if twist is None else batch("twist", twist, (6,))
+        _check_rows("twist", moving, count)
+        rest = self._rest(which, position, rotation, unstrained_length)
+        self._dynamics.place(which, rest, moving)
+        command = self._worlds.command.numpy()
+        command[which] = rest.unstrained_length
+        self._worlds.command.assign(command)
+
+    def step(self, unstrained_length_command: ArrayLike | wp.array, duration: float) -> None:
+        """Advance all worlds while the winches follow commands that are held.
+
+        Worlds that have failed stand still; see `SimulatorState.failed`.
+
+        Args:
+            unstrained_length_command: What the drives are asked for [m], shape (B, n); a Warp
+                array on the device is used as it is, unchecked.
+            duration: [s].
+
+        Raises:
+            InvalidField: A wrong shape, or a length that is not finite and positive.
+        """
+        self._advance(unstrained_length_command, duration, follow=False)
+
+    def follow(self, unstrained_length: ArrayLike | wp.array, duration: float) -> None:
+        """Advance all worlds while the wound lengths go straight to given ones, past the winches.
+
+        Args:
+            unstrained_length: True lengths at the end [m], shape (B, n).
+            duration: [s].
+
+        Raises:
+            InvalidField: As `step`.
+        """
+        self._advance(unstrained_length, duration, follow=True)
+
+    def save(self) -> Snapshot:
+        """A copy of everything that changes; `restore` goes on from there, bit by bit."""
+        arrays = {name: getattr(self._worlds, name) for name in STATE} | self._dynamics.arrays
+        return Snapshot(
+            cables=self.cables,
+            segments=self.segments,
+            arrays={name: np.array(array.numpy()) for name, array in self._named(arrays)},
+        )
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go on from a snapshot of a simulator of the same robots, worlds and cables.
+
+        Raises:
+            InvalidField: It is of another kind or size. Nothing has been changed then.
+        """
+        mine = (self.cables, self.segments)
+        if (snapshot.cables, snapshot.segments) != mine:
+            given = f"{snapshot.cables} of {snapshot.segments} segments"
+            raise InvalidField("snapshot", given, f"{mine[0]} of {mine[1]} segments")
+        arrays = {name: getattr(self._worlds, name) for name in STATE} | self._dynamics.arrays
+        for name, array in self._named(arrays):
+            shape = array.numpy().shape
+            found = snapshot.arrays.get(name)
+            if found is None or found.shape != shape:
+                size = None if found is None else found.shape
+                raise InvalidField(f"snapshot.{name}", f"shape {size}", f"shape {shape}")
+        for name, array in self._named(arrays):
+            array.assign(snapshot.arrays[name])
+
+    def _named(self, arrays: dict[str, wp.array]) -> list[tuple[str, wp.array]]:
+        """Arrays by names that are unique."""
+        own = self._dynamics.arrays
+        return [(f"cable_{k}" if k in own else k, v) for k, v in arrays.items()]
+
+    def _advance(self, command: ArrayLike | wp.array, duration: float, *, follow: bool) -> None:
+        """Take over the command and launch."""
+        _check_positive("duration", duration, "s")
+        shape = (self._size, self.fleet.n)
+        if isinstance(command, wp.array):
+            if command.shape != shape:
+                raise InvalidField("command", f"shape {command.shape}", f"shape {shape}")
+            wp.copy(self._worlds.command, command)
+        else:
+            lengths = batch("unstrained_length_command", command, (self.fleet.n,))
+            _check_rows("unstrained_length_command", lengths, self._size)
+            _check_lengths("unstrained_length_command", lengths)
+            self._worlds.command.assign(lengths)
+        count = max(1, int(np.ceil(duration / self.time_step - 1e-6)))
+        self._dynamics.advance(follow, count, duration / count)
+
+    def _which(self, worlds: Sequence[int] | NDArray[Any] | None) -> NDArray[np.int32]:
+        """Indices of worlds, checked."""
+        if worlds is None:
+            return np.arange(self._size, dtype=np.int32)
+        given = np.asarray(worlds)
+        if given.dtype == bool and given.shape == (self._size,):
+            given = np.flatnonzero(given)
+        whole = given.ndim == 1 and len(given) > 0 and np.issubdtype(given.dtype, np.integer)
+        allowed = f"indices below {self._size}, each once, or a mask of shape ({self._size},)"
+        if not whole or given.min() < 0 or given.max() >= self._size:
+            raise InvalidField("worlds", worlds, allowed)
+        if len(np.unique(given)) < len(given):
+            raise InvalidField("worlds", worlds, allowed)
+        return given.astype(np.int32)
+
+    def _rest(
+        self,
+        which: NDArray[np.int32],
+        position: ArrayLike | None,
+        rotation: ArrayLike | None,
+        unstrained_length: ArrayLike | None,
+    ) -> Equilibrium:
+        """Equilibria of some worlds, or an error that names the first that has none."""
+        fleet = self.fleet.rows(which)
+        if self.cables == "straight":
+            fleet = _weightless(fleet)
+        count = len(which)
+        if unstrained_length is not None:
+            if position is not None or rotation is not None:
+                raise InvalidField("unstrained_length", "lengths and a pose", "one of them")
+            name, given = "unstrained_length", batch("unstrained_length", unstrained_length,
+                                                     (self.fleet.n,))  # fmt: skip
+            _check_rows(name, given, count)
+            rest = statics.forward_kinematics(fleet, given, device=self.device)
+        else:
+            name = "position"
+            home = np.broadcast_to(fleet.home_position, (count, 3))
+            given = home if position is None else batch("position", position, (3,))
+            _check_rows(name, given, count)
+            held = None
+            if rotation is not None:
+                held = batch("rotation", rotation, (3, 3))
+                _check_rows("rotation", held, count)
+                check_rotations("rotation", held)
+            rest = statics.inverse_kinematics(fleet, given, held, device=self.device)
+        sound = rest.converged & rest.stable
+        if not sound.all():
+            k = int(np.argmin(sound))
+            reason = statics.REASONS[rest.status[k]] if not rest.converged[k] else "not stable"
+            allowed = f"where the robot of world {which[k]} can rest ({reason})"
+            raise InvalidField(f"{name}[{k}]", given[k], allowed)
+        return rest
+
+
+def _robots(given: object) -> list[Robot]:
+    """The robots of a sequence, checked."""
+    robots = list(given) if isinstance(given, Sequence) else []
+    if not robots or not all(isinstance(robot, Robot) for robot in robots):
+        raise InvalidField("robot", repr(given), "a Robot, or one for each world")
+    return robots
+
+
+def _weightless(fleet: Fleet) -> Fleet:
+    """The same robots on cables without weight."""
+    light = np.full(fleet.n, WEIGHTLESS)
+    return Fleet([replace(robot, linear_density=light) for robot in fleet.robots])
+
+
+def _seeds(seed: int | Sequence[int], size: int) -> NDArray[np.int64]:
+    """One seed for each world, below 2^31."""
+    given = np.asarray(seed)
+    if not np.issubdtype(given.dtype, np.integer) or (given < 0).any():
+        raise InvalidField("seed", repr(seed), "a whole number >= 0, or one for each world")
+    if given.ndim == 0:
+        words = np.random.SeedSequence(int(given)).generate_state(size)
+        return (words % 2**31).astype(np.int64)
+    if given.shape != (size,) or (given >= 2**31).any():
+        allowed = f"one number, or {size} below 2^31, one for each world"
+        raise InvalidField("seed", f"shape {given.shape}", allowed)
+    return given.astype(np.int64)
+
+
+def _check_whole(name: str, value: object, lowest: int, highest: int | None) -> None:
+    """Refuse what is no whole number in a range."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or value < lowest or (highest is not None and value > highest):  # type: ignore[operator]
+        top = "" if highest is None else f" to {highest}"
+        raise InvalidField(name, repr(value), f"a whole number from {lowest}{top}")
+
+
+def _check_positive(name: str, value: object, unit: str) -> None:
+    """Refuse what is no positive finite number."""
+    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not number or not 0.0 < value < np.inf:  # type: ignore[operator]
+        raise InvalidField(name, f"{value} {unit}", f"{name} > 0, finite")
+
+
+def _check_not_negative(name: str, value: object, unit: str) -> None:
+    """Refuse what is no finite number from zero."""
+    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not number or not 0.0 <= value < np.inf:  # type: ignore[operator]
+        raise InvalidField(name, f"{value} {unit}", f"{name} >= 0, finite")
+
+
+def _check_rows(name: str, value: Array, count: int) -> None:
+    """Refuse another number of rows than there are worlds."""
+    if len(value) != count:
+        allowed = f"shape ({count}, ...), one row a world"
+        raise InvalidField(name, f"shape {value.shape}", allowed)
+
+
+def _check_lengths(name: str, value: Array) -> None:
+    """Refuse lengths that are not positive."""
+    if (value <= 0.0).any():
+        b, i = (int(k) for k in np.argwhere(value <= 0.0)[0])
+        raise InvalidField(f"{name}[{b}, {i}]", f"{value[b, i]} m", "> 0 m")

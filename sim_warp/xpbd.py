@@ -1,0 +1,58 @@
+"""Worlds whose chains of particles are advanced by position-based dynamics, for comparison."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.physics import warp_setup
+from carosac_toolkit.physics.statics import Equilibrium
+from sim_warp import xpbd_kernels
+from sim_warp.particles import ParticleDynamics
+
+
+class XpbdDynamics:
+    """B worlds of chains as those of `ParticleDynamics`, by another method."""
+
+    def __init__(
+        self,
+        plants: Any,
+        worlds: Any,
+        size: int,
+        n: int,
+        device: str,
+        segments: int,
+        drag: float,
+        iterations: int,
+    ) -> None:
+        """Allocate; `place` comes before `advance`.
+
+        Args:
+            plants: `Plants` struct.
+            worlds: `Worlds` struct.
+            size: Number of worlds B.
+            n: Cables of each.
+            device: Warp device.
+            segments: Segments N of a cable.
+            drag: Air drag of the cables per mass [1/s].
+            iterations: Rounds over all segments in a time step.
+        """
+        warp_setup.load(xpbd_kernels, device)
+        self._particles = ParticleDynamics(plants, worlds, size, n, device, segments, drag)
+        self._inputs = [plants, worlds, self._particles.chains, iterations]
+        self._size = size
+        self._device = device
+        self.arrays = self._particles.arrays
+
+    def place(self, which: NDArray[np.int32], rest: Equilibrium, twist: Array) -> None:
+        """Put worlds at rest, in the equilibrium of the chains next to a continuous one."""
+        self._particles.place(which, rest, twist)
+
+    def advance(self, follow: bool, count: int, h: float) -> None:
+        """Advance all worlds; see `ParticleDynamics.advance`."""
+        inputs = [*self._inputs, int(follow), count, h]
+        wp.launch(xpbd_kernels.advance, self._size, inputs=inputs, device=self._device)
