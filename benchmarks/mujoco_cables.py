@@ -210,8 +210,10 @@ def measure(robot: Robot) -> list[dict[str, Any]]:
     """
     bare = replace(robot, run_length=np.zeros(robot.n))
     calm = replace(bare, drag=0.0, angular_drag=0.0)
-    points = _swing(point_masses(calm, 10, REFERENCE_STEP, cable_drag=CABLE_DRAG, integrator="RK4"))
-    straight = _swing(massless_tendons(calm, 1e-4, integrator="RK4"))
+    points = swing_path(
+        point_masses(calm, 10, REFERENCE_STEP, cable_drag=CABLE_DRAG, integrator="RK4")
+    )
+    straight = swing_path(massless_tendons(calm, 1e-4, integrator="RK4"))
     rows = []
     for segments, timestep in ((10, 2e-3), (10, 1e-3), (20, 1e-3), (1, 2e-3), (1, 1e-3)):
 
@@ -219,17 +221,17 @@ def measure(robot: Robot) -> list[dict[str, Any]]:
             return MujocoCables(robot, k, h, drag, "discrete")
 
         swinging = build(calm, CABLE_DRAG)
-        path = _swing(swinging)
+        path = swing_path(swinging)
         following = build(bare, CABLE_DRAG)
         damped = build(replace(bare, drag=60.0, angular_drag=10.0), 5.0)
         rows.append(
             {
                 "model": swinging.name,
                 "step_s": timestep,
-                "cpu_s_per_s": _cpu_time(following),
-                **_settle(damped, bare),
-                "swing_rms_mm": _rms(path, straight if segments == 1 else points),
-                "swing_points_mm": _rms(path, points),
+                "cpu_s_per_s": cpu_time(following),
+                **settle_errors(damped, bare),
+                "swing_rms_mm": rms(path, straight if segments == 1 else points),
+                "swing_points_mm": rms(path, points),
             }
         )
         rows[-1]["warnings"] += swinging.warnings + following.warnings
@@ -242,7 +244,7 @@ def distance_to_chord(point: Array, start: Array, end: Array) -> Array:
     return np.asarray(np.linalg.norm(np.cross(point - start, unit), axis=-1))
 
 
-def _settle(model: MujocoCables, robot: Robot) -> dict[str, Any]:
+def settle_errors(model: MujocoCables, robot: Robot) -> dict[str, Any]:
     """Distance from our statics after settling from there with strong damping [mm]."""
     there = ct.statics.inverse_kinematics(robot, np.stack([robot.home_position, EDGE]))
     length = np.vstack([there.unstrained_length, there.unstrained_length[:1]])
@@ -265,7 +267,7 @@ def _settle(model: MujocoCables, robot: Robot) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _swing(model: MujocoCables) -> Array:
+def swing_path(model: MujocoCables) -> Array:
     """Path of a platform kicked at home [m], shape (K, 3), 50 points a second.
 
     The kick leaves two cables of `carosac` slack for moments.
@@ -280,12 +282,12 @@ def _swing(model: MujocoCables) -> Array:
     return path
 
 
-def _rms(path: Array, other: Array) -> float:
+def rms(path: Array, other: Array) -> float:
     """Root mean square distance [mm]."""
     return float(1e3 * np.sqrt(((path - other) ** 2).sum(axis=1).mean()))
 
 
-def _cpu_time(model: MujocoCables) -> float:
+def cpu_time(model: MujocoCables) -> float:
     """CPU time per simulated second while following a smooth path 0.3 m out and back, median."""
     phase = 2.0 * np.pi * np.arange(0.0, PATH, CONTROL_PERIOD) / PATH
     out = 0.3 * np.array([0.6, 0.64, 0.48])

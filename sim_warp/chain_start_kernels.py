@@ -10,11 +10,16 @@ import warp as wp
 from carosac_toolkit.physics.body_kernels import System, attach, solve_system
 from carosac_toolkit.physics.cable_kernels import HALF, ONE, ZERO, Cable, inverse33, pulley_wrap
 from carosac_toolkit.physics.platform_kernels import orthonormal, rotation_of
+from carosac_toolkit.physics.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.world_kernels import Plants, Worlds
-from sim_warp.particle_kernels import Chains, share_out
+from sim_warp.particle_kernels import Chains, Feed, length_share, run_strain, share_out
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
+# How far nodes are off their cable, over l times the turn there: ends of the chain, and inside.
+OFF_0 = wp.constant(wp.float64(13.0 / 288.0))
+OFF_1 = wp.constant(wp.float64(73.0 / 1152.0))
+OFF_INSIDE = wp.constant(wp.float64(1.0 / 24.0))
 ROUNDS = wp.constant(20)
 CLOSE = wp.constant(wp.float64(1.0e-13))  # of the typical length
 BALANCED = wp.constant(wp.float64(1.0e-11))  # of the weight
@@ -28,6 +33,14 @@ class Chain:
     closure_t: wp.mat33d  # d closure / d tension vector [m/N]
     force: wp.vec3d  # on the platform [N]
     arc: wp.float64  # on the pulley [m]
+
+
+@wp.func
+def first_span(cable: Cable, feed: Feed, gravity: wp.float64, unit: wp.vec3d,
+               strain: wp.float64) -> wp.float64:  # fmt: skip
+    """Stretched length from the datum to the first node, run included; unit points up."""
+    more = run_strain(cable, feed, gravity, -unit)
+    return feed.first * (ONE + strain) + cable.run_length * (strain + more)
 
 
 @wp.func
@@ -48,17 +61,18 @@ def hang_chain(t: wp.vec3d, anchor: wp.vec3d, length: wp.float64, cable: Cable,
         tension = wp.length(pull)
         unit = pull / tension
         strain = tension / cable.axial_stiffness
-        span = feed.other * (ONE + strain)
-        axial = feed.other / cable.axial_stiffness
+        piece = length_share(k, segments) * feed.other
+        span = piece * (ONE + strain)
+        axial = piece / cable.axial_stiffness
         mass = feed.other_mass
         if k == 0:
-            span = feed.first + (feed.first + cable.run_length) * strain - out.arc
+            span = first_span(cable, feed, gravity, unit, strain) - out.arc
             axial = (feed.first + cable.run_length) / cable.axial_stiffness
             mass = HALF * (feed.first_mass + feed.other_mass)
         if k == last:
             mass = HALF * feed.other_mass
         reach = reach + span * unit
-        units = units + unit
+        units = units + length_share(k, segments) * unit
         turn = span / tension
         compliance = (
             compliance
@@ -140,6 +154,51 @@ def settle_chains(plants: Plants, chains: Chains, which: wp.array(dtype=int),
     position[j] = center - r * body.center_of_mass
 
 
+@wp.func
+def off_curve(k: int, segments: int) -> wp.float64:
+    """How far a node is off the cable that its chain stands for, over l times the turn there.
+
+    Segments of a chain are tangents of its catenary, and nodes lie outside of it.
+    """
+    end = wp.min(k, segments - 2 - k)
+    share = wp.float64(0.0)
+    if segments >= 6:
+        share = OFF_INSIDE
+        if end == 0:
+            share = OFF_0
+        if end == 1:
+            share = OFF_1
+    return share
+
+
+@wp.kernel
+def chain_points(plants: Plants, worlds: Worlds, chains: Chains,
+                 points: wp.array3d(dtype=wp.vec3d)):  # fmt: skip
+    """Points on the cables from tangent point to anchor point; one thread a world and cable."""
+    b, i = wp.tid()
+    row = wp.min(b, plants.bodies.shape[0] - 1)
+    cable = plants.cables[row, i]
+    last = chains.segments
+    length = worlds.winch[b, i].length - chains.arc[b, i]
+    piece = length / wp.float64(chains.segments)
+    anchor = worlds.position[b] + worlds.rotation[b] * cable.anchor_point
+    _span, _wrap, unit, _bend, _valid = straight_cable(
+        chains.position[b, i, 0] - cable.exit_point, cable.pulley_radius, cable.swivel_axis
+    )
+    points[b, i, last] = anchor
+    for k in range(last - 1):
+        here = chains.position[b, i, k]
+        below = anchor
+        if k < last - 2:
+            below = chains.position[b, i, k + 1]
+        next_unit = wp.normalize(below - here)
+        turn = next_unit - unit
+        if k == 0:  # the cable leaves the pulley half a segment before the chain has its direction
+            points[b, i, 0] = pulley_wrap(HALF * turn - unit, cable).tangent_point
+        points[b, i, k + 1] = here + (off_curve(k, chains.segments) * piece) * turn
+        unit = next_unit
+
+
 @wp.kernel
 def place_chains(plants: Plants, worlds: Worlds, chains: Chains, which: wp.array(dtype=int),
                  q: wp.array2d(dtype=wp.vec3d)):  # fmt: skip
@@ -163,10 +222,10 @@ def place_chains(plants: Plants, worlds: Worlds, chains: Chains, which: wp.array
         for k in range(chains.segments):
             tension = wp.length(pull)
             strain = tension / cable.axial_stiffness
-            span = feed.other * (ONE + strain)
+            span = length_share(k, chains.segments) * feed.other * (ONE + strain)
             mass = feed.other_mass
             if k == 0:
-                span = feed.first + (feed.first + cable.run_length) * strain - arc
+                span = first_span(cable, feed, body.gravity, pull / tension, strain) - arc
                 mass = HALF * (feed.first_mass + feed.other_mass)
             point = point - (span / tension) * pull
             chains.predicted[b, i, k] = tension

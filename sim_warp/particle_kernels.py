@@ -1,13 +1,14 @@
 """Cables as chains of particles, hung between winches and a rigid platform, in float64 Warp.
 
-A cable of free unstrained length L has N segments of l = L / N and N - 1 nodes between its tangent
-point and its anchor point; each segment's mass is halved between its ends. A segment pulls with
+A cable of free unstrained length L has N segments, about l = L / N long (`length_share`), and N - 1
+nodes of equal mass between its tangent point and its anchor point; half of that is at each of its
+ends. A segment pulls with
 
     T = EA (|d| - l) / l + D d(|d| / l)/dt,     T >= 0,
 
 and the first one, which also stretches the run to the winch and wraps the pulley, with the length
-along the pulley instead of |d| and all unstrained length that the others leave. Nodes slide along
-the material as the winch turns, so that the segments stay equal.
+along the pulley instead of |d|. Nodes slide along the material as the winch turns, so that the
+segments keep their shares.
 
 A time step is one implicit step of platform and nodes together (`body_kernels`), by Newton. Each
 chain is a block-tridiagonal matrix: one sweep from the pulley to the anchor point eliminates its
@@ -46,6 +47,7 @@ from carosac_toolkit.physics.world_kernels import (
     clock_after,
     clock_of,
     is_lost,
+    is_nonsense,
     publish,
     turn_back,
     turn_winches,
@@ -53,7 +55,63 @@ from carosac_toolkit.physics.world_kernels import (
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
+# Weights of the end-corrected midpoint rule.
+SHARE_0 = wp.constant(wp.float64(13.0 / 12.0))
+SHARE_1 = wp.constant(wp.float64(7.0 / 8.0))
+SHARE_2 = wp.constant(wp.float64(25.0 / 24.0))
 NODE_STEP = wp.constant(wp.float64(1.0e-6))  # [m] a smaller Newton step of all nodes is the last
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    const unsigned first = (threadIdx.x & 31u) & ~(unsigned(lanes) - 1u);
+    const unsigned mask = lanes == 32 ? 0xffffffffu : ((1u << lanes) - 1u) << first;
+    for (int offset = lanes / 2; offset > 0; offset >>= 1)
+        value += __shfl_xor_sync(mask, value, offset, lanes);
+#endif
+    return value;
+""")
+def lane_sum(value: wp.float64, lanes: int) -> wp.float64:
+    """Sum over the threads of a world, the same bits in all of them; they come in powers of two."""
+    ...
+
+
+@wp.func
+def vector_sum(v: wp.vec3d, lanes: int) -> wp.vec3d:
+    """`lane_sum` of each entry."""
+    return wp.vec3d(lane_sum(v[0], lanes), lane_sum(v[1], lanes), lane_sum(v[2], lanes))
+
+
+@wp.func
+def matrix_sum(m: wp.mat33d, lanes: int) -> wp.mat33d:
+    """`lane_sum` of each entry."""
+    return wp.matrix_from_rows(
+        vector_sum(m[0], lanes), vector_sum(m[1], lanes), vector_sum(m[2], lanes)
+    )
+
+
+@wp.struct
+class Lane:
+    """A thread of a world, which has every so many-th of the cables; one does it all on a CPU."""
+
+    index: int
+    count: int
+
+
+@wp.struct
+class Flight:
+    """One world in the course of a call, the same in all of its threads."""
+
+    motion: Motion
+    gust: wp.vec3d  # [N]
+    count: int  # of steps since the last reset
+    rough: int
+    failed: int
+    time: wp.float64  # [s]
+    iterations: int
+    capped: int
+    residual: wp.float64  # [m]
+    taken: int  # whether the last step was
 
 
 @wp.struct
@@ -94,7 +152,7 @@ class Feed:
     """How the unstrained length of a cable is shared out."""
 
     first: wp.float64  # datum to the first node [m]
-    other: wp.float64  # each other segment [m]
+    other: wp.float64  # mean of the segments [m]
     first_rate: wp.float64  # [m/s]
     other_rate: wp.float64
     first_mass: wp.float64  # that hangs in the first segment [kg]
@@ -126,32 +184,60 @@ def inverse_spd(m: wp.mat33d) -> wp.mat33d:
 
 
 @wp.func
+def length_share(k: int, segments: int) -> wp.float64:
+    """Unstrained length of a segment over the mean, chosen so that chains hang as catenaries do.
+
+    A chain of equal loads sums up, segment by segment, what a catenary integrates: the midpoint
+    rule. With these weights near the ends it has fourth order instead of second.
+    """
+    end = wp.min(k, segments - 1 - k)
+    share = wp.float64(1.0)
+    if segments >= 6:
+        if end == 0:
+            share = SHARE_0
+        if end == 1:
+            share = SHARE_1
+        if end == 2:
+            share = SHARE_2
+    return share
+
+
+@wp.func
 def share_out(cable: Cable, length: wp.float64, rate: wp.float64, arc: wp.float64,
               tension: wp.float64, gravity: wp.float64, segments: int) -> Feed:  # fmt: skip
-    """Equal free segments; what is on the pulley and what came from the run is in the first."""
+    """What is on the pulley and what came from the run is in the first segment."""
     count = wp.float64(segments)
     density = cable.weight_per_length / gravity
     out = Feed()
     out.other = (length - arc) / count
     out.other_rate = rate / count
-    out.first = length - (count - ONE) * out.other
-    out.first_rate = out.other_rate
+    share = length_share(0, segments)
+    out.first = arc + share * out.other
+    out.first_rate = share * out.other_rate
     strain = tension / cable.axial_stiffness
-    hanging = out.first + (cable.run_length * strain - arc) / (ONE + strain)
+    hanging = arc + out.other + (cable.run_length * strain - arc) / (ONE + strain)
     out.first_mass = density * hanging
     out.other_mass = density * out.other
     return out
 
 
 @wp.func
+def run_strain(cable: Cable, feed: Feed, gravity: wp.float64, unit: wp.vec3d) -> wp.float64:
+    """Strain of the run by the weight of the upper half of the first segment; unit points down."""
+    return -HALF * feed.first_mass * gravity * unit[2] / cable.axial_stiffness
+
+
+@wp.func
 def first_segment(cable: Cable, feed: Feed, lower: wp.vec3d, velocity: wp.vec3d,
-                  predicted: wp.float64, scheme: Scheme) -> Segment:  # fmt: skip
+                  predicted: wp.float64, scheme: Scheme,
+                  gravity: wp.float64) -> Segment:  # fmt: skip
     """The segment at the pulley, with the arc on it and the run behind it."""
     span, _wrap, unit, bend, _valid = straight_cable(
         lower - cable.exit_point, cable.pulley_radius, cable.swivel_axis
     )
     whole = feed.first + cable.run_length
-    stretch = span - feed.first
+    # The run feels the tension at the exit: half the weight of this segment more than its middle.
+    stretch = span - feed.first - cable.run_length * run_strain(cable, feed, gravity, unit)
     out = Segment()
     if predicted + feed.other_mass * scheme.stiff * stretch > ZERO:
         out.unit = unit
@@ -167,21 +253,21 @@ def first_segment(cable: Cable, feed: Feed, lower: wp.vec3d, velocity: wp.vec3d,
 @wp.func
 def segment_between(cable: Cable, feed: Feed, upper: wp.vec3d, lower: wp.vec3d,
                     upper_velocity: wp.vec3d, lower_velocity: wp.vec3d, predicted: wp.float64,
-                    scheme: Scheme) -> Segment:  # fmt: skip
-    """A segment between two nodes."""
+                    scheme: Scheme, share: wp.float64) -> Segment:  # fmt: skip
+    """A segment between two nodes; `share` is its length over the mean."""
     d = lower - upper
     span = wp.sqrt(wp.dot(d, d)) + wp.float64(1.0e-12)
-    stretch = span - feed.other
+    stretch = span - share * feed.other
     out = Segment()
     if predicted + feed.other_mass * scheme.stiff * stretch > ZERO:
-        per = ONE / feed.other
+        per = ONE / (share * feed.other)
         unit = d / span
         out.unit = unit
         out.axial = (cable.axial_stiffness + cable.axial_damping / scheme.reach) * per
         out.tension = per * (
             cable.axial_stiffness * stretch
             + cable.axial_damping
-            * (wp.dot(unit, lower_velocity - upper_velocity) - feed.other_rate)
+            * (wp.dot(unit, lower_velocity - upper_velocity) - share * feed.other_rate)
         )
         b = wp.max(predicted, ZERO) / span
         out.across = b * (wp.identity(n=3, dtype=wp.float64) - wp.outer(unit, unit))
@@ -219,11 +305,13 @@ def sweep_down(chains: Chains, cable: Cable, feed: Feed, b: int, s: int, i: int,
                 lower_mass = HALF * (feed.first_mass + feed.other_mass)
         part = Segment()
         if k == 0:
-            part = first_segment(cable, feed, lower, velocity, chains.predicted[b, i, 0], scheme)
+            part = first_segment(
+                cable, feed, lower, velocity, chains.predicted[b, i, 0], scheme, gravity
+            )
         else:
             part = segment_between(
                 cable, feed, upper, lower, upper_velocity, velocity, chains.predicted[b, i, k],
-                scheme,
+                scheme, length_share(k, chains.segments),
             )  # fmt: skip
         matrix = part.across + part.axial * wp.outer(part.unit, part.unit)
         if k == 0:
@@ -275,11 +363,13 @@ def sweep_up(chains: Chains, b: int, s: int, i: int, scheme: Scheme,
 
 @wp.func
 def load_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, row: int,
-                body: RigidBody, trial: Motion, system: System, scheme: Scheme,
+                body: RigidBody, trial: Motion, system: System, scheme: Scheme, lane: Lane,
                 ) -> System:  # fmt: skip
     """Add what all chains do to the platform."""
-    total = system
-    for i in range(worlds.winch.shape[1]):
+    total = System()
+    if lane.index == 0:
+        total = system
+    for i in range(lane.index, worlds.winch.shape[1], lane.count):
         cable = plants.cables[row, i]
         winch = worlds.winch[b, i]
         feed = share_out(
@@ -293,40 +383,48 @@ def load_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, 
             chains, cable, feed, b, s, i, scheme, body.gravity, trial.center + arm, velocity, felt
         )
         total = attach(total, arm, end.force, end.stiffness)
+    if lane.count > 1:
+        total.force = vector_sum(total.force, lane.count)
+        total.moment = vector_sum(total.moment, lane.count)
+        total.tt = matrix_sum(total.tt, lane.count)
+        total.tr = matrix_sum(total.tr, lane.count)
+        total.rr = matrix_sum(total.rr, lane.count)
     return total
 
 
 @wp.func
 def move_chains(plants: Plants, chains: Chains, b: int, s: int, row: int, body: RigidBody,
-                trial: Motion, scheme: Scheme, move: wp.vec3d, turn: wp.vec3d,
-                ) -> wp.float64:  # fmt: skip
-    """Move all nodes after the platform; return the largest move [m]."""
+                trial: Motion, scheme: Scheme, move: wp.vec3d, turn: wp.vec3d, lane: Lane,
+                ) -> int:  # fmt: skip
+    """Move all nodes after the platform; return in how many threads one moved far."""
     most = wp.float64(0.0)
-    for i in range(plants.cables.shape[1]):
+    for i in range(lane.index, plants.cables.shape[1], lane.count):
         arm = trial.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
         square = sweep_up(chains, b, s, i, scheme, move + wp.cross(turn, arm))
         most = wp.max(most, square)
-    return wp.sqrt(most)
+    far = wp.float64(0.0)
+    if not most < NODE_STEP * NODE_STEP:
+        far = ONE
+    return int(lane_sum(far, lane.count))
 
 
 @wp.func
-def begin_chains(chains: Chains, b: int, s: int, n: int, h: wp.float64):
+def begin_chains(chains: Chains, b: int, s: int, n: int, h: wp.float64, lane: Lane):
     """Nodes are expected to keep their acceleration."""
-    for i in range(n):
+    for i in range(lane.index, n, lane.count):
         for k in range(chains.segments - 1):
             chains.trial[s, i, k] = chains.velocity[b, i, k] + h * chains.rate[b, i, k]
 
 
 @wp.func
 def keep_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, row: int,
-                body: RigidBody, scheme: Scheme):  # fmt: skip
-    """Accept the trial as the end of a time step."""
-    motion = worlds.motion[b]
-    rough = int(0)
-    for i in range(worlds.winch.shape[1]):
+                body: RigidBody, motion: Motion, scheme: Scheme, lane: Lane) -> int:  # fmt: skip
+    """Accept the trial as the end of a time step; return whether a cable is slack."""
+    slack = wp.float64(0.0)
+    for i in range(lane.index, worlds.winch.shape[1], lane.count):
         for k in range(chains.segments):
             if not chains.predicted[b, i, k] > ZERO:
-                rough = 1
+                slack = ONE
         cable = plants.cables[row, i]
         arm = motion.rotation * (cable.anchor_point - body.center_of_mass)
         velocity = motion.velocity + wp.cross(motion.angular_velocity, arm)
@@ -352,76 +450,109 @@ def keep_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, 
                 lower - cable.exit_point, cable.pulley_radius, cable.swivel_axis
             )
             chains.arc[b, i] = wrap * cable.pulley_radius
-    worlds.rough[b] = rough
+    return wp.min(int(lane_sum(slack, lane.count)), 1)
 
 
 @wp.func
 def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, row: int,
-              h: wp.float64, ticks: int) -> int:  # fmt: skip
-    """One implicit step; lengths are those at its end already. Returns whether it was taken.
+              flight: Flight, h: wp.float64, ticks: int, lane: Lane) -> Flight:  # fmt: skip
+    """One implicit step; lengths are those at its end already. `taken` says whether it was taken.
 
     A step without a solution is taken only if it is as short as can be, one of the `ticks`.
     """
     body = plants.bodies[row]
-    start = worlds.motion[b]
-    wind = gust(plants.winds[row], worlds.gust[b], h, worlds.seed[b], worlds.count[b])
-    scheme = scheme_of(h, worlds.rough[b])
+    start = flight.motion
+    wind = gust(plants.winds[row], flight.gust, h, worlds.seed[b], flight.count)
+    scheme = scheme_of(h, flight.rough)
     velocity = start.velocity + h * start.velocity_rate
     omega = start.angular_velocity + h * start.angular_rate
     trial = moved(start, scheme, velocity, omega)
-    begin_chains(chains, b, s, worlds.winch.shape[1], h)
+    begin_chains(chains, b, s, worlds.winch.shape[1], h, lane)
     count = int(0)
-    going = bool(True)
+    solved = bool(False)
     size = wp.float64(0.0)
-    nodes = wp.float64(0.0)
-    while going:
+    while count < LIMIT and not solved:
         system = inertial_system(body, start, trial, scheme, wind)
-        system = load_chains(plants, worlds, chains, b, s, row, body, trial, system, scheme)
+        system = load_chains(plants, worlds, chains, b, s, row, body, trial, system, scheme, lane)
         newton = solve_system(system)
-        nodes = move_chains(
-            plants, chains, b, s, row, body, trial, scheme, newton.move, newton.turn
+        far = move_chains(
+            plants, chains, b, s, row, body, trial, scheme, newton.move, newton.turn, lane
         )
         velocity += newton.move / scheme.reach
         omega += newton.turn / scheme.reach
         trial = moved(start, scheme, velocity, omega)
         count += 1
         size = wp.length(newton.move) + body.arm * wp.length(newton.turn)
-        going = (not (size < STEP and nodes < NODE_STEP)) and count < LIMIT
-    solved = size < STEP and nodes < NODE_STEP
-    if not solved and ticks > 1:
-        return 0
-    worlds.iterations[b] = wp.max(worlds.iterations[b], count)
-    worlds.residual[b] = wp.max(worlds.residual[b], size)
-    if not solved:
-        worlds.capped[b] = worlds.capped[b] + 1
-    if not size < body.size or is_lost(trial, body, plants.cables[row, 0].exit_point):
-        worlds.failed[b] = 1
-    else:
-        worlds.motion[b] = finish(body, start, trial, scheme)
-        worlds.gust[b] = wind
-        worlds.count[b] = worlds.count[b] + 1
-        worlds.time[b] = worlds.time[b] + h
-        keep_chains(plants, worlds, chains, b, s, row, body, scheme)
-    return 1
+        solved = size < STEP and far == 0
+    out = flight
+    out.taken = 0
+    if solved or ticks == 1:
+        out.taken = 1
+        out.iterations = wp.max(flight.iterations, count)
+        out.residual = wp.max(flight.residual, size)
+        if not solved:
+            out.capped = flight.capped + 1
+        if not size < body.size or is_lost(trial, body, plants.cables[row, 0].exit_point):
+            out.failed = 1
+        else:
+            out.motion = finish(body, start, trial, scheme)
+            out.gust = wind
+            out.count = flight.count + 1
+            out.time = flight.time + h
+            out.rough = keep_chains(
+                plants, worlds, chains, b, s, row, body, out.motion, scheme, lane
+            )
+    return out
+
+
+@wp.func
+def taken_off(worlds: Worlds, b: int) -> Flight:
+    """A world at the start of a call."""
+    out = Flight()
+    out.motion = worlds.motion[b]
+    out.gust = worlds.gust[b]
+    out.count = worlds.count[b]
+    out.rough = worlds.rough[b]
+    out.failed = worlds.failed[b]
+    out.time = worlds.time[b]
+    return out
+
+
+@wp.func
+def land(worlds: Worlds, b: int, flight: Flight):
+    """A world at the end of a call; all of its threads write the same."""
+    worlds.motion[b] = flight.motion
+    worlds.gust[b] = flight.gust
+    worlds.count[b] = flight.count
+    worlds.rough[b] = flight.rough
+    worlds.failed[b] = flight.failed
+    worlds.time[b] = flight.time
+    worlds.iterations[b] = flight.iterations
+    worlds.capped[b] = flight.capped
+    worlds.residual[b] = flight.residual
 
 
 @wp.kernel
 def advance(plants: Plants, worlds: Worlds, chains: Chains, follow: int, count: int,
-            h: wp.float64):  # fmt: skip
-    """Advance each world by `count` time steps of h; one thread a world."""
-    b = wp.tid()
+            h: wp.float64, lanes: int):  # fmt: skip
+    """Advance each world by `count` time steps of h, with `lanes` threads a world."""
+    thread = wp.tid()
+    b = thread / lanes
+    lane = Lane()
+    lane.index = thread % lanes
+    lane.count = lanes
     s = wp.min(b, chains.trial.shape[0] - 1)
     row = wp.min(b, plants.bodies.shape[0] - 1)
-    worlds.iterations[b] = 0
-    worlds.capped[b] = 0
-    worlds.residual[b] = ZERO
+    flight = taken_off(worlds, b)
+    flight.failed = wp.max(flight.failed, is_nonsense(worlds, b))
     clock = clock_of(h, count)
-    while clock.done < clock.ticks and worlds.failed[b] == 0:
+    while clock.done < clock.ticks and flight.failed == 0:
         step = clock.tick * wp.float64(clock.size)
         left = clock.tick * wp.float64(clock.ticks - clock.done)
-        turn_winches(plants, worlds, b, row, step, left, follow)
-        taken = time_step(plants, worlds, chains, b, s, row, step, clock.size)
-        if taken == 0:
-            turn_back(worlds, b)
-        clock = clock_after(clock, taken)
-    publish(plants, worlds, b, row)
+        turn_winches(plants, worlds, b, row, step, left, follow, lane.index, lanes)
+        flight = time_step(plants, worlds, chains, b, s, row, flight, step, clock.size, lane)
+        if flight.taken == 0 or flight.failed == 1:
+            turn_back(worlds, b, lane.index, lanes)
+        clock = clock_after(clock, flight.taken)
+    land(worlds, b, flight)
+    publish(plants, worlds, b, row, lane.index, lanes)

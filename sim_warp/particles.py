@@ -38,6 +38,9 @@ class ParticleDynamics:
         self._worlds = worlds
         self._size = size
         self._device = device
+        # On a GPU each cable has a thread of its own, in powers of two that make up a warp.
+        on_host = wp.get_device(device).is_cpu
+        self._lanes = 1 if on_host else min(32, 1 << (n - 1).bit_length())
         self.chains = self._allocate(size, n, segments, drag)
         self._launches: dict[int, Any] = {}
 
@@ -93,6 +96,17 @@ class ParticleDynamics:
             inputs=[self._plants, self._worlds, self.chains, rows, q], device=device,
         )  # fmt: skip
 
+    def points(self, segments: int) -> wp.array:
+        """Points on the cables, ends included, shape (B, n, segments + 1) of vectors."""
+        warp_setup.load(chain_start_kernels, self._device)
+        shape = self._worlds.tension.shape
+        found = wp.zeros((*shape, segments + 1), dtype=wp.vec3d, device=self._device)
+        wp.launch(
+            chain_start_kernels.chain_points, shape,
+            inputs=[self._plants, self._worlds, self.chains, found], device=self._device,
+        )  # fmt: skip
+        return found
+
     def advance(self, follow: bool, count: int, h: float) -> None:
         """Advance all worlds by `count` time steps of h [s] towards the commands of `Worlds`.
 
@@ -104,8 +118,8 @@ class ParticleDynamics:
         key = int(follow)
         if key not in self._launches:
             self._launches[key] = wp.launch(
-                particle_kernels.advance, self._size,
-                inputs=[self._plants, self._worlds, self.chains, key, count, h],
+                particle_kernels.advance, self._size * self._lanes,
+                inputs=[self._plants, self._worlds, self.chains, key, count, h, self._lanes],
                 device=self._device, record_cmd=True,
             )  # fmt: skip
         launch = self._launches[key]

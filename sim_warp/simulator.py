@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from carosac_toolkit.arrays import Array, batch, check_rotations
 from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.perturbations import draw_plant, find_condition
+from carosac_toolkit.perturbations import Condition, draw_plant, find_condition
 from carosac_toolkit.physics import statics, warp_setup
 from carosac_toolkit.physics.device import check_call
 from carosac_toolkit.physics.dynamics import NodelessDynamics
@@ -32,6 +32,15 @@ from carosac_toolkit.physics.statics import Equilibrium
 from carosac_toolkit.physics.winch import WinchSettings
 from carosac_toolkit.physics.worlds import STATE, allocate_worlds, upload_plants
 from carosac_toolkit.robot import Robot
+from sim_warp.arguments import (
+    as_robots,
+    as_seeds,
+    check_lengths,
+    check_not_negative,
+    check_positive,
+    check_rows,
+    check_whole,
+)
 from sim_warp.particles import ParticleDynamics
 from sim_warp.snapshot import Snapshot
 from sim_warp.state import StateViews
@@ -39,7 +48,7 @@ from sim_warp.xpbd import XpbdDynamics
 
 Cables = Literal["particles", "catenary", "straight", "xpbd"]
 STEPS: dict[str, float] = {
-    "particles": 1.0 / 120.0, "catenary": 1.0 / 100.0, "straight": 1.0 / 120.0, "xpbd": 1e-3
+    "particles": 1.0 / 120.0, "catenary": 1.0 / 75.0, "straight": 1.0 / 120.0, "xpbd": 1e-3
 }  # fmt: skip  # [s]
 SEGMENTS_MAX = 256
 WEIGHTLESS = 1e-12  # [kg/m] of straight cables, where the statics asks for some mass
@@ -73,7 +82,7 @@ class Simulator:
             cables: How cables are modelled.
             segments: Segments of a cable, for ``particles`` and ``xpbd``.
             time_step: Longest time step [s]; None takes 1/120 s (``particles``, ``straight``),
-                1/100 s (``catenary``) or 1 ms (``xpbd``). `step` divides its duration evenly.
+                1/75 s (``catenary``) or 1 ms (``xpbd``). `step` divides its duration evenly.
             device: Warp device.
             seed: Of the plants and the wind: one number, from which each world gets its own, or
                 one for each world.
@@ -82,57 +91,58 @@ class Simulator:
             wind_force: Standard deviation of the force of the wind on the platform per horizontal
                 axis [N]; None: as the condition says.
             wind_time: Its correlation time [s]; None: as the condition says.
-            cable_drag: Air drag of the cables per mass [1/s], for ``particles`` and ``xpbd``.
+            cable_drag: Air drag of the cables per mass [1/s]; ``straight`` ones have no mass.
             winch: How the drives follow commands; None takes the defaults.
             iterations: Of the constraints in a time step, for ``xpbd``.
 
         Raises:
             InvalidField: Names the argument; no kernel has run then.
         """
-        robots = [robot] if isinstance(robot, Robot) else _robots(robot)
+        robots = [robot] if isinstance(robot, Robot) else as_robots(robot)
         check_call(robots[0], device)
         size = len(robots) if worlds is None else worlds
-        _check_whole("worlds", size, 1, None)
+        check_whole("worlds", size, 1, None)
         if len(robots) not in (1, size):
             raise InvalidField("robot", f"{len(robots)} robots", f"1 or {size}, as worlds")
         if cables not in get_args(Cables):
             raise InvalidField("cables", repr(cables), f"one of {list(get_args(Cables))}")
-        _check_whole("segments", segments, 2, SEGMENTS_MAX)
-        _check_whole("iterations", iterations, 1, None)
-        _check_positive("time_step", STEPS[cables] if time_step is None else time_step, "s")
-        _check_not_negative("cable_drag", cable_drag, "1/s")
+        check_whole("segments", segments, 2, SEGMENTS_MAX)
+        check_whole("iterations", iterations, 1, None)
+        check_positive("time_step", STEPS[cables] if time_step is None else time_step, "s")
+        check_not_negative("cable_drag", cable_drag, "1/s")
         self.cables: Cables = cables
         self.segments = segments
         self.time_step = STEPS[cables] if time_step is None else float(time_step)
         self.device = device
-        self.seeds = _seeds(seed, size)
+        self.seeds = as_seeds(seed, size)
         self._size = size
         condition = find_condition(perturbation)
-        if perturbation != "none":
-            robots = robots * size if len(robots) == 1 else robots
-            draws = [np.random.default_rng([int(s), 1]) for s in self.seeds]
-            robots = [draw_plant(r, condition, g) for r, g in zip(robots, draws, strict=True)]
         force = condition.wind_force if wind_force is None else wind_force
         gust = condition.wind_time if wind_time is None else wind_time
-        _check_positive("wind_time", gust, "s")
-        _check_not_negative("wind_force", force, "N")
-        self.fleet = Fleet(robots)
-        n = self.fleet.n
+        check_positive("wind_time", gust, "s")
+        check_not_negative("wind_force", force, "N")
+        drawn = robots if perturbation == "none" else _draw(robots, condition, self.seeds)
+        self.fleet = Fleet(drawn)
         warp_setup.initialise()
         self._plants = upload_plants(
             self.fleet, device, winch or WinchSettings(), float(force), float(gust)
         )
-        self._worlds = allocate_worlds(size, n, device, self.seeds.astype(np.int32))
-        common = (self._plants, self._worlds, size, n, device)
-        self._dynamics: NodelessDynamics | ParticleDynamics | XpbdDynamics
-        if cables == "particles":
-            self._dynamics = ParticleDynamics(*common, segments, float(cable_drag))
-        elif cables == "xpbd":
-            self._dynamics = XpbdDynamics(*common, segments, float(cable_drag), iterations)
-        else:
-            self._dynamics = NodelessDynamics(*common, cables)
+        seeds = self.seeds.astype(np.int32)
+        self._worlds = allocate_worlds(size, self.fleet.n, device, seeds)
+        self._dynamics = self._make_dynamics(float(cable_drag), iterations)
         self.state = StateViews(self._worlds, self._dynamics.arrays.get("position"))
         self.reset()
+
+    def _make_dynamics(
+        self, drag: float, iterations: int
+    ) -> NodelessDynamics | ParticleDynamics | XpbdDynamics:
+        """The model of the cables."""
+        common = (self._plants, self._worlds, self._size, self.fleet.n, self.device)
+        if self.cables == "particles":
+            return ParticleDynamics(*common, self.segments, drag)
+        if self.cables == "xpbd":
+            return XpbdDynamics(*common, self.segments, drag, iterations)
+        return NodelessDynamics(*common, self.cables, drag)
 
     @property
     def size(self) -> int:
@@ -172,7 +182,7 @@ class Simulator:
         which = self._which(worlds)
         count = len(which)
         moving = np.zeros((count, 6)) if twist is None else batch("twist", twist, (6,))
-        _check_rows("twist", moving, count)
+        check_rows("twist", moving, count)
         rest = self._rest(which, position, rotation, unstrained_length)
         self._dynamics.place(which, rest, moving)
         command = self._worlds.command.numpy()
@@ -205,6 +215,17 @@ class Simulator:
             InvalidField: As `step`.
         """
         self._advance(unstrained_length, duration, follow=True)
+
+    def cable_points(self) -> Array:
+        """Where the cables are now, for pictures and sag.
+
+        Returns:
+            Points in W [m], shape (B, n, segments + 1, 3), from tangent point to anchor point.
+            Those of particles lie on the cable for which their chain stands, which touches the
+            middle of each segment, not on the nodes.
+        """
+        found: Array = self._dynamics.points(self.segments).numpy()
+        return found
 
     def save(self) -> Snapshot:
         """A copy of everything that changes; `restore` goes on from there, bit by bit."""
@@ -242,7 +263,7 @@ class Simulator:
 
     def _advance(self, command: ArrayLike | wp.array, duration: float, *, follow: bool) -> None:
         """Take over the command and launch."""
-        _check_positive("duration", duration, "s")
+        check_positive("duration", duration, "s")
         shape = (self._size, self.fleet.n)
         if isinstance(command, wp.array):
             if command.shape != shape:
@@ -250,8 +271,8 @@ class Simulator:
             wp.copy(self._worlds.command, command)
         else:
             lengths = batch("unstrained_length_command", command, (self.fleet.n,))
-            _check_rows("unstrained_length_command", lengths, self._size)
-            _check_lengths("unstrained_length_command", lengths)
+            check_rows("unstrained_length_command", lengths, self._size)
+            check_lengths("unstrained_length_command", lengths)
             self._worlds.command.assign(lengths)
         count = max(1, int(np.ceil(duration / self.time_step - 1e-6)))
         self._dynamics.advance(follow, count, duration / count)
@@ -288,17 +309,17 @@ class Simulator:
                 raise InvalidField("unstrained_length", "lengths and a pose", "one of them")
             name, given = "unstrained_length", batch("unstrained_length", unstrained_length,
                                                      (self.fleet.n,))  # fmt: skip
-            _check_rows(name, given, count)
+            check_rows(name, given, count)
             rest = statics.forward_kinematics(fleet, given, device=self.device)
         else:
             name = "position"
             home = np.broadcast_to(fleet.home_position, (count, 3))
             given = home if position is None else batch("position", position, (3,))
-            _check_rows(name, given, count)
+            check_rows(name, given, count)
             held = None
             if rotation is not None:
                 held = batch("rotation", rotation, (3, 3))
-                _check_rows("rotation", held, count)
+                check_rows("rotation", held, count)
                 check_rotations("rotation", held)
             rest = statics.inverse_kinematics(fleet, given, held, device=self.device)
         sound = rest.converged & rest.stable
@@ -310,65 +331,14 @@ class Simulator:
         return rest
 
 
-def _robots(given: object) -> list[Robot]:
-    """The robots of a sequence, checked."""
-    robots = list(given) if isinstance(given, Sequence) else []
-    if not robots or not all(isinstance(robot, Robot) for robot in robots):
-        raise InvalidField("robot", repr(given), "a Robot, or one for each world")
-    return robots
+def _draw(robots: list[Robot], condition: Condition, seeds: NDArray[np.int64]) -> list[Robot]:
+    """The plant of each world."""
+    each = robots * len(seeds) if len(robots) == 1 else robots
+    draws = [np.random.default_rng([int(seed), 1]) for seed in seeds]
+    return [draw_plant(robot, condition, draw) for robot, draw in zip(each, draws, strict=True)]
 
 
 def _weightless(fleet: Fleet) -> Fleet:
     """The same robots on cables without weight."""
     light = np.full(fleet.n, WEIGHTLESS)
     return Fleet([replace(robot, linear_density=light) for robot in fleet.robots])
-
-
-def _seeds(seed: int | Sequence[int], size: int) -> NDArray[np.int64]:
-    """One seed for each world, below 2^31."""
-    given = np.asarray(seed)
-    if not np.issubdtype(given.dtype, np.integer) or (given < 0).any():
-        raise InvalidField("seed", repr(seed), "a whole number >= 0, or one for each world")
-    if given.ndim == 0:
-        words = np.random.SeedSequence(int(given)).generate_state(size)
-        return (words % 2**31).astype(np.int64)
-    if given.shape != (size,) or (given >= 2**31).any():
-        allowed = f"one number, or {size} below 2^31, one for each world"
-        raise InvalidField("seed", f"shape {given.shape}", allowed)
-    return given.astype(np.int64)
-
-
-def _check_whole(name: str, value: object, lowest: int, highest: int | None) -> None:
-    """Refuse what is no whole number in a range."""
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not whole or value < lowest or (highest is not None and value > highest):  # type: ignore[operator]
-        top = "" if highest is None else f" to {highest}"
-        raise InvalidField(name, repr(value), f"a whole number from {lowest}{top}")
-
-
-def _check_positive(name: str, value: object, unit: str) -> None:
-    """Refuse what is no positive finite number."""
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if not number or not 0.0 < value < np.inf:  # type: ignore[operator]
-        raise InvalidField(name, f"{value} {unit}", f"{name} > 0, finite")
-
-
-def _check_not_negative(name: str, value: object, unit: str) -> None:
-    """Refuse what is no finite number from zero."""
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if not number or not 0.0 <= value < np.inf:  # type: ignore[operator]
-        raise InvalidField(name, f"{value} {unit}", f"{name} >= 0, finite")
-
-
-def _check_rows(name: str, value: Array, count: int) -> None:
-    """Refuse another number of rows than there are worlds."""
-    if len(value) != count:
-        allowed = f"shape ({count}, ...), one row a world"
-        raise InvalidField(name, f"shape {value.shape}", allowed)
-
-
-def _check_lengths(name: str, value: Array) -> None:
-    """Refuse lengths that are not positive."""
-    if (value <= 0.0).any():
-        b, i = (int(k) for k in np.argwhere(value <= 0.0)[0])
-        raise InvalidField(f"{name}[{b}, {i}]", f"{value[b, i]} m", "> 0 m")

@@ -52,6 +52,10 @@ class XpbdDynamics:
         """Put worlds at rest, in the equilibrium of the chains next to a continuous one."""
         self._particles.place(which, rest, twist)
 
+    def points(self, segments: int) -> wp.array:
+        """Points on the cables; see `ParticleDynamics.points`."""
+        return self._particles.points(segments)
+
     def advance(self, follow: bool, count: int, h: float) -> None:
         """Advance all worlds; see `ParticleDynamics.advance`."""
         inputs = [*self._inputs, int(follow), count, h]

@@ -20,10 +20,12 @@ from carosac_toolkit.physics.world_kernels import (
     Plants,
     Worlds,
     is_lost,
+    is_nonsense,
     publish,
+    turn_back,
     turn_winches,
 )
-from sim_warp.particle_kernels import Chains, Feed, share_out
+from sim_warp.particle_kernels import Chains, Feed, length_share, run_strain, share_out
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -93,7 +95,8 @@ def pull_segment(chains: Chains, cable: Cable, feed: Feed, b: int, s: int, i: in
     """Let one segment pull its ends together within its compliance."""
     out = platform
     last = chains.segments - 1
-    rest = feed.other
+    share = length_share(k, chains.segments)
+    rest = share * feed.other
     mass = feed.other_mass
     if k == 0:
         rest = feed.first + cable.run_length
@@ -122,14 +125,15 @@ def pull_segment(chains: Chains, cable: Cable, feed: Feed, b: int, s: int, i: in
         span, _wrap, unit, _bend, _valid = straight_cable(
             lower - cable.exit_point, cable.pulley_radius, cable.swivel_axis
         )
-        excess = span - feed.first
+        more = run_strain(cable, feed, body.gravity, unit)
+        excess = span - feed.first - cable.run_length * more
         paid = h * feed.first_rate
     else:
         d = lower - upper
         span = wp.length(d) + wp.float64(1.0e-12)
         unit = d / span
-        excess = span - feed.other
-        paid = h * feed.other_rate
+        excess = span - rest
+        paid = h * share * feed.other_rate
     turn = wp.vec3d()
     if k == last:
         turn = platform.turning * wp.cross(arm, unit)
@@ -252,9 +256,12 @@ def advance(plants: Plants, worlds: Worlds, chains: Chains, rounds: int, follow:
     b = wp.tid()
     s = wp.min(b, chains.trial.shape[0] - 1)
     row = wp.min(b, plants.bodies.shape[0] - 1)
+    worlds.failed[b] = wp.max(worlds.failed[b], is_nonsense(worlds, b))
     left = count
     while left > 0 and worlds.failed[b] == 0:
-        turn_winches(plants, worlds, b, row, h, h * wp.float64(left), follow)
+        turn_winches(plants, worlds, b, row, h, h * wp.float64(left), follow, 0, 1)
         time_step(plants, worlds, chains, b, s, row, h, rounds)
+        if worlds.failed[b] == 1:
+            turn_back(worlds, b, 0, 1)
         left -= 1
-    publish(plants, worlds, b, row)
+    publish(plants, worlds, b, row, 0, 1)

@@ -5,14 +5,12 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("[!_]*.py"))
-SECONDS = 60.0
 LINES = 100
 
 
@@ -31,9 +29,7 @@ def test_there_are_examples():
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_example_is_short_and_draws_one_picture_and_prints_one_number(example, tmp_path):
     assert len(example.read_text(encoding="utf-8").splitlines()) < LINES
-    start = time.perf_counter()
     printed = run(example, tmp_path)
-    assert time.perf_counter() - start < SECONDS
     pictures = list(tmp_path.iterdir())
     assert [picture.name for picture in pictures] == [f"{example.stem}.png"]
     assert pictures[0].read_bytes().startswith(b"\x89PNG") and pictures[0].stat().st_size > 10_000

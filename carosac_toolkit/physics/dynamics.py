@@ -17,7 +17,12 @@ import warp as wp
 from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics import dynamics_kernels, warp_setup, world_kernels
+from carosac_toolkit.physics import (
+    catenary_kernels,
+    dynamics_kernels,
+    warp_setup,
+    world_kernels,
+)
 from carosac_toolkit.physics.cable_kernels import vec6d
 from carosac_toolkit.physics.statics import Equilibrium
 
@@ -63,7 +68,14 @@ class NodelessDynamics:
     """B worlds with cables that have no nodes. See `carosac_toolkit.physics.worlds`."""
 
     def __init__(
-        self, plants: Any, worlds: Any, size: int, n: int, device: str, cables: NodelessCables
+        self,
+        plants: Any,
+        worlds: Any,
+        size: int,
+        n: int,
+        device: str,
+        cables: NodelessCables,
+        drag: float = 0.0,
     ) -> None:
         """Allocate; `place` comes before `advance`.
 
@@ -74,6 +86,7 @@ class NodelessDynamics:
             n: Cables of each.
             device: Warp device.
             cables: The model.
+            drag: Air drag of catenaries per mass [1/s].
         """
         warp_setup.load(dynamics_kernels, device)
         self._plants = plants
@@ -84,6 +97,8 @@ class NodelessDynamics:
         hung = dynamics_kernels.Hung()
         hung.q = wp.zeros((size, n), dtype=wp.vec3d, device=device)
         hung.inverse = wp.zeros((size, n), dtype=wp.mat33d, device=device)
+        hung.tension = wp.zeros((size, n), dtype=wp.float64, device=device)
+        hung.drag = drag
         self._hung = hung
         self._launches: dict[int, Any] = {}
 
@@ -100,6 +115,20 @@ class NodelessDynamics:
             dynamics_kernels.place_hung, len(which), inputs=[rows, q, self._hung],
             device=self._device,
         )  # fmt: skip
+
+    def points(self, segments: int) -> wp.array:
+        """Points on the cables, ends included, shape (B, n, segments + 1) of vectors."""
+        shape = self._worlds.tension.shape
+        found = wp.zeros((*shape, segments + 1), dtype=wp.vec3d, device=self._device)
+        if self._model == 0:
+            warp_setup.load(catenary_kernels, self._device)
+            kernel = catenary_kernels.cable_points
+            inputs = [self._plants.cables, self._worlds.unstrained_length, self._hung.q, found]
+        else:
+            kernel = dynamics_kernels.straight_points
+            inputs = [self._plants, self._worlds, found]
+        wp.launch(kernel, shape, inputs=inputs, device=self._device)
+        return found
 
     def advance(self, follow: bool, count: int, h: float) -> None:
         """Advance all worlds by `count` time steps of h [s] towards the commands of `Worlds`.

@@ -3,7 +3,7 @@
 Each time step is one implicit step (`body_kernels`). The tension vector q of each catenary is
 an unknown beside the pose, eliminated by its own 3x3 block as in the statics, so that a Newton step
 costs one evaluation a cable. A third of each cable's mass moves with its anchor point: the inertia
-of a straight cable that swings about its exit.
+of a straight cable that swings about its exit, and so does its air drag.
 """
 
 import warp as wp
@@ -34,6 +34,7 @@ from carosac_toolkit.physics.world_kernels import (
     clock_after,
     clock_of,
     is_lost,
+    is_nonsense,
     publish,
     turn_back,
     turn_winches,
@@ -45,7 +46,9 @@ INNER = wp.constant(60)  # steps of one cable
 LOOSE = wp.constant(wp.float64(1.0e-3))  # of the typical length: a larger closure is closed first
 TIGHT = wp.constant(wp.float64(1.0e-12))
 NEAR = wp.constant(wp.float64(0.3))  # of q: a larger correction is not of first order any more
-GAP = wp.constant(wp.float64(1.0e-7))  # [m] a larger closure asks for another step
+GAP = wp.constant(
+    wp.float64(1.0e-5)
+)  # [m] a larger closure asks for another step; it is then closed
 SAGGING = wp.constant(0)
 STRAIGHT = wp.constant(1)
 
@@ -56,6 +59,8 @@ class Hung:
 
     q: wp.array2d(dtype=wp.vec3d)  # tension vector at the exit [N]
     inverse: wp.array2d(dtype=wp.mat33d)  # (d closure / d q)^-1 [N/m]
+    tension: wp.array2d(dtype=wp.float64)  # scratch: at the anchor point [N]
+    drag: wp.float64  # air drag per mass of cable [1/s]
 
 
 @wp.struct
@@ -160,15 +165,17 @@ def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, m
         else:
             pull = straight_pull(cable, anchor, velocity, winch.length, winch.rate, scheme.reach)
         out.gap = wp.max(out.gap, pull.gap)
-        worlds.tension[b, i] = wp.length(pull.force)
+        hung.tension[b, i] = wp.length(pull.force)
         force = pull.force
         k = pull.stiffness
         if model == SAGGING:
             mass = anchor_mass(cable, winch.length, body.gravity)
-            force = force - mass * rate_felt(
+            felt = rate_felt(
                 scheme, worlds.anchor_velocity[b, i], worlds.anchor_rate[b, i], velocity
             )
-            k = k + (mass * scheme.stiff) * wp.identity(n=3, dtype=wp.float64)
+            force = force - mass * (felt + hung.drag * velocity)
+            inertia = mass * (scheme.stiff + hung.drag / scheme.reach)
+            k = k + inertia * wp.identity(n=3, dtype=wp.float64)
         total = attach(total, arm, force, k)
     out.system = total
     return out
@@ -184,12 +191,13 @@ def carry_cables(plants: Plants, hung: Hung, b: int, row: int, body: RigidBody, 
 
 
 @wp.func
-def keep_anchors(plants: Plants, worlds: Worlds, b: int, row: int, body: RigidBody,
+def keep_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, body: RigidBody,
                  scheme: Scheme):  # fmt: skip
-    """Anchor velocities at the end of a time step."""
+    """Anchor velocities and tensions at the end of a time step."""
     motion = worlds.motion[b]
     rough = int(0)
     for i in range(worlds.winch.shape[1]):
+        worlds.tension[b, i] = hung.tension[b, i]
         if (
             not worlds.tension[b, i]
             > plants.cables[row, i].weight_per_length * worlds.winch[b, i].length
@@ -215,8 +223,8 @@ def time_step(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, mode
     start = worlds.motion[b]
     wind = gust(plants.winds[row], worlds.gust[b], h, worlds.seed[b], worlds.count[b])
     scheme = scheme_of(h, worlds.rough[b])
-    velocity = start.velocity
-    omega = start.angular_velocity
+    velocity = start.velocity + h * start.velocity_rate
+    omega = start.angular_velocity + h * start.angular_rate
     trial = moved(start, scheme, velocity, omega)
     count = int(0)
     going = bool(True)
@@ -248,7 +256,7 @@ def time_step(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, mode
         worlds.gust[b] = wind
         worlds.count[b] = worlds.count[b] + 1
         worlds.time[b] = worlds.time[b] + h
-        keep_anchors(plants, worlds, b, row, body, scheme)
+        keep_anchors(plants, worlds, hung, b, row, body, scheme)
     return 1
 
 
@@ -261,16 +269,17 @@ def advance(plants: Plants, worlds: Worlds, hung: Hung, model: int, follow: int,
     worlds.iterations[b] = 0
     worlds.capped[b] = 0
     worlds.residual[b] = ZERO
+    worlds.failed[b] = wp.max(worlds.failed[b], is_nonsense(worlds, b))
     clock = clock_of(h, count)
     while clock.done < clock.ticks and worlds.failed[b] == 0:
         step = clock.tick * wp.float64(clock.size)
         left = clock.tick * wp.float64(clock.ticks - clock.done)
-        turn_winches(plants, worlds, b, row, step, left, follow)
+        turn_winches(plants, worlds, b, row, step, left, follow, 0, 1)
         taken = time_step(plants, worlds, hung, b, row, model, step, clock.size)
-        if taken == 0:
-            turn_back(worlds, b)
+        if taken == 0 or worlds.failed[b] == 1:
+            turn_back(worlds, b, 0, 1)
         clock = clock_after(clock, taken)
-    publish(plants, worlds, b, row)
+    publish(plants, worlds, b, row, 0, 1)
 
 
 @wp.kernel
@@ -279,3 +288,18 @@ def place_hung(which: wp.array(dtype=int), q: wp.array2d(dtype=wp.vec3d), hung: 
     k = wp.tid()
     for i in range(q.shape[1]):
         hung.q[which[k], i] = q[k, i]
+
+
+@wp.kernel
+def straight_points(plants: Plants, worlds: Worlds, points: wp.array3d(dtype=wp.vec3d)):
+    """Points on straight cables from tangent point to anchor point; a thread a world and cable."""
+    b, i = wp.tid()
+    cable = plants.cables[wp.min(b, plants.bodies.shape[0] - 1), i]
+    anchor = worlds.position[b] + worlds.rotation[b] * cable.anchor_point
+    span, wrap, unit, _bend, _valid = straight_cable(
+        anchor - cable.exit_point, cable.pulley_radius, cable.swivel_axis
+    )
+    last = points.shape[2] - 1
+    for k in range(points.shape[2]):
+        share = wp.float64(last - k) / wp.float64(last)
+        points[b, i, k] = anchor - (share * (span - wrap * cable.pulley_radius)) * unit

@@ -40,7 +40,8 @@ class Fleet:
         """
         self.robots = tuple(robots)
         if not self.robots or not all(isinstance(robot, Robot) for robot in self.robots):
-            raise InvalidField("robots", repr(robots), "at least one Robot")
+            kinds = [type(robot).__name__ for robot in self.robots]
+            raise InvalidField("robots", kinds, "at least one Robot, and nothing else")
         first = self.robots[0]
         for i, robot in enumerate(self.robots):
             if robot.n != first.n:

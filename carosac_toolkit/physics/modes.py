@@ -27,7 +27,7 @@ class Modes:
     shape: Array
 
 
-def mass_matrix(robot: Robot, rotation: Array) -> Array:
+def mass_matrix(robot: Robot, rotation: Array, unstrained_length: Array | None = None) -> Array:
     r"""Inertia of the platform about its origin.
 
     .. math:: M = \begin{bmatrix} m 1 & -m [c]_\times \\ m [c]_\times & I_c - m [c]_\times^2
@@ -36,10 +36,12 @@ def mass_matrix(robot: Robot, rotation: Array) -> Array:
     Args:
         robot: Robot description.
         rotation: Rotation from P to W, shape (B, 3, 3).
+        unstrained_length: [m], shape (B, n): a third of each cable's mass then rides at its
+            anchor point, as of a straight cable that swings about its exit; None: no cables.
 
     Returns:
         M in W at the platform origin, shape (B, 6, 6): kinetic energy is v^T M v / 2 for a twist
-        v, linear first. Cables count as weightless here.
+        v, linear first.
     """
     center = rotation @ robot.center_of_mass
     cross = np.zeros((len(center), 3, 3))
@@ -51,10 +53,19 @@ def mass_matrix(robot: Robot, rotation: Array) -> Array:
     mass[:, :3, 3:] = -robot.mass * cross
     inertia = rotation @ robot.inertia @ rotation.swapaxes(1, 2)
     mass[:, 3:, 3:] = inertia - robot.mass * cross @ cross
+    if unstrained_length is not None:
+        riding = robot.linear_density * unstrained_length / 3.0  # (B, n) [kg]
+        arm = np.einsum("bij,nj->bni", rotation, robot.anchor_points)
+        reach = np.zeros((*arm.shape[:2], 3, 6))  # velocity of the anchor point per twist
+        reach[..., :3] = np.eye(3)
+        reach[..., 0, 4], reach[..., 0, 5] = arm[..., 2], -arm[..., 1]
+        reach[..., 1, 3], reach[..., 1, 5] = -arm[..., 2], arm[..., 0]
+        reach[..., 2, 3], reach[..., 2, 4] = arm[..., 1], -arm[..., 0]
+        mass += np.einsum("bn,bnki,bnkj->bij", riding, reach, reach)
     return mass
 
 
-def natural_modes(robot: Robot, equilibrium: Equilibrium) -> Modes:
+def natural_modes(robot: Robot, equilibrium: Equilibrium, *, cable_mass: bool = True) -> Modes:
     """Undamped small motions of the platform with the winches held.
 
     The cables follow quasi-statically: their own waves lie far above (tens of Hz for taut ones).
@@ -62,6 +73,7 @@ def natural_modes(robot: Robot, equilibrium: Equilibrium) -> Modes:
     Args:
         robot: Robot description.
         equilibrium: B equilibria of this robot.
+        cable_mass: Whether the cables have inertia; see `mass_matrix`.
 
     Returns:
         Frequencies and mode shapes of K x = (2 pi f)^2 M x.
@@ -69,7 +81,8 @@ def natural_modes(robot: Robot, equilibrium: Equilibrium) -> Modes:
     rest = (equilibrium.status != 0) & np.isfinite(equilibrium.stiffness).all(axis=(1, 2))
     stiffness = np.where(rest[:, None, None], equilibrium.stiffness, np.eye(6))
     rotation = np.where(rest[:, None, None], equilibrium.rotation, np.eye(3))
-    factor = np.linalg.cholesky(mass_matrix(robot, rotation))
+    length = np.where(rest[:, None], equilibrium.unstrained_length, 0.0) if cable_mass else None
+    factor = np.linalg.cholesky(mass_matrix(robot, rotation, length))
     half = np.linalg.solve(factor, stiffness)
     symmetric = np.linalg.solve(factor, half.swapaxes(1, 2))
     values, vectors = np.linalg.eigh(0.5 * (symmetric + symmetric.swapaxes(1, 2)))
@@ -81,6 +94,8 @@ def natural_modes(robot: Robot, equilibrium: Equilibrium) -> Modes:
     )
 
 
-def natural_frequencies(robot: Robot, equilibrium: Equilibrium) -> Array:
+def natural_frequencies(
+    robot: Robot, equilibrium: Equilibrium, *, cable_mass: bool = True
+) -> Array:
     """Frequencies of `natural_modes` [Hz], shape (B, 6), slowest first."""
-    return natural_modes(robot, equilibrium).frequency
+    return natural_modes(robot, equilibrium, cable_mass=cable_mass).frequency

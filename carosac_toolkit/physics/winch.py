@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +17,7 @@ from carosac_toolkit.physics.device import Buffers
 from carosac_toolkit.physics.winch_kernels import Winch
 from carosac_toolkit.robot import Robot
 
-STEP = float(winch_kernels.STEP)  # [s], about the length of an inner step
+STEP = float(winch_kernels.STEP)  # [s], longest inner step
 SHORTEST_INTEGRAL = 2.0 * STEP  # [s]; what the inner steps resolve
 _STATE = ("length", "rate", "integral")
 
@@ -111,8 +112,9 @@ class Winches:
         records = winch_records(robot, settings)
         warp_setup.load(winch_kernels)
         self._records = wp.array(records[None], dtype=Winch, device="cpu")
+        self._encoders = Encoders([robot], len(start), settings)
         self._shape = start.shape
-        names = (*_STATE, "command", "reading")
+        names = (*_STATE, "command")
         shapes: dict[str, tuple[Any, Any]] = {k: (start.shape, wp.float64) for k in names}
         self._buffers = Buffers("cpu", shapes | {"duration": ((1,), wp.float64)})
         self._buffers.put("length", start)
@@ -144,7 +146,39 @@ class Winches:
 
     def read(self) -> Array:
         """Lengths that perfect encoders on the drums say [m], shape (B, n)."""
+        return self._encoders.read(self.length)
+
+
+class Encoders:
+    """Perfect encoders on the drums of B robots of n cables, by the drums that drives believe in.
+
+    Without drums that build up, they say the wound length itself.
+    """
+
+    def __init__(
+        self, robots: Sequence[Robot], size: int, settings: WinchSettings | None = None
+    ) -> None:
+        """Take the drums of one robot for all, or of one each.
+
+        Args:
+            robots: The plants.
+            size: B.
+            settings: None takes the defaults.
+
+        Raises:
+            InvalidField: As `winch_records`.
+        """
+        records = np.stack([winch_records(robot, settings) for robot in robots])
+        warp_setup.load(winch_kernels)
+        self._records = wp.array(records, dtype=Winch, device="cpu")
+        self._shape = (size, robots[0].n)
+        shapes = {name: (self._shape, wp.float64) for name in ("length", "reading")}
+        self._buffers = Buffers("cpu", shapes)
+
+    def read(self, unstrained_length: Array) -> Array:
+        """What they say of true lengths [m], shape (B, n)."""
         with self._buffers.lock:
+            self._buffers.put("length", unstrained_length)
             self._buffers.launch(
                 "read", winch_kernels.read, self._shape, self._records, "length", "reading"
             )

@@ -24,7 +24,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 f64 = wp.float64
 
 ZERO = wp.constant(wp.float64(0.0))
-STEP = wp.constant(wp.float64(2.0e-3))  # [s], about the length of an inner step
+STEP = wp.constant(wp.float64(2.0e-3))  # [s], longest inner step
 
 
 @wp.struct
@@ -88,7 +88,7 @@ def read_length(winch: Winch, length: wp.float64) -> wp.float64:
 def winch_advance(
     winch: Winch, state: WinchState, command: wp.float64, duration: wp.float64
 ) -> WinchState:
-    """Follow a constant command [m] for a time [s], in inner steps of about `STEP`.
+    """Follow a constant command [m] for a time [s], in inner steps of at most `STEP`.
 
     Args:
         winch: The winch.
@@ -104,7 +104,8 @@ def winch_advance(
     rate = state.rate
     integral = state.integral
     if duration > ZERO:
-        count = wp.max(int(wp.rint(duration / STEP)), 1)
+        # Rounding of the duration must not change the count.
+        count = wp.max(int(wp.ceil(duration / STEP - f64(1.0e-6))), 1)
         h = duration / f64(count)
         # The lag must be resolved: a faster winch than one step reaches its command in one.
         lag = wp.max(winch.lag, h) + winch.derivative_time

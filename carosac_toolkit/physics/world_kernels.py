@@ -94,8 +94,17 @@ def clock_after(clock: Clock, taken: int) -> Clock:
 
 
 @wp.func
+def is_nonsense(worlds: Worlds, b: int) -> int:
+    """Whether a command is no length: not finite, or not positive."""
+    for i in range(worlds.command.shape[1]):
+        if not (worlds.command[b, i] > wp.float64(0.0) and wp.isfinite(worlds.command[b, i])):
+            return 1
+    return 0
+
+
+@wp.func
 def turn_winches(plants: Plants, worlds: Worlds, b: int, row: int, h: wp.float64, left: wp.float64,
-                 follow: int):  # fmt: skip
+                 follow: int, lane: int, lanes: int):  # fmt: skip
     """Lengths at the end of a time step.
 
     Args:
@@ -106,8 +115,10 @@ def turn_winches(plants: Plants, worlds: Worlds, b: int, row: int, h: wp.float64
         h: Time step [s].
         left: Time to the end of the call, this step included [s].
         follow: Whether the lengths themselves go straight to the command, without winches.
+        lane: This thread among those of the world, each of which has its own cables.
+        lanes: Number of these threads.
     """
-    for i in range(worlds.command.shape[1]):
+    for i in range(lane, worlds.command.shape[1], lanes):
         worlds.winch_before[b, i] = worlds.winch[b, i]
         if follow == 1:
             state = worlds.winch[b, i]
@@ -121,9 +132,9 @@ def turn_winches(plants: Plants, worlds: Worlds, b: int, row: int, h: wp.float64
 
 
 @wp.func
-def turn_back(worlds: Worlds, b: int):
+def turn_back(worlds: Worlds, b: int, lane: int, lanes: int):
     """Undo the last `turn_winches`."""
-    for i in range(worlds.command.shape[1]):
+    for i in range(lane, worlds.command.shape[1], lanes):
         worlds.winch[b, i] = worlds.winch_before[b, i]
 
 
@@ -139,7 +150,7 @@ def is_lost(motion: Motion, body: RigidBody, home: wp.vec3d) -> bool:
 
 
 @wp.func
-def publish(plants: Plants, worlds: Worlds, b: int, row: int):
+def publish(plants: Plants, worlds: Worlds, b: int, row: int, lane: int, lanes: int):
     """Write what people read: pose, twist and acceleration of the platform origin, and lengths."""
     body = plants.bodies[row]
     motion = worlds.motion[b]
@@ -151,7 +162,7 @@ def publish(plants: Plants, worlds: Worlds, b: int, row: int):
     worlds.rotation[b] = motion.rotation
     worlds.twist[b] = vec6d(v[0], v[1], v[2], w[0], w[1], w[2])
     worlds.acceleration[b] = vec6d(a[0], a[1], a[2], alpha[0], alpha[1], alpha[2])
-    for i in range(worlds.winch.shape[1]):
+    for i in range(lane, worlds.winch.shape[1], lanes):
         worlds.unstrained_length[b, i] = worlds.winch[b, i].length
 
 
@@ -185,4 +196,4 @@ def place(plants: Plants, worlds: Worlds, which: wp.array(dtype=int),
         worlds.anchor_velocity[b, i] = motion.velocity + wp.cross(w, arm)
         worlds.anchor_rate[b, i] = wp.vec3d()
         worlds.tension[b, i] = tension[k, i]
-    publish(plants, worlds, b, row)
+    publish(plants, worlds, b, row, 0, 1)

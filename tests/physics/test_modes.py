@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
 from carosac_toolkit.physics import modes, statics
+from carosac_toolkit.robot import RigidBody, combine_bodies
 from tests import reference
 from tests.robots import eight_cable_robot, simple_robot, with_pulleys
 
@@ -30,7 +31,27 @@ def test_frequencies_are_those_of_finite_differences_and_pin(robot):
     mass = reference.mass_matrix(robot, found.rotation[0])
     values = eigh(stiffness, mass, eigvals_only=True)
     expected = np.sqrt(values) / (2.0 * np.pi)
-    assert modes.natural_frequencies(robot, found)[0] == pytest.approx(expected, rel=1e-5)
+    bare = modes.natural_frequencies(robot, found, cable_mass=False)[0]
+    assert bare == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_third_of_each_cable_rides_at_its_anchor_point():
+    """Point masses there as payloads, of which pin knows nothing but a heavier platform."""
+    robot = simple_robot()
+    found = statics.inverse_kinematics(robot, robot.home_position[None] + [[0.5, -0.7, 0.4]])
+    length = found.unstrained_length
+    riding = robot.linear_density * length[0] / 3.0
+    parts = [RigidBody(robot.mass, robot.center_of_mass, robot.inertia)]
+    parts += [
+        RigidBody(m, b, np.zeros((3, 3))) for m, b in zip(riding, robot.anchor_points, strict=True)
+    ]
+    heavy = combine_bodies(parts)
+    loaded = replace(
+        robot, mass=heavy.mass, center_of_mass=heavy.center_of_mass, inertia=heavy.inertia
+    )
+    mass = modes.mass_matrix(robot, found.rotation, length)[0]
+    expected = reference.mass_matrix(loaded, found.rotation[0])
+    assert mass == pytest.approx(expected, abs=1e-12)
 
 
 def difference_of_wrench(robot, found):
@@ -82,7 +103,8 @@ def test_modes_diagonalise_mass_and_stiffness():
     robot = eight_cable_robot()
     found = statics.inverse_kinematics(robot, robot.home_position[None])
     result = modes.natural_modes(robot, found)
-    shape, mass = result.shape[0], modes.mass_matrix(robot, found.rotation)[0]
+    shape = result.shape[0]
+    mass = modes.mass_matrix(robot, found.rotation, found.unstrained_length)[0]
     assert shape.T @ mass @ shape == pytest.approx(np.eye(6), abs=1e-9)
     squares = (2.0 * np.pi * result.frequency[0]) ** 2
     reduced = shape.T @ found.stiffness[0] @ shape

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics.winch import STEP, Winches, WinchSettings, winch_records
+from carosac_toolkit.physics.winch import STEP, Encoders, Winches, WinchSettings, winch_records
 from tests.robots import simple_robot
 
 START = 8.0  # [m]
@@ -234,3 +234,25 @@ def test_drums_that_cannot_be_are_refused():
         winch_records(robot, belief)
     with pytest.raises(InvalidField, match=r"believed_drum_buildup: .*None: robot .* has no drum"):
         winch_records(simple_robot(), belief)
+
+
+def test_encoders_of_several_robots_read_each_its_own_drums():
+    radii = [RADIUS, RADIUS + 0.01]
+    robots = [simple_robot(drum_radius=radius, drum_buildup=BUILDUP) for radius in radii]
+    settings = WinchSettings(believed_drum_buildup=2e-5)
+    lengths = START + np.arange(8.0).reshape(2, 4)
+    together = Encoders(robots, 2, settings).read(lengths)
+    for b, robot in enumerate(robots):
+        alone = Winches(robot, lengths[b : b + 1], settings).read()
+        assert np.array_equal(together[b], alone[0])
+    assert not np.array_equal(together[0], Winches(robots[1], lengths[:1], settings).read()[0])
+
+
+def test_the_inner_steps_do_not_depend_on_the_rounding_of_the_time():
+    """5 ms are two and a half steps of 2 ms: a bit more or less must not be another number."""
+    lengths = []
+    for duration in (np.nextafter(0.005, 0.0), 0.005, np.nextafter(0.005, 1.0), 0.02 - 0.015):
+        found = winches()
+        found.advance(np.full((1, 4), START + 0.01), duration)
+        lengths.append(found.length[0])
+    assert np.ptp(lengths, axis=0).max() < 1e-12

@@ -78,16 +78,25 @@ class StringEquilibrium(NamedTuple):
     residual: float
 
 
+def segment_shares(segments: int) -> Array:
+    """Lengths of the segments over L / N: the weights of the end-corrected midpoint rule."""
+    shares = np.ones(segments)
+    if segments >= 6:
+        ends = np.array([13 / 12, 7 / 8, 25 / 24])
+        shares[:3], shares[-3:] = ends, ends[::-1]
+    return shares
+
+
 def string_equilibrium(
     robot: Robot, unstrained_length: ArrayLike, segments: int
 ) -> StringEquilibrium:
     """Rest of a platform on cables of N springs and N - 1 point masses.
 
-    Each segment holds l = L / N of material, so it is l (1 + T / EA) long; each node has the mass
-    rho l, each end half of that, and the anchor's half hangs on the platform. The `run_length`
-    behind the exit is stretched by the tension of the first segment and gives that stretch to it:
-    its length is l + (l + run) T / EA. (What so passes the exit is l again, plus
-    run e / (1 + e) of material: the closed form of the cable, but for the weight of that bit.)
+    Each segment holds its share of L (`segment_shares`), and is 1 + T / EA times as long; each node
+    has the mass of L / N, and half of that hangs on the platform at the anchor. The
+    `run_length` behind the exit is stretched by the tension there, e = (T + half the weight of the
+    first segment along it) / EA, and the first segment is longer by run e. It is as heavy as L / N
+    and the run T / EA / (1 + T / EA) of material that so passes the exit.
 
     Unknowns are the pose and the forces at the anchors; each cable is marched from there to the
     exit. The start is our own statics, which decides only which rest is found.
@@ -130,16 +139,26 @@ def _march(
 ) -> tuple[Array, Array]:
     """Nodes (n, N + 1, 3) [m] and tensions (n, N) [N] that follow from forces at the anchors."""
     piece = length / segments
+    shares = segment_shares(segments)
     weight = np.outer(robot.weight_per_length * piece, UP)
     pull = force + weight / 2.0
     nodes, tensions = [anchor], []
-    for k in range(segments):
+    for share in shares[:0:-1]:
         tension = np.linalg.norm(pull, axis=1)
-        soft = piece + robot.run_length * (k == segments - 1)
-        reach = piece + soft * tension / robot.axial_stiffness
+        reach = share * piece * (1.0 + tension / robot.axial_stiffness)
         nodes.append(nodes[-1] + (reach / tension)[:, None] * pull)
         tensions.append(tension)
         pull = pull + weight
+    below, run, extra = pull, robot.run_length, np.zeros(robot.n)
+    for _ in range(4):  # the bit from the run weighs next to nothing: a contraction
+        pull = below + np.outer(robot.weight_per_length * extra / 2.0, UP)
+        tension = np.linalg.norm(pull, axis=1)
+        strain = tension / robot.axial_stiffness
+        extra = run * strain / (1.0 + strain)
+    half = robot.weight_per_length * (piece + extra) / 2.0 * pull[:, 2] / tension
+    reach = shares[0] * piece * (1.0 + strain) + run * (strain + half / robot.axial_stiffness)
+    nodes.append(nodes[-1] + (reach / tension)[:, None] * pull)
+    tensions.append(tension)
     return np.stack(nodes[::-1], axis=1), np.stack(tensions[::-1], axis=1)
 
 

@@ -64,8 +64,11 @@ def hanging():
 @pytest.mark.parametrize("robot", [simple_robot(), with_pulleys(simple_robot())])
 def test_linear_modes_are_those_of_the_toolkit(robot):
     found = at_home(robot, [0.5, -0.7, 0.4])
-    frequency, shapes = reference.linear_modes(robot, found)
-    assert frequency == pytest.approx(ct.modes.natural_frequencies(robot, found)[0], rel=1e-5)
+    _, shapes = reference.linear_modes(robot, found)
+    for cable_mass in (False, True):
+        frequency, _ = reference.linear_modes(robot, found, cable_mass=cable_mass)
+        expected = ct.modes.natural_frequencies(robot, found, cable_mass=cable_mass)[0]
+        assert frequency == pytest.approx(expected, rel=1e-5)
     mass = cables.mass_matrix(robot, found.rotation[0])
     assert shapes.T @ mass @ shapes == pytest.approx(np.eye(6), abs=1e-9)
 
@@ -93,16 +96,22 @@ def test_every_node_and_the_platform_are_in_balance(robot, run_length):
     assert rest.residual < 1e-13
     step = np.diff(rest.nodes, axis=1)
     distance = np.linalg.norm(step, axis=2)
-    piece = np.repeat((length / n)[:, None], n, axis=1)
-    soft = piece.copy()
-    soft[:, 0] += robot.run_length
-    tension = robot.axial_stiffness[:, None] * (distance - piece) / soft
+    piece = np.outer(length / n, reference.segment_shares(n))
+    strain = rest.tension[:, 0] / robot.axial_stiffness
+    held = np.repeat((length / n)[:, None], n, axis=1)  # material that weighs
+    held[:, 0] += run_length * strain / (1.0 + strain)
+    weight = robot.weight_per_length[:, None] * held
+    above = weight[:, 0] / 2.0 * -step[:, 0, 2] / distance[:, 0]  # more at the exit than on average
+    tension = robot.axial_stiffness[:, None] * (distance - piece)
+    first = piece[:, 0]
+    tension[:, 0] = (tension[:, 0] - run_length * above) * first / (first + run_length)
+    tension = tension / piece
     assert tension == pytest.approx(rest.tension, abs=1e-6)  # rounding of 1e-15 m times EA / l
     pull = rest.tension[..., None] * step / distance[..., None]  # on the node above, downwards
-    weight = robot.weight_per_length * length / n
-    balance = pull[:, 1:] - pull[:, :-1] - weight[:, None, None] * reference.UP
+    nodal = (weight[:, 1:] + weight[:, :-1]) / 2.0
+    balance = pull[:, 1:] - pull[:, :-1] - nodal[..., None] * reference.UP
     assert balance == pytest.approx(np.zeros_like(balance), abs=1e-9)
-    ends = -pull[:, -1] - weight[:, None] / 2.0 * reference.UP
+    ends = -pull[:, -1] - weight[:, -1:] / 2.0 * reference.UP
     assert ends == pytest.approx(rest.force, abs=1e-9)
     arm = robot.anchor_points @ rest.rotation.T
     assert rest.nodes[:, -1] == pytest.approx(rest.position + arm, abs=1e-15)
@@ -113,18 +122,20 @@ def test_every_node_and_the_platform_are_in_balance(robot, run_length):
 
 
 @pytest.mark.parametrize("let_out", [0.0, 0.3])
-def test_fine_chains_become_catenaries_with_the_square_of_the_segments(let_out):
+def test_fine_chains_become_catenaries_with_the_fourth_power_of_the_segments(let_out):
     robot = simple_robot(run_length=np.zeros(4))
     length = at_home(robot, [0.5, -0.7, 0.4]).unstrained_length[0] + [let_out, 0.0, 0.0, 0.0]
     exact = ct.statics.forward_kinematics(robot, length[None])
     chains = {n: reference.string_equilibrium(robot, length, n) for n in (8, 16, 32)}
     miss = [np.linalg.norm(chain.position - exact.position[0]) for chain in chains.values()]
-    assert miss[0] < 2e-5
-    assert miss[0] / miss[1] == pytest.approx(4.0, abs=0.3)
-    assert miss[1] / miss[2] == pytest.approx(4.0, abs=0.1)
+    assert miss[0] < 2e-6
+    if let_out:  # taut ones are right to the rounding of the solvers
+        assert 12.0 < miss[0] / miss[1] < 30.0
+        assert 12.0 < miss[1] / miss[2] < 30.0
     shape = ct.statics.cable_shape(robot, exact, 33)[0]
-    away = np.abs(chains[32].nodes - shape).max()
-    assert away < (1e-3 if let_out else 1e-5)
+    tangent = 0.5 * (chains[32].nodes[:, 10:-11] + chains[32].nodes[:, 11:-10])
+    between = 0.5 * (shape[:, 10:-11] + shape[:, 11:-10])  # chords there, a little inside
+    assert np.abs(tangent - between).max() < (2e-3 if let_out else 2e-5)
 
 
 def test_cable_behind_the_exit_gives_as_much_in_chains_as_in_catenaries():

@@ -1,0 +1,268 @@
+"""Catenaries and straight cables on a rigid platform: against pin, statics and each other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import curve_fit
+
+import carosac_toolkit as ct
+from sim_warp import Simulator
+from tests import reference as cable_reference
+from tests.robots import eight_cable_robot, simple_robot, with_pulleys
+from tests.sim_warp import reference
+from tests.sim_warp.test_reference import lopsided
+from tests.sim_warp.worlds import KICK, aside, damped, held, undamped
+
+TUMBLE = np.array([[0.3, -0.2, 0.5, 2.0, -3.0, 1.5]])
+
+
+def cut_loose(sim, length=60.0):
+    """Pay out so much cable at once that none pulls; returns the command that leaves it so."""
+    snapshot = sim.save()
+    snapshot.arrays["winch"]["length"][...] = length
+    sim.restore(snapshot)
+    return np.full((sim.size, sim.fleet.n), length)
+
+
+def motion_after(robot, time_step, duration, twist, cables="catenary", every=None, **options):
+    """Lengths held, and states every so often after a start at home with a twist."""
+    sim = Simulator(robot, cables=cables, time_step=time_step, **options)
+    sim.reset(twist=twist)
+    hold, states = held(sim), []
+    for _ in range(1 if every is None else round(duration / every)):
+        sim.step(hold, every or duration)
+        states.append(sim.state.numpy())
+    return states
+
+
+# --- A free body -------------------------------------------------------------------------------
+
+
+def test_without_cables_the_platform_tumbles_as_pin_says_to_second_order():
+    robot = undamped(lopsided(simple_robot()))
+    turns, speeds = [], []
+    for time_step in (1.0 / 50.0, 1.0 / 100.0, 1.0 / 200.0):
+        sim = Simulator(robot, cables="straight", time_step=time_step)
+        sim.reset(twist=TUMBLE)
+        loose = cut_loose(sim)
+        sim.step(loose, 0.2)  # the jump of the force as the cables vanish is over
+        start = sim.state.numpy()
+        sim.step(loose, 0.6)
+        end = sim.state.numpy()
+        flight = reference.free_flight(
+            robot, start.position[0], start.rotation[0], start.twist[0], 0.6
+        )
+        assert not end.tension.any()
+        centers = [m.position[0] + m.rotation[0] @ robot.center_of_mass for m in (end, flight)]
+        assert centers[0] == pytest.approx(centers[1], abs=1e-5)  # parabolas are exact
+        turns.append(np.abs(end.rotation - flight.rotation).max())
+        speeds.append(np.abs(end.twist - flight.twist).max())
+    assert turns[-1] < 2e-4
+    for miss in (np.array(turns), np.array(speeds)):
+        assert miss[:-1] / miss[1:] == pytest.approx(4.0, abs=0.5)
+
+
+def test_it_falls_no_faster_than_its_drag_allows():
+    robot = simple_robot(drag=100.0, angular_drag=5.0, center_of_mass=np.zeros(3))
+    sim = Simulator(robot, cables="straight", time_step=1.0 / 240.0)
+    loose = cut_loose(sim, 80.0)
+    limit, time = robot.weight / robot.drag, robot.mass / robot.drag
+    for _ in range(6):
+        sim.step(loose, 0.25)
+        seconds = sim.state.time.numpy()[0]
+        # Weight acts at once: the scheme takes half a time step to notice.
+        speed = -limit * (1.0 - np.exp(-seconds / time))
+        assert sim.state.twist.numpy()[0, 2] == pytest.approx(speed, abs=0.01 * limit)
+    sim.step(loose, 3.0)
+    assert sim.state.twist.numpy()[0] == pytest.approx([0, 0, -limit, 0, 0, 0], abs=1e-4)
+
+
+def test_reported_acceleration_is_the_rate_of_the_twist():
+    robot = lopsided(simple_robot())
+    h = 1.0 / 2000.0
+    states = motion_after(robot, h, 0.2, TUMBLE / 4.0, every=h)
+    twist = np.array([state.twist[0] for state in states])
+    rate = (twist[2:] - twist[:-2]) / (2.0 * h)
+    # The scheme counts forces alpha h = 0.18 h late or early; that is all that differs.
+    near = 2.0 * np.abs(np.diff(rate[300:], axis=0)).max(axis=0) + 1e-3
+    given = np.array([state.acceleration[0] for state in states])[1:-1]
+    assert (np.abs(given - rate)[300:] < near).all()
+
+
+# --- Catenaries --------------------------------------------------------------------------------
+
+
+def test_on_catenaries_the_platform_moves_as_pin_says_to_second_order():
+    """Soft cables, so that steps of 1/100 s resolve the fastest mode."""
+    robot = undamped(lopsided(simple_robot(axial_stiffness=np.full(4, 2e4))))
+    steps = (1.0 / 100.0, 1.0 / 200.0, 1.0 / 400.0, 1.0 / 1000.0)
+    ends = [motion_after(robot, h, 0.6, KICK, cable_drag=0.0)[0] for h in steps]
+    start = Simulator(robot, cables="catenary").state.numpy()
+    exact = reference.dynamics_oracle(
+        robot, start.unstrained_length[0], start.position[0], start.rotation[0], KICK[0], 0.6,
+        cable_mass=True, rtol=1e-7,
+    )  # fmt: skip
+    for name, near in (("position", 5e-6), ("rotation", 2e-5), ("twist", 5e-4), ("tension", 2e-2)):
+        miss = np.array([np.abs(getattr(e, name) - getattr(exact, name)).max() for e in ends])
+        assert miss[3] < near, name
+        assert miss[1] / miss[2] == pytest.approx(4.0, abs=0.6), name
+        assert miss[0] > miss[1], name
+
+
+def test_catenaries_swing_as_chains_of_masses_do():
+    """A sway of 0.15 m over 6 s; the waves in the cables are all that catenaries leave out."""
+    robot = simple_robot()
+    _, shapes = reference.linear_modes(robot, aside(robot), cable_mass=True)
+    twist = 0.5 * shapes[:, :1].T / np.linalg.norm(shapes[:3, 0])
+    path = [
+        np.array([s.position[0] for s in motion_after(robot, h, 6.0, twist, cables, every=0.05)])
+        for cables, h in (("catenary", 1.0 / 100.0), ("particles", 1.0 / 240.0))
+    ]
+    assert np.ptp(path[0], axis=0).max() > 0.25
+    assert np.sqrt(((path[0] - path[1]) ** 2).sum(axis=1).mean()) < 1.5e-3
+
+
+@pytest.mark.parametrize("cables", ["catenary", "straight"])
+@pytest.mark.parametrize("robot", [simple_robot(), with_pulleys(simple_robot())])
+def test_slow_and_fast_modes_have_the_frequencies_of_the_linearised_statics(robot, cables):
+    """Swings of 0.1 mm, so that cables stay taut; steps of 1/100 of a period shift it by 3e-4."""
+    robot = undamped(robot)
+    if cables == "straight":
+        robot = replace(robot, linear_density=np.full(4, 1e-7))
+    rest = aside(robot)
+    frequency, shapes = reference.linear_modes(robot, rest, cable_mass=True)
+    for mode in (0, 2, 5):
+        f, shape = frequency[mode], shapes[:, mode]
+        sim = Simulator(robot, cables=cables, time_step=0.01 / f, cable_drag=0.0)
+        twist = 2.0 * np.pi * f * 1e-4 * shape / np.linalg.norm(shape)
+        sim.reset(rest.position, twist=twist[None])
+        hold, along, speed = held(sim), cable_reference.mass_matrix(robot, rest.rotation[0]), []
+        for _ in range(160):
+            sim.step(hold, 0.05 / f)
+            speed.append(sim.state.twist.numpy()[0] @ along @ shape)
+        time = 0.05 / f * np.arange(1, 161)
+        (found, *_), _ = curve_fit(
+            lambda t, f, a, b: a * np.cos(2 * np.pi * f * t) + b * np.sin(2 * np.pi * f * t),
+            time,
+            speed,
+            p0=[f, speed[0], 0.0],
+        )
+        assert found == pytest.approx(f, rel=2e-3), mode
+
+
+@pytest.mark.parametrize("robot", [simple_robot(), with_pulleys(eight_cable_robot())])
+def test_catenaries_rest_where_statics_says(robot):
+    rest = aside(robot)
+    sim = Simulator(damped(robot), cables="catenary")
+    sim.reset(rest.position, twist=KICK)
+    for _ in range(20):
+        sim.step(rest.unstrained_length, 1.0)
+    state = sim.state.numpy()
+    assert state.position == pytest.approx(rest.position, abs=1e-9)
+    assert state.rotation == pytest.approx(rest.rotation, abs=1e-9)
+    assert state.tension == pytest.approx(rest.tension, abs=1e-4)
+
+
+# --- Straight cables ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("robot", [simple_robot(), with_pulleys(eight_cable_robot())])
+def test_straight_cables_rest_where_weightless_ones_hang(robot):
+    light = replace(robot, linear_density=np.full(robot.n, 1e-9))
+    rest = aside(light)
+    sim = Simulator(damped(robot), cables="straight")
+    sim.reset(rest.position, twist=KICK)
+    for _ in range(20):
+        sim.step(rest.unstrained_length, 1.0)
+    state = sim.state.numpy()
+    assert state.position == pytest.approx(rest.position, abs=1e-8)
+    assert state.tension == pytest.approx(rest.tension, abs=2e-3)
+    there = state.position[0] + robot.anchor_points @ state.rotation[0].T
+    if not robot.pulley_radius.any():
+        span = np.linalg.norm(there - robot.exit_points, axis=1)
+        length = rest.unstrained_length[0]
+        pull = robot.axial_stiffness * (span - length) / (length + robot.run_length)
+        assert state.tension[0] == pytest.approx(pull, abs=1e-5)
+
+
+def test_a_straight_cable_that_is_too_long_does_not_push():
+    robot = simple_robot()
+    sim = Simulator(damped(robot), cables="straight")
+    length = held(sim) + np.array([0.3, 0.0, 0.0, 0.0])
+    for _ in range(20):
+        sim.step(length, 1.0)
+    tension = sim.state.tension.numpy()[0]
+    assert tension[0] == 0.0
+    assert (tension[1:] > 5.0).all()
+
+
+# --- Damping, drag and wind --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cables", ["catenary", "straight"])
+def test_damping_of_the_cables_takes_their_stretching_away(cables):
+    """Damping in proportion to stiffness: a mode decays by omega * time / 2 of critical, 5 %."""
+    robot = undamped(simple_robot(run_length=np.zeros(4)))
+    if cables == "straight":
+        robot = replace(robot, linear_density=np.full(4, 1e-7))
+    rest = aside(robot)
+    frequency, shapes = reference.linear_modes(robot, rest, cable_mass=True)
+    bounce = 5
+    omega = 2.0 * np.pi * frequency[bounce]
+    time = 0.1 / omega
+    wet = replace(robot, axial_damping=time * robot.axial_stiffness)
+    twist = 1e-4 * omega * shapes[:, bounce] / np.linalg.norm(shapes[:, bounce])
+    sim = Simulator(wet, cables=cables, time_step=0.002 / frequency[bounce], cable_drag=0.0)
+    sim.reset(rest.position, twist=twist[None])
+    hold, speed = held(sim), []
+    mass = cable_reference.mass_matrix(robot, rest.rotation[0])
+    for _ in range(6):
+        sim.step(hold, 1.0 / frequency[bounce])
+        speed.append(sim.state.twist.numpy()[0] @ mass @ twist)
+    ratio = np.array(speed[1:]) / speed[:-1]
+    assert ratio == pytest.approx(np.exp(-np.pi * omega * time), rel=0.03)
+
+
+def test_wind_has_the_deviation_and_the_memory_it_was_given_and_only_blows_sideways():
+    """64 worlds, 40 s: 2560 correlation times of 1 s along each axis, 2 % of the deviation."""
+    options = {"cables": "straight", "worlds": 64, "wind_force": 3.0, "wind_time": 1.0}
+    first, second = (
+        Simulator(damped(simple_robot()), time_step=0.05, seed=4, **options) for _ in range(2)
+    )
+    hold, force = held(first), []
+    for _ in range(400):
+        first.step(hold, 0.1)
+        force.append(first.save().arrays["gust"])
+    force = np.array(force)
+    assert not force[..., 2].any()
+    side = force[..., :2]
+    assert side.mean() == pytest.approx(0.0, abs=0.15)
+    assert side.std(axis=(0, 1)) == pytest.approx(3.0, rel=0.05)
+    assert side[0].std() == pytest.approx(3.0, rel=0.25)  # at once: 128 numbers
+    for lag in (5, 10, 20):
+        memory = (side[lag:] * side[:-lag]).mean() / side.var()
+        assert memory == pytest.approx(np.exp(-0.1 * lag), abs=0.06)
+    across = (side[..., 0] * side[..., 1]).mean() / side.var()
+    assert across == pytest.approx(0.0, abs=0.06)
+    for k in range(3):
+        second.step(hold, 0.1)
+        assert np.array_equal(second.save().arrays["gust"], force[k])
+
+
+def test_a_steady_push_moves_the_platform_as_its_stiffness_says():
+    """Wind without end: constant for a run, so that the platform leans and stays."""
+    robot = damped(simple_robot())
+    sim = Simulator(robot, cables="catenary", wind_force=2.0, wind_time=1e9)
+    start, hold = sim.state.numpy(), held(sim)
+    for _ in range(20):
+        sim.step(hold, 1.0)
+    state = sim.state.numpy()
+    gust = sim.save().arrays["gust"][0]
+    assert np.abs(gust[:2]).min() > 0.01
+    rest = ct.statics.inverse_kinematics(robot, robot.home_position[None])
+    lever = rest.rotation[0] @ robot.center_of_mass  # it acts at the centre of mass
+    wrench = np.append(gust, np.cross(lever, gust))
+    leaning = np.linalg.solve(rest.stiffness[0], wrench)[:3]
+    assert state.position[0] - start.position[0] == pytest.approx(leaning, abs=2e-5)
+    assert np.linalg.norm(leaning) > 1e-3
