@@ -24,6 +24,7 @@ from carosac_toolkit.studies.engine import TIMEOUT
 from carosac_toolkit.studies.findings import conclusions
 from carosac_toolkit.studies.report import write_report
 from carosac_toolkit.studies.results import StudyResults
+from carosac_toolkit.studies.run_case import DRIVER
 from carosac_toolkit.studies.study import QUICK_SEEDS, SEEDS, TRAJECTORIES, Study
 from carosac_toolkit.studies.tables import SHORT_UNITS, failures, text_table
 
@@ -53,8 +54,9 @@ class Options(CommonOptions):
     """By how much plants differ from the nominal robot."""
     seeds: int | None = None
     """How many draws of plant, path and noise, counted up from --seed; by default 10."""
-    driver: str = "quasi_static"
-    """What is controlled."""
+    driver: str = DRIVER
+    """What is controlled: `simulator`, `quasi_static` (no sway), a recording by `replay`, or
+    `module:Class`."""
     speed: float = 1.0
     """Largest speed of the trajectories [m/s]."""
     acceleration: float = 1.0

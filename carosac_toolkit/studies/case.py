@@ -63,12 +63,12 @@ class Case:
 
     @cached_property
     def plant_seed(self) -> int:
-        """Seed of the plant and its disturbances: depends on robot, perturbation and seed only."""
+        """Seed of the plant: depends on robot, perturbation and seed only."""
         return self._seed_from("plant", "robot", "perturbation", "seed")
 
     @cached_property
     def sensor_seed(self) -> int:
-        """Seed of sensor bias and noise: depends on robot and seed only."""
+        """Seed of the driver, its sensors and wind: depends on robot and seed only."""
         return self._seed_from("sensors", "robot", "seed")
 
     @cached_property

@@ -15,6 +15,7 @@ from carosac_toolkit.perturbations import CONDITIONS
 from carosac_toolkit.protocols import replays
 from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.studies.folder import check_statuses
+from carosac_toolkit.studies.run_case import GIVEN
 
 if TYPE_CHECKING:
     from carosac_toolkit.studies.study import Study
@@ -39,7 +40,7 @@ def check_study(study: Study) -> None:
     paths = (RECORDED,) if replays(driver) else trajectories.NAMES
     _known("trajectory", study.trajectories, paths)
     _known("perturbation", study.perturbations, sorted(CONDITIONS))
-    for taken in sorted({"suite", "period", "start_position"} & set(study.driver_settings)):
+    for taken in sorted(set(GIVEN) & set(study.driver_settings)):
         value = repr(study.driver_settings[taken])
         raise InvalidField(f"driver_settings.{taken}", value, "none: each case says it")
     _check_suites(driver, study.driver, study.suites)

@@ -28,6 +28,7 @@ ONE_THREAD = {
 
 _CONFIG = {
     "distributed.admin.system-monitor.gil.enabled": False,
+    "distributed.deploy.lost-worker-timeout": "365 days",  # one that starts again is not lost
     "distributed.diagnostics.nvml": False,
     "distributed.nanny.pre-spawn-environ": {},
     "distributed.scheduler.allowed-failures": 1000,  # workers count the deaths of their cases

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import time
+import asyncio
 import uuid
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import wait
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from carosac_toolkit.errors import CarosacError
 from carosac_toolkit.studies.case import Case
 from carosac_toolkit.studies.execution import Task, crashed_row, run_task
+from carosac_toolkit.studies.presence import LOST_AFTER, LostScheduler, Presence
 from carosac_toolkit.studies.rows import Row
 
 TICK = 0.25  # [s] the longest wait without a sign of life
 WINDOW = 256  # tasks that the scheduler knows at a time, at least
 TASKS_PER_THREAD = 16
-LOST_AFTER = 30.0  # [s] without a connection to the scheduler
-
-
-class LostScheduler(CarosacError):
-    """The scheduler went away, or its workers cannot do the work."""
 
 
 class Dispatcher:
@@ -30,10 +27,12 @@ class Dispatcher:
     Args:
         client: Client of the scheduler.
         tasks: What to do.
+        say: Tells the user a line.
     """
 
-    def __init__(self, client: Any, tasks: Sequence[Task]) -> None:
+    def __init__(self, client: Any, tasks: Sequence[Task], say: Callable[[str], None]) -> None:
         self._client = client
+        self._presence = Presence(client, say)
         self._waiting = deque(tasks)
         self._suspects: deque[Task] = deque()
         self._alone: Task | None = None
@@ -42,7 +41,6 @@ class Dispatcher:
         self._token = uuid.uuid4().hex[:8]
         threads = sum(client.nthreads().values())
         self._window = max(WINDOW, TASKS_PER_THREAD * threads)
-        self._connected = time.monotonic()
 
     def batches(self) -> Iterator[list[Row]]:
         """Yield rows until there is one per task; an empty list now and then while none comes.
@@ -88,11 +86,10 @@ class Dispatcher:
                 keys.append(self._done.get_nowait())
         except Empty:
             pass
-        now = time.monotonic()
-        if keys or self._client.status == "running":
-            self._connected = now
-        elif now - self._connected > LOST_AFTER:
-            raise LostScheduler("the connection to the scheduler is lost; run again to go on")
+        if keys:
+            self._presence.confirm()
+        else:
+            self._presence.check()
         return [key for key in keys if key in self._running]
 
     def _collect(self, keys: Sequence[str]) -> list[Row]:
@@ -101,7 +98,7 @@ class Dispatcher:
         failed = [key for future, _, key in ended if future.status in ("error", "cancelled")]
         good = [future for future, _, key in ended if key not in failed]
         try:
-            rows: list[Row] = list(self._client.gather(good, errors="skip"))
+            rows = self._results(good)
             errors = {
                 x.key: x.exception(timeout=LOST_AFTER) for x, _, key in ended if key in failed
             }
@@ -116,6 +113,17 @@ class Dispatcher:
             elif task.identity not in here:  # its result died with a worker: it runs again
                 self._watch(future, task)
         return rows
+
+    def _results(self, futures: Sequence[Any]) -> list[Row]:
+        """Rows of tasks that have ended; a row that died with its worker is waited for."""
+        coroutine = self._client.gather(list(futures), errors="skip", asynchronous=True)
+        answer = asyncio.run_coroutine_threadsafe(coroutine, self._client.loop.asyncio_loop)
+        try:
+            while not wait([answer], timeout=TICK).done:
+                self._presence.check()
+            return list(answer.result())
+        finally:
+            answer.cancel()
 
     def _judge(self, task: Task, error: BaseException | None) -> list[Row]:
         """Decide on a task that gave no row: suspect it, give it up, or end the study."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -66,7 +66,8 @@ def run_cases(
     Raises:
         InvalidField: An argument is not allowed.
         StudyConflict: The folder holds another study, or another process uses it.
-        LostScheduler: The scheduler went away; what was finished is in the folder.
+        LostScheduler: The scheduler went away, or had no workers for 120 s; what was finished is
+            in the folder.
         UnfitWorker: A worker of the scheduler would give other numbers.
         InvalidFile: A file in the folder is broken.
     """
@@ -89,24 +90,19 @@ def run_cases(
                 if scheduler is None and count == 0:
                     batches = ([run_attempt(case, function, limit)] for case, limit in todo)
                 else:
-                    batches = _on_workers(stack, path, todo, function, attempts, scheduler, count)
+                    notes = stack.enter_context(notes_folder(path))
+                    tasks = _tasks(todo, function, attempts, notes)
+                    batches = _on_workers(stack, tasks, scheduler, count, bar.say)
                 _keep(batches, store, bar)
             store.merge()
     return read_rows(path)
 
 
-def _on_workers(
-    stack: ExitStack,
-    path: Path,
-    todo: Sequence[tuple[Case, float]],
-    function: str,
-    attempts: int,
-    scheduler: str | None,
-    count: int,
-) -> Iterator[list[Row]]:
-    """Run cases on workers that live as long as the stack."""
-    notes = stack.enter_context(notes_folder(path))
-    tasks = [
+def _tasks(
+    todo: Sequence[tuple[Case, float]], function: str, attempts: int, notes: str
+) -> list[Task]:
+    """What workers are sent."""
+    return [
         Task(
             case=case.to_dict(),
             identity=case.identity,
@@ -117,8 +113,18 @@ def _on_workers(
         )
         for case, limit in todo
     ]
+
+
+def _on_workers(
+    stack: ExitStack,
+    tasks: Sequence[Task],
+    scheduler: str | None,
+    count: int,
+    say: Callable[[str], None],
+) -> Iterator[list[Row]]:
+    """Run cases on workers that live as long as the stack."""
     client = stack.enter_context(remote_client(scheduler) if scheduler else local_client(count))
-    return Dispatcher(client, tasks).batches()
+    return Dispatcher(client, tasks, say).batches()
 
 
 def _keep(batches: Iterable[list[Row]], store: StudyFolder, bar: Progress) -> None:

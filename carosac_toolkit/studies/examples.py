@@ -14,6 +14,7 @@ from carosac_toolkit.studies.rows import Row
 
 MM = 1e3
 REST_SPEED = 5e-3  # [m/s]: slower references count as rest
+REST_TIME = 0.3  # [s]: shorter ones are the beginning of a motion
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,9 +46,8 @@ class Example:
         speed = np.linalg.norm(np.diff(self.reference, axis=0), axis=1) / np.diff(self.time)
         resting = np.concatenate([[False], speed < REST_SPEED, [False]]).astype(int)
         edges = np.flatnonzero(np.diff(resting))
-        return [
-            (float(self.time[a]), float(self.time[b])) for a, b in edges.reshape(-1, 2) if b - a > 1
-        ]
+        spans = [(float(self.time[a]), float(self.time[b])) for a, b in edges.reshape(-1, 2)]
+        return [(start, end) for start, end in spans if end - start > REST_TIME]
 
 
 def examples_of(rows: Sequence[Row]) -> list[Example]:

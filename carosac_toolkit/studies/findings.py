@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from carosac_toolkit.studies.results import PAIR, StudyResults, pooled, steps, tracked
 from carosac_toolkit.validation.quantities import say_length
 
+SWAY_MIN = 1e-3  # [m]: a smaller swing is not worth a sentence
 ALIKE = 1.01  # ratio of two errors below which they are not told apart
 WAYS = ("controller", "estimator", "suite")  # what is compared
 BLOCKS = 3  # robots and perturbations that get sentences
@@ -47,6 +48,10 @@ def _of_block(results: StudyResults, members: list[int]) -> Iterator[str]:
     ]
     if len(spread) == 2:
         yield (f"From case to case the RMSE has a standard deviation of {spread[0]}, {spread[1]}.")
+    sway = {k: results.summary[k]["residual_sway_m"] for k in (ranked[0], ranked[-1])}
+    if all(size is not None and size > SWAY_MIN for size in sway.values()):
+        swings = " and ".join(f"{say_length(size)} after {labels[k]}" for k, size in sway.items())
+        yield f"At the end the platform still swings: by {swings} (RMS)."
 
 
 def _pair(results: StudyResults, one: int, two: int) -> str:

@@ -22,8 +22,10 @@ from carosac_toolkit.robot_file import load_robot, robot_text
 from carosac_toolkit.studies.case import Case
 from carosac_toolkit.values import Belief, Command, Measurement
 
-REST = 1.0  # [s] after the end of the trajectory that counts as residual sway
-SERIES = 250  # samples kept of a case for pictures
+DRIVER = "simulator"
+GIVEN = ("suite", "period", "start_position", "wind_force", "wind_time")  # what a case says itself
+REST = 3.0  # [s] after the end of the trajectory that counts as residual sway: over a period
+SERIES = 500  # samples kept of a case for pictures
 SETTINGS = (
     "driver", "speed_max", "acceleration_max", "controller_settings", "estimator_settings",
     "driver_settings", "timeout", "example_seed", "robot_digest",
@@ -48,6 +50,7 @@ class Truth:
             time=measurement.time,
             position=state.position,
             rotation=state.rotation,
+            twist=state.twist,
             tension=state.tension,
         )
 
@@ -59,7 +62,7 @@ class Truth:
 def run_case(case: Case) -> dict[str, Any]:
     """Run and score one case.
 
-    Settings that are read: ``driver`` (default ``quasi_static``), ``speed_max`` [m/s],
+    Settings that are read: ``driver`` (default `DRIVER`), ``speed_max`` [m/s],
     ``acceleration_max`` [m/s^2] of the trajectory, ``controller_settings``,
     ``estimator_settings`` and ``driver_settings`` (fields of the plug-in's own settings, a dict
     for each settings dataclass inside them); ``timeout`` is read by `run_cases`.
@@ -75,12 +78,11 @@ def run_case(case: Case) -> dict[str, Any]:
     """
     settings = _known(case.settings)
     robot = _robot(case.robot, _digest_of(case))
-    plant = draw_plant(
-        robot, find_condition(case.perturbation), np.random.default_rng(case.plant_seed)
-    )
+    condition = find_condition(case.perturbation)
+    plant = draw_plant(robot, condition, np.random.default_rng(case.plant_seed))
     limits = {x: float(settings.get(x, 1.0)) for x in ("speed_max", "acceleration_max")}
     controller = _build("controllers", case.controller, robot, case, "controller_settings", {})
-    name = str(settings.get("driver", "quasi_static"))
+    name = str(settings.get("driver", DRIVER))
     recorded = replays(registry.load("drivers", name))
     path = (
         None
@@ -88,11 +90,10 @@ def run_case(case: Case) -> dict[str, Any]:
         else trajectories.build(case.trajectory, robot, case.path_seed % 2**32, **limits)
     )
     start = robot.home_position if path is None else path.sample(np.zeros(1)).position[0]
-    given = {
-        "suite": case.suite,
-        "period": _period(controller),
-        "start_position": tuple(float(x) for x in start),
-    }
+    position = tuple(float(x) for x in start)
+    wind = (condition.wind_force, condition.wind_time)
+    said = (case.suite, _period(controller), position, *wind)
+    given = dict(zip(GIVEN, said, strict=True))
     driver = _build("drivers", name, plant, case, "driver_settings", given)
     if case.estimator == "truth":
         estimator: Any = Truth(driver)

@@ -15,7 +15,7 @@ from carosac_toolkit.studies.cluster import remote_client, usable_cores
 from carosac_toolkit.studies.engine import TIMEOUT, run_cases
 from carosac_toolkit.studies.folder import MANIFEST, read_cases
 from carosac_toolkit.studies.results import StudyResults
-from carosac_toolkit.studies.run_case import robot_digest
+from carosac_toolkit.studies.run_case import DRIVER, robot_digest
 
 FUNCTION = "carosac_toolkit.studies.run_case:run_case"
 FOLDER = Path("carosac-results") / "compare"
@@ -61,7 +61,7 @@ class Study:
     trajectories: Sequence[str] = TRAJECTORIES
     perturbations: Sequence[str] = ("nominal-1",)
     seeds: int | Sequence[int] = SEEDS
-    driver: str = "quasi_static"
+    driver: str = DRIVER
     speed_max: float = 1.0
     acceleration_max: float = 1.0
     controller_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

@@ -12,7 +12,7 @@ UNITS = (
     "Errors in mm. x, y, z, norm: RMSE of the tracking error, all steps of all cases; std: "
     "standard deviation of the norm from case to case; centre: in the middle half of each side "
     "of the workspace box, boundary: the rest; estimate: RMSE of the estimation error in norm; "
-    "sway: RMS in the second after the end; failed: cases without a score; p95: latency of "
+    "sway: RMS in the 3 s after the end; failed: cases without a score; p95: latency of "
     "estimator and controller, 95th percentile."
 )
 SHORT_UNITS = "Tracking error in mm: RMSE over all cases, standard deviation from case to case"

@@ -19,9 +19,10 @@ class CaseTimeout(BaseException):
 class TimeLimit:
     """Context manager that raises `CaseTimeout` inside its block when the time is up.
 
-    In the main thread a signal interrupts waiting as well, where the system has such signals. In
-    any other thread the exception arrives with the next Python instruction, so a thread inside a
-    long call of compiled code, `time.sleep` included, stops only when that call returns.
+    In the main thread a signal interrupts waiting as well, where the system has such signals;
+    somebody else's alarm then waits for the end of the block. In any other thread the exception
+    arrives with the next Python instruction, so a thread inside a long call of compiled code,
+    `time.sleep` included, stops only when that call returns.
 
     Args:
         seconds: How long the block may run [s].
@@ -34,6 +35,8 @@ class TimeLimit:
         self._fired = False
         self._by_signal = False
         self._handler: Any = None
+        self._alarm = 0.0, 0.0  # [s] somebody else's: time left and interval
+        self._start = 0.0
         self._timer: threading.Timer | None = None
         self._thread = 0
 
@@ -41,6 +44,8 @@ class TimeLimit:
         main = threading.current_thread() is threading.main_thread()
         self._by_signal = main and hasattr(signal, "setitimer")
         if self._by_signal:
+            self._start = time.monotonic()
+            self._alarm = signal.setitimer(signal.ITIMER_REAL, 0.0)
             self._handler = signal.signal(signal.SIGALRM, self._on_signal)
             signal.setitimer(signal.ITIMER_REAL, self._seconds)
         else:
@@ -60,6 +65,7 @@ class TimeLimit:
             self._over = True
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             signal.signal(signal.SIGALRM, self._handler or signal.SIG_DFL)
+            self._set_alarm_again()
         elif self._timer is not None:
             with self._lock:
                 self._over = True
@@ -67,6 +73,13 @@ class TimeLimit:
         if self._fired and kind is not CaseTimeout:
             self._await_exception()
             raise CaseTimeout
+
+    def _set_alarm_again(self) -> None:
+        """Give somebody else's alarm back, less the time that has passed."""
+        left, interval = self._alarm
+        if left > 0.0:
+            left = max(left - (time.monotonic() - self._start), 1e-6)  # 0 would be none
+            signal.setitimer(signal.ITIMER_REAL, left, interval)
 
     def _await_exception(self) -> None:
         """Let the exception arrive here if it is still on its way."""

@@ -126,8 +126,11 @@ def _sway(result: ValidationResult, best: ModelResult) -> Iterator[str]:
     text = (
         f"At rest the error in {sway.axis} swings by {sway.amplitude * 1e3:.0f} mm with a period "
         f"of {1.0 / sway.frequency:.2f} s, which explains {sway.explained:.0%} of its variation: "
-        "the platform seems to sway, which no quasi-static model can follow"
     )
+    if best.moves:
+        text += "the platform seems to sway in another phase or by another size than in the model"
+    else:
+        text += "the platform seems to sway, which no quasi-static model can follow"
     natural = result.natural_frequency
     if natural is not None:
         nearest = float(natural[np.argmin(np.abs(natural - sway.frequency))])

@@ -21,7 +21,7 @@ from carosac_toolkit.validation.run import ModelRun, build_model, load_model, ru
 from carosac_toolkit.validation.scores import rotation_angle, score_lengths, score_poses
 from carosac_toolkit.values import Pose
 
-DEFAULT_MODELS = ("straight_line", "kinematic_solver")
+DEFAULT_MODELS = ("straight_line", "kinematic_solver", "simulator")
 
 
 def validate(
@@ -166,6 +166,7 @@ class _Scoring:
         return ModelResult(
             name=name,
             pose=pose,
+            moves=run.moves,
             converged=good,
             scores=score_poses(error[good], angle[good]),
             moving=score_poses(error[moving], angle[moving]),
@@ -193,7 +194,9 @@ class _Scoring:
             straight = straight_length(self._robot, position, rotation)
             predicted = np.where(straight.valid & good[:, None], straight.length, np.nan)
             return known - predicted, None, None
-        tension = np.where(good[:, None], run.tension[self._index], np.nan)
+        tension = run.tension[self._index]
+        taut = tension >= self._robot.tension_min  # of a slack cable it says nothing on the length
+        tension = np.where(good[:, None] & taut, tension, np.nan)
         cables = length_at_tension(self._robot, position, rotation, tension)
         if not cables.valid.any():
             return known - cables.unstrained_length, None, None

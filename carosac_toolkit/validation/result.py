@@ -28,6 +28,7 @@ class ModelResult:
         name: As it was asked for.
         reason: Why it has no scores, or None where it has.
         pose: What it believed.
+        moves: Whether it believes in a twist: a model of the motion, not of rest.
         converged: Where it says that it found a pose, shape (S,); it keeps its last one elsewhere.
         scores: Of all samples.
         moving: Of those in motion.
@@ -36,7 +37,7 @@ class ModelResult:
         length_error: Measured minus predicted unstrained length [m], shape (S, n). Predicted is the
             length at the *measured* pose of a straight cable (chord and wrapped arc) or, for a
             model with tensions, of a hanging cable that pulls with the model's tension there, so
-            that sag and stretch count; NaN where there is none.
+            that sag and stretch count; NaN where there is none or the cable is slack.
         length_scores: Of `length_error`.
         sag: Mean over samples and cables of the length as it hangs less the chord [m]; None for a
             model without tensions.
@@ -50,6 +51,7 @@ class ModelResult:
     name: str
     reason: str | None = None
     pose: Pose | None = None
+    moves: bool = False
     converged: NDArray[np.bool_] | None = None
     scores: PoseScores | None = None
     moving: PoseScores | None = None

@@ -27,6 +27,7 @@ class ModelRun:
         rotation: Rotation from P to W, shape (K, 3, 3).
         tension: At the platform [N], shape (K, n), NaN where it had none; None: it has no forces.
         converged: Whether the model itself found a pose, shape (K,).
+        moves: Whether it believed in a twist.
         seconds: Wall time of each update [s], shape (K,); the first is the reset.
     """
 
@@ -34,6 +35,7 @@ class ModelRun:
     rotation: Array
     tension: Array | None
     converged: NDArray[np.bool_]
+    moves: bool
     seconds: Array
 
 
@@ -89,6 +91,7 @@ def run_open_loop(model: Estimator, recording: Recording, stop: int) -> ModelRun
         rotation=np.concatenate([belief.rotation for belief in beliefs]),
         tension=None if np.isnan(tension).all() else np.array(tension),
         converged=np.array([_converged(belief) for belief in beliefs]),
+        moves=any(belief.twist is not None for belief in beliefs),
         seconds=seconds,
     )
 

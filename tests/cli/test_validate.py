@@ -36,7 +36,7 @@ def test_the_contract_of_the_json_and_the_files(short, capsys):
     assert main(["validate", str(short), "--json", "x.json", "--output", "out"]) == 0
     data = json.loads(Path("x.json").read_text())
     assert data["samples"] == 200
-    assert list(data["models"]) == ["straight_line", "kinematic_solver"]
+    assert list(data["models"]) == ["straight_line", "kinematic_solver", "simulator"]
     for model in data["models"].values():
         for key in ("rmse_m", "mae_m", "max_m"):
             assert set(model[key]) == {"x", "y", "z", "norm"}

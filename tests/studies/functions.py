@@ -95,6 +95,16 @@ def _once(case: Case) -> dict[str, Any]:
     return score(case)
 
 
+def _again_and_again(case: Case) -> dict[str, Any]:
+    """Die at each attempt, for as long as `settings` say."""
+    marker = Path(case.settings["folder"]) / "first attempt"
+    if not marker.exists():
+        marker.touch()
+    if time.time() - marker.stat().st_mtime < case.settings["dying"]:
+        _die(case)
+    return score(case)
+
+
 def _nan(case: Case) -> dict[str, Any]:
     return {"rmse_m": float("nan")}
 
@@ -114,7 +124,7 @@ def _leave(case: Case) -> dict[str, Any]:
 BEHAVIOURS = {
     "raises": _raise, "dies": _die, "faults": _fault, "loops": _loop, "hangs": _hang,
     "seizes": _seize, "dies once": _once, "nan": _nan, "list": _list, "clash": _clash,
-    "leaves": _leave,
+    "leaves": _leave, "dies again and again": _again_and_again,
 }  # fmt: skip
 
 

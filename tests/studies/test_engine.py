@@ -12,7 +12,7 @@ from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.studies import UnfitWorker, read_rows, run_cases
 from carosac_toolkit.studies.cluster import ONE_THREAD, local_client
 from tests.studies.functions import one_case, some_cases, without_times
-from tests.studies.processes import scheduler
+from tests.studies.processes import cluster
 
 MODULE = "tests.studies.functions"
 
@@ -106,9 +106,9 @@ def test_workers_are_alone_single_threaded_and_local():
 
 
 def test_a_scheduler_in_another_process_gives_the_same_rows(undisturbed, tmp_path):
-    with scheduler("--nthreads", "1", "--nworkers", "2") as address:
+    with cluster(workers=2) as dask:
         cases = [*some_cases(60), one_case("dies"), one_case("hangs")]
-        rows = run(cases, tmp_path, "behave", scheduler=address, timeout=0.3)
+        rows = run(cases, tmp_path, "behave", scheduler=dask.address, timeout=0.3)
     assert without_times(rows[:60]) == without_times(undisturbed)
     assert [row["status"] for row in rows[60:]] == ["crashed", "timed_out"]
 
@@ -116,17 +116,17 @@ def test_a_scheduler_in_another_process_gives_the_same_rows(undisturbed, tmp_pat
 def test_on_a_file_system_of_their_own_suspects_run_alone(undisturbed, tmp_path, monkeypatch):
     nowhere = nullcontext(str(tmp_path / "not there"))
     monkeypatch.setattr("carosac_toolkit.studies.engine.notes_folder", lambda path: nowhere)
-    with scheduler("--nthreads", "1", "--nworkers", "2") as address:
+    with cluster(workers=2) as dask:
         cases = [one_case("dies"), *some_cases(20)]
-        rows = run(cases, tmp_path / "study", "behave", scheduler=address)
+        rows = run(cases, tmp_path / "study", "behave", scheduler=dask.address)
     assert (rows[0]["status"], rows[0]["reason"][:25]) == ("crashed", "its process died 4 times:")
     assert without_times(rows[1:]) == without_times(undisturbed[:20])
 
 
 def test_workers_that_share_a_process_are_refused(tmp_path):
-    with scheduler("--nthreads", "2") as address:
+    with cluster(threads=2) as dask:
         with pytest.raises(UnfitWorker, match=r"2 cases at once.*--nthreads 1"):
-            run(some_cases(5), tmp_path, scheduler=address)
+            run(some_cases(5), tmp_path, scheduler=dask.address)
     assert read_rows(tmp_path) == []
 
 

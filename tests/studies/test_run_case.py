@@ -12,7 +12,7 @@ from carosac_toolkit.loop import Log
 from carosac_toolkit.robot_file import robot_text
 from carosac_toolkit.studies import Case
 from carosac_toolkit.studies.rows import checked_values
-from carosac_toolkit.studies.run_case import Truth, robot_digest, run_case, score
+from carosac_toolkit.studies.run_case import SERIES, Truth, robot_digest, run_case, score
 from tests.recordings.synthetic import full_recording
 from tests.robots import simple_robot
 
@@ -60,7 +60,7 @@ def test_a_row_is_flat_and_finite():
     assert 0.0 < row["latency_median_s"] <= row["latency_p95_s"]
     series = json.loads(row["series"])
     count = len(series["time_s"])
-    assert count <= 250 and {len(series[name]) for name in series} == {count}
+    assert count <= SERIES and {len(series[name]) for name in series} == {count}
     assert run_case(case(seed=1))["series"] is None
 
 
@@ -114,6 +114,38 @@ def test_estimator_truth_has_no_estimation_error():
     assert row["tracking_rmse_norm_m"] > 1e-3
 
 
+def test_truth_knows_the_twist_where_the_driver_does(watched):
+    run_case(case(estimator="truth"))
+    run_case(case(estimator="truth", settings=FAST | {"driver": "quasi_static"}))
+    moving, resting = (driver for driver, _ in watched)
+    for driver, has in ((moving, True), (resting, False)):
+        driver.connect()
+        assert (Truth(driver).reset(driver.measure()).twist is not None) is has
+
+
+@pytest.mark.parametrize("suite", ["lengths+imu", "lengths+pose", "lengths+imu+pose"])
+def test_every_sensor_suite_meets_the_same_motion(suite):
+    """A controller that uses no belief tracks the same, whatever is measured."""
+    one, other = (run_case(case(suite=name)) for name in ("lengths", suite))
+    assert other["tracking_rmse_norm_m"] == pytest.approx(one["tracking_rmse_norm_m"], rel=1e-4)
+
+
+def test_the_wind_of_a_condition_reaches_the_driver_that_has_one(watched):
+    for perturbation in ("nominal-1", "none"):
+        run_case(case(perturbation=perturbation))
+    assert [d._settings.wind_force for d, _ in watched] == [1.0, 0.0]
+    assert [d._settings.wind_time for d, _ in watched] == [2.0, 2.0]
+    run_case(case(settings=FAST | {"driver": "quasi_static"}))  # has no wind
+
+
+def test_sway_is_left_at_the_end_where_the_platform_has_inertia():
+    sway = {
+        name: run_case(case("straight_line", settings=FAST | {"driver": name}))["residual_sway_m"]
+        for name in ("simulator", "quasi_static")
+    }
+    assert sway["simulator"] > 5e-3 > sway["quasi_static"]
+
+
 def test_truth_needs_a_driver_that_knows_it():
     with pytest.raises(InvalidField, match="estimator: got 'truth'; allowed: a simulated driver"):
         Truth(object())
@@ -141,7 +173,10 @@ def test_a_setting_that_nobody_reads_is_named(settings, message):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"suite": "lengths+imu"}, r"suite: got 'lengths\+imu'; allowed: .*no inertia here"),
+        (
+            {"suite": "lengths+imu", "settings": FAST | {"driver": "quasi_static"}},
+            r"suite: got 'lengths\+imu'; allowed: .*no inertia here",
+        ),
         ({"controller": "pid"}, "controller: got 'pid'"),
         ({"estimator": "ukf"}, "estimator: got 'ukf'"),
         ({"trajectory": "square"}, "trajectory: got 'square'"),

@@ -153,7 +153,11 @@ def test_cases_are_all_combinations_with_the_settings_of_their_own_plugins():
         ({"estimators": ["json:dumps"]}, "a class with build"),
         ({"trajectories": ["circel"]}, "did you mean 'circle'"),
         ({"perturbations": ["nominal1"]}, "did you mean 'nominal-1'"),
-        ({"suites": ["lengths+imu"]}, "suite: got 'lengths+imu'"),
+        ({"suites": ["lengths+imu"], "driver": "quasi_static"}, "suite: got 'lengths+imu'"),
+        (
+            {"driver_settings": {"wind_force": 2.0}},
+            "driver_settings.wind_force: got 2.0; allowed: none",
+        ),
         ({"driver": PLAIN, "suites": ["lengths+pose"]}, f"driver {PLAIN} has no choice"),
         ({"driver": PLAIN, "estimators": ["truth"]}, f"driver {PLAIN} knows no truth"),
         ({"speed_max": float("nan")}, "speed_max: got nan m/s"),

@@ -26,7 +26,7 @@ def test_a_killed_driver_leaves_no_process_and_its_study_goes_on(tmp_path):
     wait_until(lambda: len(part_files(folder)) > 1)
     family += [x for x in descendants(driver) if x not in family]
     driver.kill()
-    driver.communicate()
+    driver.communicate(timeout=20)
     wait_until(lambda: alive(family) == [])
     before = read_rows(folder)
     assert 0 < len(before) < 60
@@ -46,7 +46,7 @@ def test_workers_stuck_in_compiled_code_go_with_their_driver(tmp_path):
     family = descendants(driver)
     assert len(workers_of(driver)) == 2
     driver.kill()
-    driver.communicate()
+    driver.communicate(timeout=20)
     wait_until(lambda: alive(family) == [], 5.0)
 
 
@@ -73,6 +73,17 @@ def test_one_process_is_interrupted_as_well(tmp_path):
     _, errors = driver.communicate(timeout=20)
     assert "interrupted" in errors
     assert {row["status"] for row in read_rows(folder)} == {"ok"}
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_again_and_again_is_started_again_and_again(tmp_path):
+    dying = 18.0  # [s] dask looks 15 s after a worker's death whether it is there, by default
+    case = one_case("dies again and again", folder=str(tmp_path), dying=dying)
+    rows = run_cases(
+        [case], "tests.studies.functions:behave", folder=tmp_path / "study", workers=1,
+        attempts=1000, progress=False,
+    )  # fmt: skip
+    assert [row["status"] for row in rows] == ["ok"]
 
 
 def test_a_case_that_kills_a_lone_process_is_not_run_in_it_when_others_are_done(tmp_path):

@@ -74,6 +74,24 @@ def test_what_ends_in_time_is_left_alone(call):
     assert call(quick) is True
 
 
+@pytest.mark.parametrize("seconds", [0.05, 0.3])
+def test_an_alarm_of_somebody_else_goes_off_when_the_block_is_left(seconds):
+    rung = []
+    handler = signal.signal(signal.SIGALRM, lambda number, frame: rung.append(time.monotonic()))
+    alarm = signal.setitimer(signal.ITIMER_REAL, 0.15)
+    start = time.monotonic()
+    try:
+        with contextlib.suppress(CaseTimeout), TimeLimit(seconds):
+            time.sleep(5.0)
+        while not rung and time.monotonic() - start < 10.0:
+            time.sleep(0.01)
+    finally:
+        signal.signal(signal.SIGALRM, handler)
+        signal.setitimer(signal.ITIMER_REAL, *alarm)
+    assert len(rung) == 1
+    assert rung[0] - start > max(0.15, seconds) - 0.001
+
+
 @pytest.mark.parametrize("call", [here, in_thread])
 def test_the_race_between_end_and_limit_has_one_outcome(call):
     def race():

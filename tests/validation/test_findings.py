@@ -72,6 +72,15 @@ def test_sway_is_named_with_its_period():
     assert "nearest natural frequency" in text
 
 
+def test_a_model_that_moves_is_not_blamed_for_knowing_rest_alone():
+    recording = perfect()
+    swing = np.zeros((len(recording.time), 3))
+    swing[:, 0] = 0.05 * np.sin(2 * np.pi * 0.5 * recording.time)
+    shaken = shifted(recording, swing)
+    assert "no quasi-static model can follow" in said(shaken)
+    assert "in another phase or by another size than in the model" in said(shaken, ("simulator",))
+
+
 def test_a_constant_error_is_an_offset():
     text = said(shifted(perfect(), [0.02, 0.0, 0.0]))
     assert "constant (x -20.0 mm)" in text

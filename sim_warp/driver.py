@@ -1,0 +1,163 @@
+"""The driver `simulator`: a simulated robot with inertia, cables that sag, winches and wind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array, as_floats
+from carosac_toolkit.drivers.simulated import SimulatedDriver, SimulatedSettings
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.physics.winch import Encoders
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import State
+from sim_warp.arguments import check_not_negative, check_positive
+from sim_warp.options import CableOptions
+from sim_warp.simulator import STEPS, Simulator
+
+STEP = 5e-3  # [s]; one for all sensor suites, so that no sensor changes the motion
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimDriverSettings(CableOptions, SimulatedSettings):
+    """Settings of `SimDriver`: those of every simulated driver, of the cables, and of the wind.
+
+    Without a `time_step` it is 5 ms, or that of the cables if shorter.
+
+    Attributes:
+        wind_force: Standard deviation of the force of the wind on the platform per horizontal
+            axis [N]; in a study, as the condition says.
+        wind_time: Its correlation time [s]; in a study, as the condition says.
+    """
+
+    wind_force: float = 0.0
+    wind_time: float = 2.0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be simulated."""
+        CableOptions.__post_init__(self)
+        SimulatedSettings.__post_init__(self)
+        check_not_negative("wind_force", self.wind_force, "N")
+        check_positive("wind_time", self.wind_time, "s")
+
+
+class SimPlant:
+    """B robots in a `Simulator`; a `carosac_toolkit.drivers.plant.Plant`.
+
+    Attributes:
+        robot: The plant robot, the first one where each has its own; n cables.
+        size: B.
+        inertial: True.
+        simulator: What moves them; whoever steps it moves them too.
+    """
+
+    inertial = True
+
+    def __init__(
+        self,
+        robot: Robot | Sequence[Robot],
+        settings: SimDriverSettings | None = None,
+        *,
+        size: int | None = None,
+        seed: int = 0,
+    ) -> None:
+        """Make the worlds; call `reset` before anything else.
+
+        Args:
+            robot: The plant of all worlds, or one for each; nothing more is drawn.
+            settings: Cables, winches and wind; None takes the defaults.
+            size: Number of worlds B; None: one, or as many as there are robots.
+            seed: Of the wind, from which each world gets its own.
+
+        Raises:
+            InvalidField: As `Simulator`.
+        """
+        chosen = settings or SimDriverSettings()
+        options = chosen.simulator_options
+        options["time_step"] = chosen.time_step or min(STEP, STEPS[chosen.cables])
+        self.simulator = Simulator(
+            robot, worlds=size, seed=seed, winch=chosen.winch,
+            wind_force=chosen.wind_force, wind_time=chosen.wind_time, **options,
+        )  # fmt: skip
+        self.robot = self.simulator.robots[0]
+        self.size = self.simulator.size
+        self._encoders = Encoders(self.simulator.robots, self.size, chosen.winch)
+        self._state = self.simulator.state.numpy()
+
+    def reset(self, position: Array) -> None:
+        """Rest at these positions in W [m], shape (B, 3); the wind starts over.
+
+        Raises:
+            InvalidField: One of them cannot rest there.
+        """
+        try:
+            self.simulator.reset(position)
+        except InvalidField as error:
+            row = error.field.removeprefix("position") if self.size > 1 else ""
+            raise InvalidField(f"start_position{row}", error.value, error.allowed) from error
+        self._state = self.simulator.state.numpy()
+
+    def advance(self, command: Array, duration: float) -> None:
+        """Let time pass while the winches follow a constant command.
+
+        Args:
+            command: Lengths asked of the winches [m], shape (B, n).
+            duration: [s].
+
+        Raises:
+            CarosacError: No time step, however short, had a finite solution in some worlds.
+        """
+        self.simulator.step(command, duration)
+        self._state = self.simulator.state.numpy()
+        if self._state.failed.any():
+            worlds = np.flatnonzero(self._state.failed)
+            names = ", ".join(str(b) for b in worlds[:8]) + (", ..." if len(worlds) > 8 else "")
+            raise CarosacError(
+                f"simulator: no finite motion in world {names} after "
+                f"{self._state.time[worlds[0]]:.3f} s, with lengths of "
+                f"{np.round(self._state.unstrained_length[worlds[0]], 3)} m"
+            )
+
+    def truth(self) -> State:
+        """Pose, twist, wound lengths and tensions now."""
+        state = self._state
+        return State(
+            time=state.time,
+            position=state.position,
+            rotation=state.rotation,
+            twist=state.twist,
+            unstrained_length=state.unstrained_length,
+            tension=state.tension,
+        )
+
+    def acceleration(self) -> Array:
+        """Linear [m/s^2], then angular [rad/s^2], in W at the platform origin, shape (B, 6)."""
+        return self._state.acceleration
+
+    def read_lengths(self) -> Array:
+        """What perfect encoders say, by the drums that the drives believe in [m], (B, n)."""
+        return self._encoders.read(self._state.unstrained_length)
+
+
+class SimDriver(SimulatedDriver):
+    """A simulated robot that sways, or several at once where `start_position` has a row for each.
+
+    Suites with an IMU are there; the wind is that of the settings.
+    """
+
+    Settings: ClassVar = SimDriverSettings
+    name: ClassVar = "simulator"
+
+    @classmethod
+    def build(
+        cls, robot: Robot, settings: SimDriverSettings | None = None, *, seed: int = 0
+    ) -> SimDriver:
+        """Make one for a plant; `seed` draws the wind, and bias and noise of the sensors."""
+        chosen = settings or SimDriverSettings()
+        start = chosen.start_position
+        each = start is not None and as_floats("start_position", start).ndim == 2
+        size = len(start) if start is not None and each else 1
+        return cls(SimPlant(robot, chosen, size=size, seed=seed), chosen, seed)

@@ -1,0 +1,43 @@
+"""How cables are simulated: the settings that the driver and the estimator share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, get_args
+
+from carosac_toolkit.errors import InvalidField
+from sim_warp.arguments import check_not_negative, check_positive, check_whole
+from sim_warp.simulator import SEGMENTS_MAX, Cables
+
+
+@dataclass(frozen=True, kw_only=True)
+class CableOptions:
+    """Options of a `Simulator` that settings hand on.
+
+    Attributes:
+        cables: Model of the cables: ``particles``, ``catenary``, ``straight`` or ``xpbd``.
+        segments: Segments of a cable, for ``particles`` and ``xpbd``.
+        time_step: Longest time step [s]; None takes a default.
+        cable_drag: Air drag of the cables per mass [1/s], for ``particles`` and ``xpbd``.
+        device: Warp device.
+    """
+
+    cables: Cables = "particles"
+    segments: int = 16
+    time_step: float | None = None
+    cable_drag: float = 0.5
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        """Refuse what no simulator takes, before there is a robot for one."""
+        if self.cables not in get_args(Cables):
+            raise InvalidField("cables", repr(self.cables), f"one of {list(get_args(Cables))}")
+        check_whole("segments", self.segments, 2, SEGMENTS_MAX)
+        if self.time_step is not None:
+            check_positive("time_step", self.time_step, "s")
+        check_not_negative("cable_drag", self.cable_drag, "1/s")
+
+    @property
+    def simulator_options(self) -> dict[str, Any]:
+        """The same as keyword arguments of `Simulator`."""
+        return {name: getattr(self, name) for name in CableOptions.__dataclass_fields__}
