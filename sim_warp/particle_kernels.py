@@ -22,13 +22,14 @@ A segment drops out while its predicted tension and its stretch say that it is s
 import warp as wp
 
 from carosac_toolkit.physics.body_kernels import (
+    Gusts,
     Motion,
     RigidBody,
     Scheme,
     System,
     attach,
+    blow,
     finish,
-    gust,
     increment,
     inertial_system,
     moved,
@@ -103,8 +104,7 @@ class Flight:
     """One world in the course of a call, the same in all of its threads."""
 
     motion: Motion
-    gust: wp.vec3d  # [N]
-    count: int  # of steps since the last reset
+    gusts: Gusts
     rough: int
     failed: int
     time: wp.float64  # [s]
@@ -462,7 +462,7 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
     """
     body = plants.bodies[row]
     start = flight.motion
-    wind = gust(plants.winds[row], flight.gust, h, worlds.seed[b], flight.count)
+    gusts = blow(plants.winds[row], flight.gusts, flight.time + h, worlds.seed[b])
     scheme = scheme_of(h, flight.rough)
     velocity = start.velocity + h * start.velocity_rate
     omega = start.angular_velocity + h * start.angular_rate
@@ -472,7 +472,7 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
     solved = bool(False)
     size = wp.float64(0.0)
     while count < LIMIT and not solved:
-        system = inertial_system(body, start, trial, scheme, wind)
+        system = inertial_system(body, start, trial, scheme, gusts.force)
         system = load_chains(plants, worlds, chains, b, s, row, body, trial, system, scheme, lane)
         newton = solve_system(system)
         far = move_chains(
@@ -496,8 +496,7 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
             out.failed = 1
         else:
             out.motion = finish(body, start, trial, scheme)
-            out.gust = wind
-            out.count = flight.count + 1
+            out.gusts = gusts
             out.time = flight.time + h
             out.rough = keep_chains(
                 plants, worlds, chains, b, s, row, body, out.motion, scheme, lane
@@ -510,8 +509,7 @@ def taken_off(worlds: Worlds, b: int) -> Flight:
     """A world at the start of a call."""
     out = Flight()
     out.motion = worlds.motion[b]
-    out.gust = worlds.gust[b]
-    out.count = worlds.count[b]
+    out.gusts = worlds.gusts[b]
     out.rough = worlds.rough[b]
     out.failed = worlds.failed[b]
     out.time = worlds.time[b]
@@ -522,8 +520,7 @@ def taken_off(worlds: Worlds, b: int) -> Flight:
 def land(worlds: Worlds, b: int, flight: Flight):
     """A world at the end of a call; all of its threads write the same."""
     worlds.motion[b] = flight.motion
-    worlds.gust[b] = flight.gust
-    worlds.count[b] = flight.count
+    worlds.gusts[b] = flight.gusts
     worlds.rough[b] = flight.rough
     worlds.failed[b] = flight.failed
     worlds.time[b] = flight.time

@@ -14,7 +14,7 @@ Four models of the cables share one interface:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -74,7 +74,7 @@ class Simulator:
         winch: WinchSettings | None = None,
         iterations: int = 20,
     ) -> None:
-        """Set all worlds at rest at home.
+        """Set all worlds at rest at home; those that cannot rest there have failed until `reset`.
 
         Args:
             robot: The robot of all worlds, or one for each.
@@ -131,7 +131,7 @@ class Simulator:
         self._worlds = allocate_worlds(size, self.fleet.n, device, seeds)
         self._dynamics = self._make_dynamics(float(cable_drag), iterations)
         self.state = StateViews(self._worlds, self._dynamics.arrays.get("position"))
-        self.reset()
+        self._go_home()
 
     def _make_dynamics(
         self, drag: float, iterations: int
@@ -143,6 +143,30 @@ class Simulator:
         if self.cables == "xpbd":
             return XpbdDynamics(*common, self.segments, drag, iterations)
         return NodelessDynamics(*common, self.cables, drag)
+
+    def _go_home(self) -> None:
+        """Place the worlds that can rest at home, and flag the others."""
+        which = np.arange(self._size, dtype=np.int32)
+        fleet = self._hanging(which)
+        home = np.broadcast_to(fleet.home_position, (self._size, 3))
+        rest = statics.inverse_kinematics(fleet, home, device=self.device)
+        sound = rest.converged & rest.stable
+        if sound.any():
+            kept = {x.name: getattr(rest, x.name)[sound] for x in fields(Equilibrium)}
+            self._place(which[sound], Equilibrium(**kept), np.zeros((int(sound.sum()), 6)))
+        self._worlds.failed.assign((~sound).astype(np.int32))
+
+    def _place(self, which: NDArray[np.int32], rest: Equilibrium, twist: Array) -> None:
+        """Put worlds somewhere; their command is what they have wound."""
+        self._dynamics.place(which, rest, twist)
+        command = self._worlds.command.numpy()
+        command[which] = rest.unstrained_length
+        self._worlds.command.assign(command)
+
+    def _hanging(self, which: NDArray[np.int32]) -> Fleet:
+        """The robots of some worlds, as the statics shall see them."""
+        fleet = self.fleet.rows(which)
+        return _weightless(fleet) if self.cables == "straight" else fleet
 
     @property
     def size(self) -> int:
@@ -184,10 +208,7 @@ class Simulator:
         moving = np.zeros((count, 6)) if twist is None else batch("twist", twist, (6,))
         check_rows("twist", moving, count)
         rest = self._rest(which, position, rotation, unstrained_length)
-        self._dynamics.place(which, rest, moving)
-        command = self._worlds.command.numpy()
-        command[which] = rest.unstrained_length
-        self._worlds.command.assign(command)
+        self._place(which, rest, moving)
 
     def step(self, unstrained_length_command: ArrayLike | wp.array, duration: float) -> None:
         """Advance all worlds while the winches follow commands that are held.
@@ -300,9 +321,7 @@ class Simulator:
         unstrained_length: ArrayLike | None,
     ) -> Equilibrium:
         """Equilibria of some worlds, or an error that names the first that has none."""
-        fleet = self.fleet.rows(which)
-        if self.cables == "straight":
-            fleet = _weightless(fleet)
+        fleet = self._hanging(which)
         count = len(which)
         if unstrained_length is not None:
             if position is not None or rotation is not None:

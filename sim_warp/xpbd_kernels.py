@@ -12,7 +12,7 @@ References:
 
 import warp as wp
 
-from carosac_toolkit.physics.body_kernels import Motion, RigidBody, gust, world_inertia
+from carosac_toolkit.physics.body_kernels import Motion, RigidBody, blow, world_inertia
 from carosac_toolkit.physics.cable_kernels import HALF, ONE, ZERO, Cable, inverse33
 from carosac_toolkit.physics.platform_kernels import orthonormal, rotation_of
 from carosac_toolkit.physics.straight_line_kernels import straight_cable
@@ -205,11 +205,11 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
     body = plants.bodies[row]
     motion = worlds.motion[b]
     n = worlds.winch.shape[1]
-    wind = gust(plants.winds[row], worlds.gust[b], h, worlds.seed[b], worlds.count[b])
+    gusts = blow(plants.winds[row], worlds.gusts[b], worlds.time[b] + h, worlds.seed[b])
     start = whole_body(plants, worlds, chains, b, row, body, motion)
     omega = motion.angular_velocity
     velocity = motion.velocity + wp.cross(omega, motion.rotation * start.lever)
-    push = wind - body.drag * motion.velocity
+    push = gusts.force - body.drag * motion.velocity
     # Wind and drag act on the platform's own centre of mass.
     moment = -body.angular_drag * omega - wp.cross(motion.rotation * start.lever, push)
     spin = inverse33(start.turning) * omega
@@ -243,8 +243,7 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
         worlds.failed[b] = 1
     else:
         worlds.motion[b] = after
-        worlds.gust[b] = wind
-        worlds.count[b] = worlds.count[b] + 1
+        worlds.gusts[b] = gusts
         worlds.time[b] = worlds.time[b] + h
         keep_nodes(plants, worlds, chains, b, s, row, h)
 

@@ -42,6 +42,7 @@ class RigidBody:
     size: wp.float64  # typical cable length [m]
 
 
+GRID = wp.constant(wp.float64(0.01))  # [s] between two draws of the wind
 SMOOTH = wp.constant(wp.float64(0.7))  # share of very fast motions that is left after a step
 ROUGH = wp.constant(wp.float64(0.2))  # the same while cables fall slack and snap taut
 
@@ -269,16 +270,39 @@ class Wind:
     time: wp.float64  # correlation time [s]
 
 
+@wp.struct
+class Gusts:
+    """The wind on one platform: forces at two instants `GRID` apart, and between them [N]."""
+
+    force: wp.vec3d  # at the end of the last step
+    before: wp.vec3d
+    after: wp.vec3d
+    count: int  # of instants drawn so far; `after` is the force at (count - 1) GRID
+
+
 @wp.func
-def gust(wind: Wind, force: wp.vec3d, h: wp.float64, seed: int, count: int) -> wp.vec3d:
-    """The force a step later; `seed` and `count` name the random numbers."""
-    if wind.deviation == ZERO:
-        return wp.vec3d()
+def draw_gust(wind: Wind, force: wp.vec3d, keep: wp.float64, seed: int, count: int) -> wp.vec3d:
+    """A force of which a share `keep` is an earlier one; `seed` and `count` name the draw."""
     state = wp.rand_init(seed, count)
-    keep = wp.exp(-h / wind.time)
-    if count == 0:
-        keep = ZERO  # the first one is drawn from the stationary distribution
     spread = wind.deviation * wp.sqrt(ONE - keep * keep)
     gx = wp.float64(wp.randn(state))
     gy = wp.float64(wp.randn(state))
     return wp.vec3d(keep * force[0] + spread * gx, keep * force[1] + spread * gy, ZERO)
+
+
+@wp.func
+def blow(wind: Wind, gusts: Gusts, time: wp.float64, seed: int) -> Gusts:
+    """The wind at a later time [s]. It is drawn on a grid of its own: steps do not change it."""
+    out = gusts
+    if wind.deviation > ZERO:
+        if out.count == 0:
+            out.after = draw_gust(wind, out.after, ZERO, seed, 0)  # of the stationary distribution
+            out.count = 1
+        keep = wp.exp(-GRID / wind.time)
+        while time > wp.float64(out.count - 1) * GRID:
+            out.before = out.after
+            out.after = draw_gust(wind, out.before, keep, seed, out.count)
+            out.count += 1
+        share = time / GRID - wp.float64(out.count - 2)
+        out.force = out.before + share * (out.after - out.before)
+    return out

@@ -14,8 +14,8 @@ from carosac_toolkit.physics.body_kernels import (
     Scheme,
     System,
     attach,
+    blow,
     finish,
-    gust,
     inertial_system,
     moved,
     rate_after,
@@ -221,7 +221,7 @@ def time_step(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, mode
     """
     body = plants.bodies[row]
     start = worlds.motion[b]
-    wind = gust(plants.winds[row], worlds.gust[b], h, worlds.seed[b], worlds.count[b])
+    gusts = blow(plants.winds[row], worlds.gusts[b], worlds.time[b] + h, worlds.seed[b])
     scheme = scheme_of(h, worlds.rough[b])
     velocity = start.velocity + h * start.velocity_rate
     omega = start.angular_velocity + h * start.angular_rate
@@ -231,7 +231,7 @@ def time_step(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, mode
     solved = bool(False)
     size = wp.float64(0.0)
     while going:
-        system = inertial_system(body, start, trial, scheme, wind)
+        system = inertial_system(body, start, trial, scheme, gusts.force)
         loaded = load_anchors(plants, worlds, hung, b, row, model, body, trial, system, scheme)
         newton = solve_system(loaded.system)
         velocity += newton.move / scheme.reach
@@ -253,8 +253,7 @@ def time_step(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, mode
         worlds.failed[b] = 1
     else:
         worlds.motion[b] = finish(body, start, trial, scheme)
-        worlds.gust[b] = wind
-        worlds.count[b] = worlds.count[b] + 1
+        worlds.gusts[b] = gusts
         worlds.time[b] = worlds.time[b] + h
         keep_anchors(plants, worlds, hung, b, row, body, scheme)
     return 1

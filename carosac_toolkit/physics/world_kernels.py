@@ -3,6 +3,7 @@
 import warp as wp
 
 from carosac_toolkit.physics.body_kernels import (
+    Gusts,
     Motion,
     RigidBody,
     Wind,
@@ -42,9 +43,8 @@ class Worlds:
     anchor_velocity: wp.array2d(dtype=wp.vec3d)  # [m/s]
     anchor_rate: wp.array2d(dtype=wp.vec3d)
     command: wp.array2d(dtype=wp.float64)  # [m]
-    gust: wp.array(dtype=wp.vec3d)  # [N]
+    gusts: wp.array(dtype=Gusts)
     seed: wp.array(dtype=int)
-    count: wp.array(dtype=int)  # of steps since the last reset
     rough: wp.array(dtype=int)  # whether a cable was slack at the end of the last step
     failed: wp.array(dtype=int)
     time: wp.array(dtype=wp.float64)  # since the last reset [s]
@@ -180,8 +180,7 @@ def place(plants: Plants, worlds: Worlds, which: wp.array(dtype=int),
     w = wp.vec3d(twist[k][3], twist[k][4], twist[k][5])
     motion = at_rest(body, position[k], rotation[k], v, w)
     worlds.motion[b] = motion
-    worlds.gust[b] = wp.vec3d()
-    worlds.count[b] = 0
+    worlds.gusts[b] = Gusts()
     worlds.time[b] = wp.float64(0.0)
     worlds.rough[b] = 0
     worlds.failed[b] = 0

@@ -9,7 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from carosac_toolkit.physics import world_kernels
-from carosac_toolkit.physics.body_kernels import Motion, RigidBody, Wind
+from carosac_toolkit.physics.body_kernels import Gusts, Motion, RigidBody, Wind
 from carosac_toolkit.physics.cable_kernels import Cable, vec6d
 from carosac_toolkit.physics.device import body_record, cable_records
 from carosac_toolkit.physics.fleet import Fleet
@@ -18,7 +18,7 @@ from carosac_toolkit.physics.winch_kernels import Winch, WinchState
 from carosac_toolkit.robot import Robot
 
 # What a world needs to go on, and what people read of it.
-STATE = ("motion", "winch", "anchor_velocity", "anchor_rate", "gust", "seed", "count",
+STATE = ("motion", "winch", "anchor_velocity", "anchor_rate", "gusts", "seed",
          "rough", "failed", "time", "command", "position", "rotation", "twist", "acceleration",
          "unstrained_length", "tension", "iterations", "capped", "residual")  # fmt: skip
 
@@ -64,7 +64,7 @@ def allocate_worlds(size: int, n: int, device: str, seeds: NDArray[np.int32]) ->
     """The `Worlds` struct of B worlds of n cables; `seeds` of their wind, shape (B,)."""
     out = world_kernels.Worlds()
     for name, kind in (
-        ("motion", Motion), ("gust", wp.vec3d), ("count", int), ("rough", int), ("failed", int),
+        ("motion", Motion), ("gusts", Gusts), ("rough", int), ("failed", int),
         ("position", wp.vec3d), ("rotation", wp.mat33d), ("twist", vec6d),
         ("acceleration", vec6d), ("time", wp.float64), ("iterations", int),
         ("capped", int), ("residual", wp.float64),

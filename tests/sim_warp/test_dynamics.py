@@ -233,7 +233,7 @@ def test_wind_has_the_deviation_and_the_memory_it_was_given_and_only_blows_sidew
     hold, force = held(first), []
     for _ in range(400):
         first.step(hold, 0.1)
-        force.append(first.save().arrays["gust"])
+        force.append(first.save().arrays["gusts"]["force"])
     force = np.array(force)
     assert not force[..., 2].any()
     side = force[..., :2]
@@ -247,7 +247,7 @@ def test_wind_has_the_deviation_and_the_memory_it_was_given_and_only_blows_sidew
     assert across == pytest.approx(0.0, abs=0.06)
     for k in range(3):
         second.step(hold, 0.1)
-        assert np.array_equal(second.save().arrays["gust"], force[k])
+        assert np.array_equal(second.save().arrays["gusts"]["force"], force[k])
 
 
 def test_a_steady_push_moves_the_platform_as_its_stiffness_says():
@@ -258,7 +258,7 @@ def test_a_steady_push_moves_the_platform_as_its_stiffness_says():
     for _ in range(20):
         sim.step(hold, 1.0)
     state = sim.state.numpy()
-    gust = sim.save().arrays["gust"][0]
+    gust = sim.save().arrays["gusts"]["force"][0]
     assert np.abs(gust[:2]).min() > 0.01
     rest = ct.statics.inverse_kinematics(robot, robot.home_position[None])
     lever = rest.rotation[0] @ robot.center_of_mass  # it acts at the centre of mass
@@ -266,3 +266,27 @@ def test_a_steady_push_moves_the_platform_as_its_stiffness_says():
     leaning = np.linalg.solve(rest.stiffness[0], wrench)[:3]
     assert state.position[0] - start.position[0] == pytest.approx(leaning, abs=2e-5)
     assert np.linalg.norm(leaning) > 1e-3
+
+
+def test_time_steps_do_not_change_the_wind():
+    forces = []
+    for time_step in (1.0 / 75.0, 1.0 / 240.0):
+        sim = Simulator(
+            simple_robot(), cables="catenary", wind_force=2.0, seed=3, time_step=time_step
+        )
+        hold, course = held(sim), []
+        for _ in range(20):
+            sim.step(hold, 0.1)
+            course.append(sim.save().arrays["gusts"]["force"][0])
+        forces.append(course)
+    assert np.array(forces[0]) == pytest.approx(np.array(forces[1]), abs=1e-9)
+    assert np.std(forces[0], axis=0)[:2].min() > 0.1
+
+
+def test_a_robot_that_cannot_rest_at_home_waits_for_a_place_where_it_can():
+    robot = simple_robot()
+    away = replace(robot, home_position=robot.home_position + np.array([0.0, 0.0, 50.0]))
+    sim = Simulator([robot, away], cables="catenary")
+    assert sim.state.numpy().failed.tolist() == [False, True]
+    sim.reset(np.tile(robot.home_position, (2, 1)))
+    assert not sim.state.numpy().failed.any()

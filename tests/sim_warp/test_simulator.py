@@ -258,7 +258,7 @@ def test_nominal_1_worlds_differ_in_everything_that_it_names():
         first, second, third = (getattr(robot, name) for robot in sim.robots)
         assert not np.array_equal(first, second) and not np.array_equal(second, third), name
     sim.step(held(sim), 0.1)
-    gust = sim.save().arrays["gust"]
+    gust = sim.save().arrays["gusts"]["force"]
     assert len(np.unique(gust[:, :2])) == 6
     assert gust[:, 2] == pytest.approx(np.zeros(3))
 
@@ -347,8 +347,8 @@ def test_a_snapshot_of_another_kind_is_refused_and_nothing_has_changed():
         options = {"worlds": 2, "segments": 5, **other}
         with pytest.raises(InvalidField, match=message):
             sim.restore(Simulator(simple_robot(), **options).save())
-    fewer = replace(before, arrays={k: v for k, v in before.arrays.items() if k != "gust"})
-    with pytest.raises(InvalidField, match=r"snapshot.gust: got shape None; allowed: shape \(2, 3"):
+    fewer = replace(before, arrays={k: v for k, v in before.arrays.items() if k != "gusts"})
+    with pytest.raises(InvalidField, match=r"snapshot.gusts: got shape None; allowed: shape \(2,"):
         sim.restore(fewer)
     assert_same_snapshots(before, sim.save())
 
