@@ -118,8 +118,8 @@ def throughput(robot: Robot) -> list[list[str]]:
     for cables, segments, step, worlds, bar in (
         ("particles", 16, 1 / 120, 1, "100"), ("particles", 16, 1 / 120, 256, "200"),
         ("particles", 8, 1 / 120, 1, "-"), ("particles", 8, 1 / 120, 256, "450"),
-        ("particles", 16, 1 / 240, 256, "-"), ("catenary", 16, 1 / 75, 1, "800"),
-        ("catenary", 16, 1 / 75, 1024, "3000"), ("straight", 16, 1 / 120, 1024, "-"),
+        ("particles", 16, 1 / 240, 256, "-"), ("catenary", 16, 1 / 70, 1, "800"),
+        ("catenary", 16, 1 / 70, 1024, "3000"), ("straight", 16, 1 / 120, 1024, "-"),
     ):  # fmt: skip
         call, simulator = smooth_motion(robot, cables, segments, step, worlds)
         times = []

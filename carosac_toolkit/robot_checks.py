@@ -128,6 +128,14 @@ def _all_or_none(parts: Any) -> Iterator[Fault]:
         for name, winch in parts.winches.items():
             if winch.drum is None and any(w.drum is not None for w in parts.winches.values()):
                 yield ("winches", name), "drum missing; allowed: a drum in all winches or in none"
+            if winch.drum is not None and winch.length_max is not None:
+                most = winch.drum.radius**2 / winch.length_max
+                if winch.drum.buildup >= most:
+                    yield (
+                        ("winches", name, "drum", "buildup"),
+                        f"got {winch.drum.buildup:g} m; allowed: below radius^2 / length_max = "
+                        f"{most:g} m, so that the drum pays out {winch.length_max:g} m",
+                    )
 
 
 def _home_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:

@@ -47,7 +47,9 @@ def check_positive(name: str, value: object, unit: str) -> None:
     """Refuse what is no positive finite number."""
     number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
     if not number or not 0.0 < value < np.inf:  # type: ignore[operator]
-        raise InvalidField(name, f"{value} {unit}", f"{name} > 0, finite")
+        raise InvalidField(
+            name, f"{value} {unit}" if number else repr(value), f"{name} > 0, finite"
+        )
 
 
 def check_not_negative(name: str, value: object, unit: str) -> None:
@@ -60,7 +62,7 @@ def check_not_negative(name: str, value: object, unit: str) -> None:
 def check_rows(name: str, value: Array, count: int) -> None:
     """Refuse another number of rows than there are worlds."""
     if len(value) != count:
-        allowed = f"shape ({count}, ...), one row a world"
+        allowed = f"{count} rows, one for each world"
         raise InvalidField(name, f"shape {value.shape}", allowed)
 
 

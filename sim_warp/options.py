@@ -18,7 +18,7 @@ class CableOptions:
         cables: Model of the cables: ``particles``, ``catenary``, ``straight`` or ``xpbd``.
         segments: Segments of a cable, for ``particles`` and ``xpbd``.
         time_step: Longest time step [s]; None takes a default.
-        cable_drag: Air drag of the cables per mass [1/s], for ``particles`` and ``xpbd``.
+        cable_drag: Air drag of the cables per mass [1/s]; ``straight`` ones have no mass.
         device: Warp device.
     """
 

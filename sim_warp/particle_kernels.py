@@ -22,6 +22,8 @@ A segment drops out while its predicted tension and its stretch say that it is s
 import warp as wp
 
 from carosac_toolkit.physics.body_kernels import (
+    ROUGH,
+    SMOOTH,
     Gusts,
     Motion,
     RigidBody,
@@ -50,6 +52,7 @@ from carosac_toolkit.physics.world_kernels import (
     is_lost,
     is_nonsense,
     publish,
+    roughness,
     turn_back,
     turn_winches,
 )
@@ -105,7 +108,9 @@ class Flight:
 
     motion: Motion
     gusts: Gusts
-    rough: int
+    last: wp.float64  # size of the last step [s]
+    slack: wp.float64  # stands for which segments are slack
+    rough: int  # steps to go since that has changed
     failed: int
     time: wp.float64  # [s]
     iterations: int
@@ -418,13 +423,14 @@ def begin_chains(chains: Chains, b: int, s: int, n: int, h: wp.float64, lane: La
 
 @wp.func
 def keep_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, row: int,
-                body: RigidBody, motion: Motion, scheme: Scheme, lane: Lane) -> int:  # fmt: skip
-    """Accept the trial as the end of a time step; return whether a cable is slack."""
+                body: RigidBody, motion: Motion, scheme: Scheme,
+                lane: Lane) -> wp.float64:  # fmt: skip
+    """Accept the trial as the end of a time step; say which segments are slack, by a number."""
     slack = wp.float64(0.0)
     for i in range(lane.index, worlds.winch.shape[1], lane.count):
         for k in range(chains.segments):
             if not chains.predicted[b, i, k] > ZERO:
-                slack = ONE
+                slack += wp.float64(1 + k + i * chains.segments) + HALF * wp.float64(k * k)
         cable = plants.cables[row, i]
         arm = motion.rotation * (cable.anchor_point - body.center_of_mass)
         velocity = motion.velocity + wp.cross(motion.angular_velocity, arm)
@@ -450,7 +456,7 @@ def keep_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, 
                 lower - cable.exit_point, cable.pulley_radius, cable.swivel_axis
             )
             chains.arc[b, i] = wrap * cable.pulley_radius
-    return wp.min(int(lane_sum(slack, lane.count)), 1)
+    return lane_sum(slack, lane.count)
 
 
 @wp.func
@@ -463,7 +469,10 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
     body = plants.bodies[row]
     start = flight.motion
     gusts = blow(plants.winds[row], flight.gusts, flight.time + h, worlds.seed[b])
-    scheme = scheme_of(h, flight.rough)
+    left = SMOOTH
+    if flight.rough > 0:
+        left = ROUGH
+    scheme = scheme_of(h, flight.last, False, left)
     velocity = start.velocity + h * start.velocity_rate
     omega = start.angular_velocity + h * start.angular_rate
     trial = moved(start, scheme, velocity, omega)
@@ -498,9 +507,11 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
             out.motion = finish(body, start, trial, scheme)
             out.gusts = gusts
             out.time = flight.time + h
-            out.rough = keep_chains(
+            out.last = h
+            out.slack = keep_chains(
                 plants, worlds, chains, b, s, row, body, out.motion, scheme, lane
             )
+            out.rough = roughness(flight.rough, flight.slack, out.slack)
     return out
 
 
@@ -510,6 +521,8 @@ def taken_off(worlds: Worlds, b: int) -> Flight:
     out = Flight()
     out.motion = worlds.motion[b]
     out.gusts = worlds.gusts[b]
+    out.last = worlds.last[b]
+    out.slack = worlds.slack[b]
     out.rough = worlds.rough[b]
     out.failed = worlds.failed[b]
     out.time = worlds.time[b]
@@ -521,6 +534,8 @@ def land(worlds: Worlds, b: int, flight: Flight):
     """A world at the end of a call; all of its threads write the same."""
     worlds.motion[b] = flight.motion
     worlds.gusts[b] = flight.gusts
+    worlds.last[b] = flight.last
+    worlds.slack[b] = flight.slack
     worlds.rough[b] = flight.rough
     worlds.failed[b] = flight.failed
     worlds.time[b] = flight.time

@@ -48,9 +48,10 @@ from sim_warp.xpbd import XpbdDynamics
 
 Cables = Literal["particles", "catenary", "straight", "xpbd"]
 STEPS: dict[str, float] = {
-    "particles": 1.0 / 120.0, "catenary": 1.0 / 75.0, "straight": 1.0 / 120.0, "xpbd": 1e-3
+    "particles": 1.0 / 120.0, "catenary": 1.0 / 70.0, "straight": 1.0 / 120.0, "xpbd": 1e-3
 }  # fmt: skip  # [s]
 SEGMENTS_MAX = 256
+STEPS_MAX = 1e6  # of one call
 WEIGHTLESS = 1e-12  # [kg/m] of straight cables, where the statics asks for some mass
 
 
@@ -82,7 +83,7 @@ class Simulator:
             cables: How cables are modelled.
             segments: Segments of a cable, for ``particles`` and ``xpbd``.
             time_step: Longest time step [s]; None takes 1/120 s (``particles``, ``straight``),
-                1/75 s (``catenary``) or 1 ms (``xpbd``). `step` divides its duration evenly.
+                1/70 s (``catenary``) or 1 ms (``xpbd``). `step` divides its duration evenly.
             device: Warp device.
             seed: Of the plants and the wind: one number, from which each world gets its own, or
                 one for each world.
@@ -110,6 +111,8 @@ class Simulator:
         check_whole("iterations", iterations, 1, None)
         check_positive("time_step", STEPS[cables] if time_step is None else time_step, "s")
         check_not_negative("cable_drag", cable_drag, "1/s")
+        if not (winch is None or isinstance(winch, WinchSettings)):
+            raise InvalidField("winch", type(winch).__name__, "WinchSettings, or None")
         self.cables: Cables = cables
         self.segments = segments
         self.time_step = STEPS[cables] if time_step is None else float(time_step)
@@ -154,7 +157,25 @@ class Simulator:
         if sound.any():
             kept = {x.name: getattr(rest, x.name)[sound] for x in fields(Equilibrium)}
             self._place(which[sound], Equilibrium(**kept), np.zeros((int(sound.sum()), 6)))
-        self._worlds.failed.assign((~sound).astype(np.int32))
+        if not sound.all():
+            self._stand_by(np.flatnonzero(~sound).astype(np.int32), fleet)
+
+    def _stand_by(self, which: NDArray[np.int32], fleet: Fleet) -> None:
+        """Show worlds that cannot rest at home there, on straight cables, as failed."""
+        worlds = self._worlds
+        state = self.state.numpy()
+        command = worlds.command.numpy()
+        for b in which:
+            robot = fleet.robots[min(int(b), len(fleet) - 1)]
+            state.position[b], state.rotation[b] = robot.home_position, robot.home_rotation
+            anchors = robot.home_position + robot.anchor_points @ robot.home_rotation.T
+            straight = np.linalg.norm(robot.exit_points - anchors, axis=1)
+            state.unstrained_length[b] = command[b] = straight
+            state.failed[b] = True
+        for name in ("position", "rotation", "unstrained_length"):
+            getattr(worlds, name).assign(getattr(state, name))
+        worlds.command.assign(command)
+        worlds.failed.assign(state.failed.astype(np.int32))
 
     def _place(self, which: NDArray[np.int32], rest: Equilibrium, twist: Array) -> None:
         """Put worlds somewhere; their command is what they have wound."""
@@ -250,37 +271,41 @@ class Simulator:
 
     def save(self) -> Snapshot:
         """A copy of everything that changes; `restore` goes on from there, bit by bit."""
-        arrays = {name: getattr(self._worlds, name) for name in STATE} | self._dynamics.arrays
         return Snapshot(
             cables=self.cables,
             segments=self.segments,
-            arrays={name: np.array(array.numpy()) for name, array in self._named(arrays)},
+            arrays={name: np.array(array.numpy()) for name, array in self._named().items()},
         )
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go on from a snapshot of a simulator of the same robots, worlds and cables.
+        """Go on from a snapshot of a simulator with as many worlds and the same cables.
+
+        The robots are those of this simulator, which may be others than those of the snapshot.
 
         Raises:
             InvalidField: It is of another kind or size. Nothing has been changed then.
         """
-        mine = (self.cables, self.segments)
-        if (snapshot.cables, snapshot.segments) != mine:
+        if not isinstance(snapshot, Snapshot):
+            raise InvalidField("snapshot", type(snapshot).__name__, "a Snapshot, from save")
+        kind = (self.cables, self.segments)
+        if (snapshot.cables, snapshot.segments) != kind:
             given = f"{snapshot.cables} of {snapshot.segments} segments"
-            raise InvalidField("snapshot", given, f"{mine[0]} of {mine[1]} segments")
-        arrays = {name: getattr(self._worlds, name) for name in STATE} | self._dynamics.arrays
-        for name, array in self._named(arrays):
-            shape = array.numpy().shape
+            raise InvalidField("snapshot", given, f"{kind[0]} of {kind[1]} segments")
+        for name, array in self._named().items():
+            mine = array.numpy()
             found = snapshot.arrays.get(name)
-            if found is None or found.shape != shape:
+            if found is None or found.shape != mine.shape:
                 size = None if found is None else found.shape
-                raise InvalidField(f"snapshot.{name}", f"shape {size}", f"shape {shape}")
-        for name, array in self._named(arrays):
+                raise InvalidField(f"snapshot.{name}", f"shape {size}", f"shape {mine.shape}")
+            if found.dtype != mine.dtype:
+                raise InvalidField(f"snapshot.{name}", found.dtype, str(mine.dtype))
+        for name, array in self._named().items():
             array.assign(snapshot.arrays[name])
 
-    def _named(self, arrays: dict[str, wp.array]) -> list[tuple[str, wp.array]]:
-        """Arrays by names that are unique."""
-        own = self._dynamics.arrays
-        return [(f"cable_{k}" if k in own else k, v) for k, v in arrays.items()]
+    def _named(self) -> dict[str, wp.array]:
+        """Everything that changes, by name."""
+        shared = {name: getattr(self._worlds, name) for name in STATE}
+        return shared | {f"cable_{name}": array for name, array in self._dynamics.arrays.items()}
 
     def _advance(self, command: ArrayLike | wp.array, duration: float, *, follow: bool) -> None:
         """Take over the command and launch."""
@@ -289,12 +314,18 @@ class Simulator:
         if isinstance(command, wp.array):
             if command.shape != shape:
                 raise InvalidField("command", f"shape {command.shape}", f"shape {shape}")
+            if command.dtype != wp.float64:
+                raise InvalidField("command", f"a Warp array of {command.dtype}", "of wp.float64")
             wp.copy(self._worlds.command, command)
         else:
-            lengths = batch("unstrained_length_command", command, (self.fleet.n,))
-            check_rows("unstrained_length_command", lengths, self._size)
-            check_lengths("unstrained_length_command", lengths)
+            name = "unstrained_length" if follow else "unstrained_length_command"
+            lengths = batch(name, command, (self.fleet.n,))
+            check_rows(name, lengths, self._size)
+            check_lengths(name, lengths)
             self._worlds.command.assign(lengths)
+        if duration > STEPS_MAX * self.time_step:
+            allowed = f"at most {STEPS_MAX:g} time steps of {self.time_step:g} s"
+            raise InvalidField("duration", f"{duration} s", allowed)
         count = max(1, int(np.ceil(duration / self.time_step - 1e-6)))
         self._dynamics.advance(follow, count, duration / count)
 
@@ -302,7 +333,10 @@ class Simulator:
         """Indices of worlds, checked."""
         if worlds is None:
             return np.arange(self._size, dtype=np.int32)
-        given = np.asarray(worlds)
+        try:
+            given = np.asarray(worlds)
+        except ValueError:
+            given = np.empty((0, 0))
         if given.dtype == bool and given.shape == (self._size,):
             given = np.flatnonzero(given)
         whole = given.ndim == 1 and len(given) > 0 and np.issubdtype(given.dtype, np.integer)

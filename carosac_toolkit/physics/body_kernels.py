@@ -9,8 +9,10 @@ with gamma = 1/2 - alpha and beta = (1 - alpha)^2 / 4: second order, uncondition
 share (1 + alpha) / (1 - alpha) of motions that are much faster than the step is left after each.
 Its frequencies are 2.5 times as accurate as those of BDF2 and its damping of slow motions is an
 eighth of it. `a` is an algorithmic acceleration: that of a time alpha h away from the end of the
-step. Impacts, as of cables that snap taut, leave it far off and a step later it gives energy back
-that was never there; while there are impacts, less is therefore left of fast motions.
+step. Where that memory is worth nothing, a step of the implicit Euler method has none: the first
+one, and one of more than twice or less than half the size of the last. A cable that falls slack or
+snaps taut leaves `a` far off, which would give energy back that was never there; in the few steps
+after it less is left of fast motions, or Euler steps, which never add energy to springs, are taken.
 
 The unknowns are the velocities at the end. Rotations go by the rotation vector of the step, and
 the angular momentum about the centre of mass by the moment: no gyroscopic term is needed.
@@ -44,7 +46,8 @@ class RigidBody:
 
 GRID = wp.constant(wp.float64(0.01))  # [s] between two draws of the wind
 SMOOTH = wp.constant(wp.float64(0.7))  # share of very fast motions that is left after a step
-ROUGH = wp.constant(wp.float64(0.2))  # the same while cables fall slack and snap taut
+ROUGH = wp.constant(wp.float64(0.2))  # the same while particles fall slack and snap taut
+JUMP = wp.constant(wp.float64(2.0))  # a larger ratio of two steps is a new start
 
 
 @wp.struct
@@ -95,20 +98,27 @@ class Newton:
 
 
 @wp.func
-def scheme_of(h: wp.float64, rough: int) -> Scheme:
-    """Coefficients of a step of h [s]; `rough` where there are impacts."""
-    left = SMOOTH
-    if rough == 1:
-        left = ROUGH
+def scheme_of(h: wp.float64, last: wp.float64, forget: bool, left: wp.float64) -> Scheme:
+    """Coefficients of a step of h [s] after one of `last`, 0 for none.
+
+    It is an implicit Euler step after a jump in size and to `forget` what was before; of motions
+    that are much faster than another step a share `left` is left.
+    """
+    slack = JUMP * wp.float64(1.0 + 1.0e-6)
     out = Scheme()
     out.h = h
-    out.alpha = (left - ONE) / (left + ONE)
-    out.gamma = HALF - out.alpha
-    share = ONE - out.alpha
-    beta = wp.float64(0.25) * share * share
-    out.reach = h * beta / out.gamma
-    out.coast = h * h * (HALF - beta) - out.reach * h * (ONE - out.gamma)
-    out.stiff = share / (beta * h * h)
+    if forget or h > slack * last or last > slack * h:
+        out.gamma = ONE
+        out.reach = h
+        out.stiff = ONE / (h * h)
+    else:
+        out.alpha = (left - ONE) / (left + ONE)
+        out.gamma = HALF - out.alpha
+        share = ONE - out.alpha
+        beta = wp.float64(0.25) * share * share
+        out.reach = h * beta / out.gamma
+        out.coast = h * h * (HALF - beta) - out.reach * h * (ONE - out.gamma)
+        out.stiff = share / (beta * h * h)
     return out
 
 

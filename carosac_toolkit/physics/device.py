@@ -153,7 +153,8 @@ def check_device(device: str) -> None:
         warp_setup.initialise()
         known = [str(found) for found in wp.get_devices()]
         if device not in [*known, "cuda"] or (device == "cuda" and len(known) < 2):
-            raise InvalidField("device", repr(device), f"one of {known}")
+            none = "" if len(known) > 1 else "; no CUDA device was found"
+            raise InvalidField("device", repr(device), f"one of {known}{none}")
 
 
 def device_robot(robot: Robot | Fleet, device: str) -> tuple[wp.array, wp.array]:

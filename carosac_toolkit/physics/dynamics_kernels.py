@@ -9,6 +9,7 @@ of a straight cable that swings about its exit, and so does its air drag.
 import warp as wp
 
 from carosac_toolkit.physics.body_kernels import (
+    SMOOTH,
     Motion,
     RigidBody,
     Scheme,
@@ -23,7 +24,7 @@ from carosac_toolkit.physics.body_kernels import (
     scheme_of,
     solve_system,
 )
-from carosac_toolkit.physics.cable_kernels import ZERO, Cable, guess_cable, settle
+from carosac_toolkit.physics.cable_kernels import ONE, ZERO, Cable, guess_cable, settle
 from carosac_toolkit.physics.platform_kernels import cable_stiffness
 from carosac_toolkit.physics.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.world_kernels import (
@@ -36,6 +37,7 @@ from carosac_toolkit.physics.world_kernels import (
     is_lost,
     is_nonsense,
     publish,
+    roughness,
     turn_back,
     turn_winches,
 )
@@ -44,6 +46,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 INNER = wp.constant(60)  # steps of one cable
 LOOSE = wp.constant(wp.float64(1.0e-3))  # of the typical length: a larger closure is closed first
+SNAP = wp.constant(wp.float64(0.5))  # share by which a tension changes in a step that snaps
 TIGHT = wp.constant(wp.float64(1.0e-12))
 NEAR = wp.constant(wp.float64(0.3))  # of q: a larger correction is not of first order any more
 GAP = wp.constant(
@@ -195,21 +198,20 @@ def keep_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, b
                  scheme: Scheme):  # fmt: skip
     """Anchor velocities and tensions at the end of a time step."""
     motion = worlds.motion[b]
-    rough = int(0)
+    snap = wp.float64(0.0)
     for i in range(worlds.winch.shape[1]):
-        worlds.tension[b, i] = hung.tension[b, i]
-        if (
-            not worlds.tension[b, i]
-            > plants.cables[row, i].weight_per_length * worlds.winch[b, i].length
-        ):
-            rough = 1
+        before = worlds.tension[b, i]
+        now = hung.tension[b, i]
+        if wp.abs(now - before) > SNAP * wp.max(now, before):
+            snap = ONE
+        worlds.tension[b, i] = now
         arm = motion.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
         velocity = motion.velocity + wp.cross(motion.angular_velocity, arm)
         worlds.anchor_rate[b, i] = rate_after(
             scheme, worlds.anchor_velocity[b, i], worlds.anchor_rate[b, i], velocity
         )
         worlds.anchor_velocity[b, i] = velocity
-    worlds.rough[b] = rough
+    worlds.rough[b] = roughness(worlds.rough[b], ZERO, snap)
 
 
 @wp.func
@@ -222,7 +224,7 @@ def time_step(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, mode
     body = plants.bodies[row]
     start = worlds.motion[b]
     gusts = blow(plants.winds[row], worlds.gusts[b], worlds.time[b] + h, worlds.seed[b])
-    scheme = scheme_of(h, worlds.rough[b])
+    scheme = scheme_of(h, worlds.last[b], worlds.rough[b] > 0, SMOOTH)
     velocity = start.velocity + h * start.velocity_rate
     omega = start.angular_velocity + h * start.angular_rate
     trial = moved(start, scheme, velocity, omega)
@@ -255,6 +257,7 @@ def time_step(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, mode
         worlds.motion[b] = finish(body, start, trial, scheme)
         worlds.gusts[b] = gusts
         worlds.time[b] = worlds.time[b] + h
+        worlds.last[b] = h
         keep_anchors(plants, worlds, hung, b, row, body, scheme)
     return 1
 

@@ -17,6 +17,7 @@ from carosac_toolkit.physics.winch_kernels import Winch, WinchState, winch_advan
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
+CALM = wp.constant(3)  # steps after which a change from slack to taut is over
 LIMIT = wp.constant(12)  # Newton steps in one time step
 FINEST = wp.constant(64)  # parts of a time step in which it may be taken where it fails
 STEP = wp.constant(wp.float64(1.0e-7))  # [m] a smaller Newton step of the platform is the last
@@ -45,7 +46,9 @@ class Worlds:
     command: wp.array2d(dtype=wp.float64)  # [m]
     gusts: wp.array(dtype=Gusts)
     seed: wp.array(dtype=int)
-    rough: wp.array(dtype=int)  # whether a cable was slack at the end of the last step
+    last: wp.array(dtype=wp.float64)  # size of the last step [s]; 0: there was none
+    slack: wp.array(dtype=wp.float64)  # stands for which segments of chains are slack
+    rough: wp.array(dtype=int)  # steps to go since a cable fell slack or snapped taut
     failed: wp.array(dtype=int)
     time: wp.array(dtype=wp.float64)  # since the last reset [s]
     position: wp.array(dtype=wp.vec3d)  # platform origin [m]
@@ -139,6 +142,14 @@ def turn_back(worlds: Worlds, b: int, lane: int, lanes: int):
 
 
 @wp.func
+def roughness(rough: int, before: wp.float64, now: wp.float64) -> int:
+    """Steps to go until an impact is over, which is where `before` and `now` differ."""
+    if before != now:
+        return CALM
+    return wp.max(rough - 1, 0)
+
+
+@wp.func
 def is_lost(motion: Motion, body: RigidBody, home: wp.vec3d) -> bool:
     """Whether a motion is not finite or far away from everything."""
     return not (
@@ -182,6 +193,8 @@ def place(plants: Plants, worlds: Worlds, which: wp.array(dtype=int),
     worlds.motion[b] = motion
     worlds.gusts[b] = Gusts()
     worlds.time[b] = wp.float64(0.0)
+    worlds.last[b] = wp.float64(0.0)
+    worlds.slack[b] = wp.float64(0.0)
     worlds.rough[b] = 0
     worlds.failed[b] = 0
     worlds.iterations[b] = 0

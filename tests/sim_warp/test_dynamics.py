@@ -290,3 +290,45 @@ def test_a_robot_that_cannot_rest_at_home_waits_for_a_place_where_it_can():
     assert sim.state.numpy().failed.tolist() == [False, True]
     sim.reset(np.tile(robot.home_position, (2, 1)))
     assert not sim.state.numpy().failed.any()
+
+
+@pytest.mark.parametrize("cables", ["particles", "catenary", "straight"])
+@pytest.mark.parametrize("short", [4e-3, 1e-4, 1e-6])
+def test_calls_of_unequal_length_give_no_energy(cables, short):
+    """What a method remembers of a long step must not be taken for the short one's, and back."""
+    robot = simple_robot()
+    sim = Simulator(robot, cables=cables, time_step=8e-3)
+    sim.reset(twist=KICK)
+    hold, speed = held(sim), []
+    for _ in range(300):
+        for duration in (8e-3, short):
+            sim.step(hold, duration)
+        speed.append(np.linalg.norm(sim.state.twist.numpy()[0]))
+    assert max(speed[200:]) < max(speed[:50])
+    assert sim.state.tension.numpy().max() < 500.0
+
+
+@pytest.mark.parametrize("cables", ["catenary", "straight"])
+def test_cables_as_stiff_as_steel_that_snap_give_no_energy(cables):
+    """Thrown platforms fall into their cables, again and again."""
+    base = simple_robot()
+    robot = undamped(base, axial_stiffness=10.0 * base.axial_stiffness)
+    sim = Simulator(robot, worlds=32, cables=cables)
+    rng = np.random.default_rng(0)
+    thrown = np.concatenate([rng.normal(0.0, 1.5, (32, 3)), np.zeros((32, 3))], axis=1)
+    sim.reset(twist=thrown)
+    hold = held(sim)
+
+    def energy():
+        state = sim.state.numpy()
+        turn = state.rotation
+        mass = [cable_reference.mass_matrix(robot, turn[b]) for b in range(32)]
+        moving = np.array([state.twist[b] @ mass[b] @ state.twist[b] / 2.0 for b in range(32)])
+        return moving + robot.weight * (state.position + turn @ robot.center_of_mass)[:, 2]
+
+    start, most = energy(), np.full(32, -np.inf)
+    for _ in range(100):
+        sim.step(hold, 0.05)
+        most = np.maximum(most, energy())
+    assert not sim.state.numpy().failed.any()
+    assert (most - start).max() < 5.0  # J, of 80 on average; cables of 0.4 kg hold some of it
