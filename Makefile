@@ -45,14 +45,17 @@ lint: $(STAMP)  ## check style, formatting and types
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
-bench: $(STAMP)  ## measure speed: statics, limits
+bench: $(STAMP)  ## measure speed: statics, limits, simulator beside MuJoCo
+	@$(BIN)/python -m pip install -qq --constraint constraints.txt mujoco
 	$(BIN)/python -m benchmarks.statics
 	$(BIN)/python -m benchmarks.limits
+	$(BIN)/python -m benchmarks.simulator
 
 bars: $(STAMP)  ## run the slow acceptance measurements; figures go to benchmarks/RESULTS.md
 	$(BIN)/python -m benchmarks.bars
 	$(BIN)/python -m benchmarks.limits_bar
 	$(BIN)/python -m benchmarks.studies
+	$(BIN)/python -m benchmarks.simulator_bars
 
 docs: $(STAMP)  ## build the documentation into docs/_build
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
