@@ -161,31 +161,33 @@ def smooth_motion(
 
 
 def draw(rows: list[dict[str, Any]]) -> None:
-    """Accuracy against speed, both ways of measuring accuracy."""
+    """Accuracy against speed, both ways of measuring accuracy; letters stand for the rows."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.5, 4.6), layout="constrained")
-    panels = figure.subplots(1, 2)
+    figure = Figure(figsize=(11.5, 4.6), layout="constrained")
+    *panels, names = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 0.5))
     for panel, key, title in (
         (panels[0], "settle_mm", "at rest, from the exact equilibrium"),
         (panels[1], "swing_points_mm", "in a swing of 12 s, from 10 point masses at 16 µs"),
     ):
-        for row in rows:
-            mujoco = row["model"].startswith("MuJoCo")
-            x, y = 1.0 / row["cpu_s_per_s"], max(row[key], 1e-6)
-            panel.plot(x, y, "s" if mujoco else "o", color="tab:orange" if mujoco else "tab:blue")
-            label = f"{row['model'].removeprefix('MuJoCo ')}, {1e3 * row['step_s']:g} ms"
-            panel.annotate(label, (x, y), xytext=(4, 4), textcoords="offset points", fontsize=6.5)
+        for letter, row in zip("abcdefghijklmnop", rows, strict=False):
+            x, y = 1.0 / row["cpu_s_per_s"], max(row[key], 1e-7)
+            color = "tab:orange" if row["model"].startswith("MuJoCo") else "tab:blue"
+            panel.plot(x, y, "o", color=color, ms=13, alpha=0.75)
+            panel.text(x, y, letter, ha="center", va="center", fontsize=8, color="white")
         panel.set(
             xscale="log", yscale="log", xlabel="times real time, one world on one core",
             ylabel="distance [mm]",
         )  # fmt: skip
         panel.set_title(title, fontsize=10)
-        panel.grid(alpha=0.3, which="both")
-        panel.margins(x=0.2)
-    panels[0].plot([], [], "o", color="tab:blue", label="this simulator")
-    panels[0].plot([], [], "s", color="tab:orange", label="MuJoCo 4")
-    panels[0].legend(fontsize=8, loc="lower left")
+        panel.grid(alpha=0.3)
+        panel.margins(0.1)
+    names.axis("off")
+    lines = [
+        f"{letter}  {row['model']}, {1e3 * row['step_s']:g} ms"
+        for letter, row in zip("abcdefghijklmnop", rows, strict=False)
+    ]
+    names.text(0.0, 0.97, "\n".join(lines), va="top", fontsize=8.5, linespacing=1.6)
     figure.savefig(PICTURE, dpi=130)
 
 
