@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 
 from carosac_toolkit.arrays import Array, frozen_array, set_frozen
-from carosac_toolkit.errors import InvalidField, MissingFile
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.npz import read_npz, write_npz
 
 
 class RigidBody(NamedTuple):
@@ -159,13 +158,7 @@ class Robot:
         record = asdict(self)
         arrays = {k: v for k, v in record.items() if isinstance(v, np.ndarray)}
         rest = {k: v for k, v in record.items() if k not in arrays}
-        target = Path(path)
-        if not target.parent.is_dir():
-            raise MissingFile(target.parent, "the folder must exist")
-        temporary = target.with_name(target.name + ".part")
-        with temporary.open("wb") as stream:
-            np.savez(stream, allow_pickle=False, __fields__=np.array(json.dumps(rest)), **arrays)
-        temporary.replace(target)
+        write_npz(path, "__fields__", rest, arrays)
 
     @classmethod
     def from_npz(cls, path: str | Path) -> Robot:
@@ -175,14 +168,8 @@ class Robot:
             MissingFile: There is no such file.
             InvalidField: The file was not written by `to_npz`.
         """
-        if not Path(path).is_file():
-            raise MissingFile(path)
-        try:
-            with np.load(path, allow_pickle=False) as data:
-                record = json.loads(str(data["__fields__"]))
-                record |= {k: data[k] for k in data.files if k != "__fields__"}
-        except (ValueError, KeyError, OSError, EOFError, BadZipFile) as error:
-            raise InvalidField("path", path, "a file written by Robot.to_npz") from error
+        rest, arrays = read_npz(path, "__fields__", "Robot.to_npz")
+        record = rest | arrays
         unknown = set(record) ^ {field.name for field in fields(cls)}
         if unknown:
             raise InvalidField("path", path, f"the fields of Robot; differing: {sorted(unknown)}")

@@ -12,7 +12,7 @@ from carosac_toolkit.physics.cable_kernels import HALF, ONE, ZERO, Cable, invers
 from carosac_toolkit.physics.platform_kernels import orthonormal, rotation_of
 from carosac_toolkit.physics.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.world_kernels import Plants, Worlds
-from sim_warp.particle_kernels import Chains, Feed, length_share, run_strain, share_out
+from sim_warp.particle_kernels import Chains, Feed, length_share, node_mass, run_strain, share_out
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -64,11 +64,10 @@ def hang_chain(t: wp.vec3d, anchor: wp.vec3d, length: wp.float64, cable: Cable,
         piece = length_share(k, segments) * feed.other
         span = piece * (ONE + strain)
         axial = piece / cable.axial_stiffness
-        mass = feed.other_mass
+        mass = node_mass(feed, k)
         if k == 0:
             span = first_span(cable, feed, gravity, unit, strain) - out.arc
             axial = (feed.first + cable.run_length) / cable.axial_stiffness
-            mass = HALF * (feed.first_mass + feed.other_mass)
         if k == last:
             mass = HALF * feed.other_mass
         reach = reach + span * unit
@@ -223,10 +222,8 @@ def place_chains(plants: Plants, worlds: Worlds, chains: Chains, which: wp.array
             tension = wp.length(pull)
             strain = tension / cable.axial_stiffness
             span = length_share(k, chains.segments) * feed.other * (ONE + strain)
-            mass = feed.other_mass
             if k == 0:
                 span = first_span(cable, feed, body.gravity, pull / tension, strain) - arc
-                mass = HALF * (feed.first_mass + feed.other_mass)
             point = point - (span / tension) * pull
             chains.predicted[b, i, k] = tension
             if k < chains.segments - 1:
@@ -234,4 +231,4 @@ def place_chains(plants: Plants, worlds: Worlds, chains: Chains, which: wp.array
                 share = wp.float64(k + 1) / count
                 chains.velocity[b, i, k] = share * worlds.anchor_velocity[b, i]
                 chains.rate[b, i, k] = wp.vec3d()
-            pull = pull - wp.vec3d(ZERO, ZERO, mass * body.gravity)
+            pull = pull - wp.vec3d(ZERO, ZERO, node_mass(feed, k) * body.gravity)

@@ -40,7 +40,7 @@ from carosac_toolkit.physics.body_kernels import (
     scheme_of,
     solve_system,
 )
-from carosac_toolkit.physics.cable_kernels import HALF, ONE, ZERO, Cable
+from carosac_toolkit.physics.cable_kernels import HALF, ONE, ZERO, Cable, density_of
 from carosac_toolkit.physics.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.world_kernels import (
     LIMIT,
@@ -212,7 +212,7 @@ def share_out(cable: Cable, length: wp.float64, rate: wp.float64, arc: wp.float6
               tension: wp.float64, gravity: wp.float64, segments: int) -> Feed:  # fmt: skip
     """What is on the pulley and what came from the run is in the first segment."""
     count = wp.float64(segments)
-    density = cable.weight_per_length / gravity
+    density = density_of(cable, gravity)
     out = Feed()
     out.other = (length - arc) / count
     out.other_rate = rate / count
@@ -224,6 +224,27 @@ def share_out(cable: Cable, length: wp.float64, rate: wp.float64, arc: wp.float6
     out.first_mass = density * hanging
     out.other_mass = density * out.other
     return out
+
+
+@wp.func
+def node_mass(feed: Feed, k: int) -> wp.float64:
+    """Mass of the node below segment k [kg]."""
+    mass = feed.other_mass
+    if k == 0:
+        mass = HALF * (feed.first_mass + feed.other_mass)
+    return mass
+
+
+@wp.func
+def wrapped_arc(cable: Cable, node: wp.vec3d) -> wp.float64:
+    """Length on the pulley of a cable whose first node is there [m]."""
+    arc = wp.float64(0.0)
+    if cable.pulley_radius > ZERO:
+        _span, wrap, _unit, _bend, _valid = straight_cable(
+            node - cable.exit_point, cable.pulley_radius, cable.swivel_axis
+        )
+        arc = wrap * cable.pulley_radius
+    return arc
 
 
 @wp.func
@@ -305,9 +326,7 @@ def sweep_down(chains: Chains, cable: Cable, feed: Feed, b: int, s: int, i: int,
             velocity = chains.trial[s, i, k]
             lower = chains.position[b, i, k] + increment(scheme, v, a, velocity)
             felt = rate_felt(scheme, v, a, velocity)
-            lower_mass = feed.other_mass
-            if k == 0:
-                lower_mass = HALF * (feed.first_mass + feed.other_mass)
+            lower_mass = node_mass(feed, k)
         part = Segment()
         if k == 0:
             part = first_segment(
@@ -441,7 +460,6 @@ def keep_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, 
         last = chains.segments - 1
         end = chains.end_load[s, i] - chains.predicted[b, i, last] * chains.end_unit[s, i]
         worlds.tension[b, i] = wp.length(end)
-        lower = motion.center + arm
         for k in range(last):
             v = chains.velocity[b, i, k]
             a = chains.rate[b, i, k]
@@ -449,13 +467,7 @@ def keep_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, 
             chains.position[b, i, k] = chains.position[b, i, k] + increment(scheme, v, a, u)
             chains.rate[b, i, k] = rate_after(scheme, v, a, u)
             chains.velocity[b, i, k] = u
-        if cable.pulley_radius > ZERO:
-            if last > 0:
-                lower = chains.position[b, i, 0]
-            _span, wrap, _unit, _bend, _valid = straight_cable(
-                lower - cable.exit_point, cable.pulley_radius, cable.swivel_axis
-            )
-            chains.arc[b, i] = wrap * cable.pulley_radius
+        chains.arc[b, i] = wrapped_arc(cable, chains.position[b, i, 0])
     return lane_sum(slack, lane.count)
 
 

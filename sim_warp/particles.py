@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.physics import warp_setup
-from carosac_toolkit.physics.dynamics import place_worlds
+from carosac_toolkit.physics.dynamics import Advance, place_worlds
 from carosac_toolkit.physics.statics import Equilibrium
 from sim_warp import chain_start_kernels, particle_kernels
 
@@ -36,13 +36,13 @@ class ParticleDynamics:
         warp_setup.load(particle_kernels, device)
         self._plants = plants
         self._worlds = worlds
-        self._size = size
         self._device = device
+        self.chains = self._allocate(size, n, segments, drag)
         # On a GPU each cable has a thread of its own, in powers of two that make up a warp.
         on_host = wp.get_device(device).is_cpu
-        self._lanes = 1 if on_host else min(32, 1 << (n - 1).bit_length())
-        self.chains = self._allocate(size, n, segments, drag)
-        self._launches: dict[int, Any] = {}
+        lanes = 1 if on_host else min(32, 1 << (n - 1).bit_length())
+        before = [plants, worlds, self.chains]
+        self.advance = Advance(particle_kernels.advance, size * lanes, before, [lanes], device)
 
     def _allocate(self, size: int, n: int, segments: int, drag: float) -> Any:
         """The `Chains` struct; scratch for one world where they are computed in turn."""
@@ -106,23 +106,3 @@ class ParticleDynamics:
             inputs=[self._plants, self._worlds, self.chains, found], device=self._device,
         )  # fmt: skip
         return found
-
-    def advance(self, follow: bool, count: int, h: float) -> None:
-        """Advance all worlds by `count` time steps of h [s] towards the commands of `Worlds`.
-
-        Args:
-            follow: Whether the lengths go straight to the command, without winches.
-            count: Time steps.
-            h: Size of each [s].
-        """
-        key = int(follow)
-        if key not in self._launches:
-            self._launches[key] = wp.launch(
-                particle_kernels.advance, self._size * self._lanes,
-                inputs=[self._plants, self._worlds, self.chains, key, count, h, self._lanes],
-                device=self._device, record_cmd=True,
-            )  # fmt: skip
-        launch = self._launches[key]
-        launch.set_param_at_index(4, count)
-        launch.set_param_at_index(5, h)
-        launch.launch()

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.physics import warp_setup
+from carosac_toolkit.physics.dynamics import Advance
 from carosac_toolkit.physics.statics import Equilibrium
 from sim_warp import xpbd_kernels
 from sim_warp.particles import ParticleDynamics
@@ -43,9 +44,8 @@ class XpbdDynamics:
         """
         warp_setup.load(xpbd_kernels, device)
         self._particles = ParticleDynamics(plants, worlds, size, n, device, segments, drag)
-        self._inputs = [plants, worlds, self._particles.chains, iterations]
-        self._size = size
-        self._device = device
+        before = [plants, worlds, self._particles.chains, iterations]
+        self.advance = Advance(xpbd_kernels.advance, size, before, [], device)
         self.arrays = self._particles.arrays
 
     def place(self, which: NDArray[np.int32], rest: Equilibrium, twist: Array) -> None:
@@ -55,8 +55,3 @@ class XpbdDynamics:
     def points(self, segments: int) -> wp.array:
         """Points on the cables; see `ParticleDynamics.points`."""
         return self._particles.points(segments)
-
-    def advance(self, follow: bool, count: int, h: float) -> None:
-        """Advance all worlds; see `ParticleDynamics.advance`."""
-        inputs = [*self._inputs, int(follow), count, h]
-        wp.launch(xpbd_kernels.advance, self._size, inputs=inputs, device=self._device)

@@ -13,7 +13,7 @@ References:
 import warp as wp
 
 from carosac_toolkit.physics.body_kernels import Motion, RigidBody, blow, world_inertia
-from carosac_toolkit.physics.cable_kernels import HALF, ONE, ZERO, Cable, inverse33
+from carosac_toolkit.physics.cable_kernels import HALF, ONE, ZERO, Cable, density_of, inverse33
 from carosac_toolkit.physics.platform_kernels import orthonormal, rotation_of
 from carosac_toolkit.physics.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.world_kernels import (
@@ -25,7 +25,15 @@ from carosac_toolkit.physics.world_kernels import (
     turn_back,
     turn_winches,
 )
-from sim_warp.particle_kernels import Chains, Feed, length_share, run_strain, share_out
+from sim_warp.particle_kernels import (
+    Chains,
+    Feed,
+    length_share,
+    node_mass,
+    run_strain,
+    share_out,
+    wrapped_arc,
+)
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -72,8 +80,7 @@ def whole_body(plants: Plants, worlds: Worlds, chains: Chains, b: int, row: int,
 def half_mass(cable: Cable, length: wp.float64, arc: wp.float64, body: RigidBody,
               segments: int) -> wp.float64:  # fmt: skip
     """Mass of half a segment [kg]."""
-    density = cable.weight_per_length / body.gravity
-    return HALF * density * (length - arc) / wp.float64(segments)
+    return HALF * density_of(cable, body.gravity) * (length - arc) / wp.float64(segments)
 
 
 @wp.func
@@ -97,7 +104,6 @@ def pull_segment(chains: Chains, cable: Cable, feed: Feed, b: int, s: int, i: in
     last = chains.segments - 1
     share = length_share(k, chains.segments)
     rest = share * feed.other
-    mass = feed.other_mass
     if k == 0:
         rest = feed.first + cable.run_length
     compliance = rest / cable.axial_stiffness / (h * h)
@@ -109,10 +115,7 @@ def pull_segment(chains: Chains, cable: Cable, feed: Feed, b: int, s: int, i: in
     if k > 0:
         upper = chains.position[b, i, k - 1]
         upper_step = upper - chains.trial[s, i, k - 1]
-        above = mass
-        if k == 1:
-            above = HALF * (feed.first_mass + mass)
-        upper_mobility = ONE / above
+        upper_mobility = ONE / node_mass(feed, k - 1)
     if k == last:
         offset = cable.anchor_point - body.center_of_mass - platform.lever
         arm = platform.rotation * offset
@@ -139,10 +142,7 @@ def pull_segment(chains: Chains, cable: Cable, feed: Feed, b: int, s: int, i: in
         turn = platform.turning * wp.cross(arm, unit)
         lower_mobility = platform.mobility + wp.dot(wp.cross(arm, unit), turn)
     else:
-        below = mass
-        if k == 0:
-            below = HALF * (feed.first_mass + mass)
-        lower_mobility = ONE / below
+        lower_mobility = ONE / node_mass(feed, k)
     multiplier = chains.predicted[b, i, k]
     rate = wp.dot(unit, lower_step - upper_step) - paid
     change = -(excess + compliance * multiplier + slip * rate) / (
@@ -191,11 +191,7 @@ def keep_nodes(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, r
         unit = wp.normalize(motion.center + arm - chains.position[b, i, last - 1])
         end = -chains.predicted[b, i, last] * unit - wp.vec3d(ZERO, ZERO, mass * body.gravity)
         worlds.tension[b, i] = wp.length(end)
-        if cable.pulley_radius > ZERO:
-            _span, wrap, _unit, _bend, _valid = straight_cable(
-                chains.position[b, i, 0] - cable.exit_point, cable.pulley_radius, cable.swivel_axis
-            )
-            chains.arc[b, i] = wrap * cable.pulley_radius
+        chains.arc[b, i] = wrapped_arc(cable, chains.position[b, i, 0])
 
 
 @wp.func

@@ -45,6 +45,12 @@ class Cable:
     tension_max: wp.float64  # [N]
 
 
+@wp.func
+def density_of(cable: Cable, gravity: wp.float64) -> wp.float64:
+    """Mass per unstrained length [kg/m]."""
+    return cable.weight_per_length / gravity
+
+
 @wp.struct
 class Span:
     """The free cable between tangent point and anchor."""

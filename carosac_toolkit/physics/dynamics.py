@@ -64,6 +64,45 @@ def place_worlds(
     return rows
 
 
+class Advance:
+    """Launches of an ``advance`` kernel, recorded at the first use, replayed afterwards."""
+
+    def __init__(
+        self, kernel: wp.Kernel, threads: int, before: list[Any], after: list[Any], device: str
+    ) -> None:
+        """Prepare.
+
+        Args:
+            kernel: Its arguments are `before`, whether to follow, count, step, `after`.
+            threads: Of a launch.
+            before: First arguments.
+            after: Last arguments.
+            device: Warp device.
+        """
+        self._kernel, self._threads, self._device = kernel, threads, device
+        self._before, self._after = before, after
+        self._launches: dict[int, Any] = {}
+
+    def __call__(self, follow: bool, count: int, h: float) -> None:
+        """Advance all worlds by `count` time steps of h [s] towards the commands of `Worlds`.
+
+        Args:
+            follow: Whether the lengths go straight to the command, without winches.
+            count: Time steps.
+            h: Size of each [s].
+        """
+        key = int(follow)
+        if key not in self._launches:
+            self._launches[key] = wp.launch(
+                self._kernel, self._threads, inputs=[*self._before, key, count, h, *self._after],
+                device=self._device, record_cmd=True,
+            )  # fmt: skip
+        launch = self._launches[key]
+        launch.set_param_at_index(len(self._before) + 1, count)
+        launch.set_param_at_index(len(self._before) + 2, h)
+        launch.launch()
+
+
 class NodelessDynamics:
     """B worlds with cables that have no nodes. See `carosac_toolkit.physics.worlds`."""
 
@@ -91,7 +130,6 @@ class NodelessDynamics:
         warp_setup.load(dynamics_kernels, device)
         self._plants = plants
         self._worlds = worlds
-        self._size = size
         self._device = device
         self._model = ("catenary", "straight").index(cables)
         hung = dynamics_kernels.Hung()
@@ -100,7 +138,8 @@ class NodelessDynamics:
         hung.tension = wp.zeros((size, n), dtype=wp.float64, device=device)
         hung.drag = drag
         self._hung = hung
-        self._launches: dict[int, Any] = {}
+        before = [plants, worlds, hung, self._model]
+        self.advance = Advance(dynamics_kernels.advance, size, before, [], device)
 
     @property
     def arrays(self) -> dict[str, wp.array]:
@@ -129,23 +168,3 @@ class NodelessDynamics:
             inputs = [self._plants, self._worlds, found]
         wp.launch(kernel, shape, inputs=inputs, device=self._device)
         return found
-
-    def advance(self, follow: bool, count: int, h: float) -> None:
-        """Advance all worlds by `count` time steps of h [s] towards the commands of `Worlds`.
-
-        Args:
-            follow: Whether the lengths go straight to the command, without winches.
-            count: Time steps.
-            h: Size of each [s].
-        """
-        key = int(follow)
-        if key not in self._launches:
-            self._launches[key] = wp.launch(
-                dynamics_kernels.advance, self._size,
-                inputs=[self._plants, self._worlds, self._hung, self._model, key, count, h],
-                device=self._device, record_cmd=True,
-            )  # fmt: skip
-        launch = self._launches[key]
-        launch.set_param_at_index(5, count)
-        launch.set_param_at_index(6, h)
-        launch.launch()

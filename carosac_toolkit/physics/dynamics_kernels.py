@@ -24,7 +24,7 @@ from carosac_toolkit.physics.body_kernels import (
     scheme_of,
     solve_system,
 )
-from carosac_toolkit.physics.cable_kernels import ONE, ZERO, Cable, guess_cable, settle
+from carosac_toolkit.physics.cable_kernels import ONE, ZERO, Cable, density_of, guess_cable, settle
 from carosac_toolkit.physics.platform_kernels import cable_stiffness
 from carosac_toolkit.physics.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.world_kernels import (
@@ -49,11 +49,8 @@ LOOSE = wp.constant(wp.float64(1.0e-3))  # of the typical length: a larger closu
 SNAP = wp.constant(wp.float64(0.5))  # share by which a tension changes in a step that snaps
 TIGHT = wp.constant(wp.float64(1.0e-12))
 NEAR = wp.constant(wp.float64(0.3))  # of q: a larger correction is not of first order any more
-GAP = wp.constant(
-    wp.float64(1.0e-5)
-)  # [m] a larger closure asks for another step; it is then closed
+GAP = wp.constant(wp.float64(1.0e-5))  # [m] a larger closure asks for another step
 SAGGING = wp.constant(0)
-STRAIGHT = wp.constant(1)
 
 
 @wp.struct
@@ -127,7 +124,7 @@ def straight_pull(cable: Cable, anchor: wp.vec3d, velocity: wp.vec3d, length: wp
 @wp.func
 def anchor_mass(cable: Cable, length: wp.float64, gravity: wp.float64) -> wp.float64:
     """Mass that moves with the anchor point [kg]."""
-    return cable.weight_per_length / gravity * length / wp.float64(3.0)
+    return density_of(cable, gravity) * length / wp.float64(3.0)
 
 
 @wp.struct

@@ -1,0 +1,56 @@
+"""One ``.npz`` file for arrays and what goes with them as JSON, readable with numpy alone."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.errors import InvalidField, MissingFile
+
+
+def write_npz(path: str | Path, key: str, rest: Any, arrays: dict[str, NDArray[Any]]) -> None:
+    """Write a file as a whole or not at all.
+
+    Args:
+        path: In a folder that exists.
+        key: Name under which `rest` is kept.
+        rest: What JSON can hold.
+        arrays: By name.
+
+    Raises:
+        MissingFile: The folder does not exist.
+    """
+    target = Path(path)
+    if not target.parent.is_dir():
+        raise MissingFile(target.parent, "the folder must exist")
+    temporary = target.with_name(target.name + ".part")
+    with temporary.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **{key: np.array(json.dumps(rest))}, **arrays)
+    temporary.replace(target)
+
+
+def read_npz(path: str | Path, key: str, writer: str) -> tuple[Any, dict[str, NDArray[Any]]]:
+    """Read what `write_npz` wrote: the rest, and the arrays by name.
+
+    Args:
+        path: The file.
+        key: As it was written.
+        writer: Who writes such files, for the error message.
+
+    Raises:
+        MissingFile: There is no such file.
+        InvalidField: It is no such file.
+    """
+    if not Path(path).is_file():
+        raise MissingFile(path)
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            rest = json.loads(str(data[key]))
+            return rest, {k: data[k] for k in data.files if k != key}
+    except (ValueError, KeyError, OSError, EOFError, BadZipFile) as error:
+        raise InvalidField("path", path, f"a file written by {writer}") from error
