@@ -12,6 +12,7 @@ import numpy as np
 from carosac_toolkit.arrays import Array, frozen_array, set_frozen
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.npz import read_npz, write_npz
+from carosac_toolkit.parameters import check_names
 
 
 class RigidBody(NamedTuple):
@@ -68,8 +69,11 @@ class Robot:
         length_max: Longest unstrained length the winch can reach [m], shape (n,).
         drum_radius: At unstrained length 0, the cable fully wound in [m], shape (n,); None:
             unknown, lengths are commanded directly.
-        drum_buildup: Decrease of the squared drum radius per length paid out [m], shape (n,);
-            None: unknown.
+        drum_buildup: Decrease of the squared drum radius per length of line paid out [m], shape
+            (n,); None: unknown.
+        drum_gear: Turns of the motor per turn of the drum, shape (n,); None: unknown.
+        drum_advantage: Line paid out per change of the cable's length, as by a tackle, shape (n,);
+            None: 1.
         mass: Platform with payloads [kg].
         center_of_mass: Of platform with payloads, in P [m], shape (3,).
         inertia: Of platform with payloads, about the centre of mass, axes of P [kg m^2], (3, 3).
@@ -80,6 +84,14 @@ class Robot:
         workspace_max: Upper corner [m], (3,).
         home_position: Platform origin at home in W [m], (3,).
         home_rotation: Rotation from P to W at home, (3, 3).
+        length_offset: What the length sensors read at unstrained length 0 [m], shape (n,); None:
+            0, they were not calibrated.
+        length_scale: What they read more per unstrained length, shape (n,); None: 1.
+        length_delay: By how much their readings lead poses measured at the same time [s]; None: 0.
+        pose_rotation: Rotation from the frame of measured poses to W, (3, 3); None: the same frame.
+        calibrated: Parameters that a calibration estimated (`carosac_toolkit.parameters`), k of
+            them; None: not calibrated.
+        calibration_covariance: Their joint covariance, shape (k, k).
         description: One line for people.
         licence: Terms under which the numbers may be used.
         provenance: Where the numbers come from, by field of the robot file.
@@ -119,6 +131,14 @@ class Robot:
     description: str
     licence: str
     provenance: Mapping[str, str]
+    drum_gear: Array | None = None
+    drum_advantage: Array | None = None
+    length_offset: Array | None = None
+    length_scale: Array | None = None
+    length_delay: float | None = None
+    pose_rotation: Array | None = None
+    calibrated: tuple[str, ...] | None = None
+    calibration_covariance: Array | None = None
 
     def __post_init__(self) -> None:
         """Freeze every array and check every number that physics relies on."""
@@ -134,9 +154,14 @@ class Robot:
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, frozen_array(name, value, (n, *shape)))
+        if self.length_delay is not None:
+            object.__setattr__(self, "length_delay", _scalar("length_delay", self.length_delay))
+        if self.pose_rotation is not None:
+            set_frozen(self, {"pose_rotation": (3, 3)})
         self._check_signs()
         self._check_order()
         self._check_matrices()
+        self._check_calibration()
 
     @property
     def n(self) -> int:
@@ -218,9 +243,12 @@ class Robot:
                 "a symmetric positive definite matrix whose principal moments fulfil "
                 "I_max <= sum of the other two",
             )
-        product = self.home_rotation @ self.home_rotation.T
-        if not np.allclose(product, np.eye(3), atol=1e-9) or np.linalg.det(self.home_rotation) < 0:
-            raise InvalidField("home_rotation", "a matrix that is no rotation", "R R^T = 1, det +1")
+        for name in ("home_rotation", "pose_rotation"):
+            turn = getattr(self, name)
+            if turn is None:
+                continue
+            if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-9) or np.linalg.det(turn) < 0:
+                raise InvalidField(name, "a matrix that is no rotation", "R R^T = 1, det +1")
         length = np.linalg.norm(self.swivel_axis, axis=1)
         bad = (np.abs(length - 1.0) > 1e-9) & (self.pulley_radius > 0.0)
         if bad.any():
@@ -236,6 +264,24 @@ class Robot:
                 raise InvalidField(
                     f"exit_covariance[{index}]", "a negative variance", "positive semidefinite"
                 )
+
+    def _check_calibration(self) -> None:
+        """Refuse parameters that the robot does not have, and a covariance that is none."""
+        if (self.calibrated is None) != (self.calibration_covariance is None):
+            allowed = "calibrated and calibration_covariance, or neither"
+            raise InvalidField("calibrated", self.calibrated, allowed)
+        if self.calibrated is None:
+            return
+        check_names(self.cable_names, self.calibrated)
+        object.__setattr__(self, "calibrated", tuple(self.calibrated))
+        count = len(self.calibrated)
+        set_frozen(self, {"calibration_covariance": (count, count)})
+        matrix = np.asarray(self.calibration_covariance)
+        scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+        unit = matrix / np.outer(scale, scale)
+        if not np.allclose(unit, unit.T, atol=1e-6) or np.linalg.eigvalsh(unit)[0] < -1e-6:
+            allowed = "a symmetric positive semidefinite matrix"
+            raise InvalidField("calibration_covariance", "a matrix", allowed)
 
 
 def _scalar(name: str, value: object) -> float:
@@ -256,10 +302,14 @@ _OPTIONAL: dict[str, tuple[int, ...]] = {
     "exit_covariance": (3, 3),
     "drum_radius": (),
     "drum_buildup": (),
+    "drum_gear": (),
+    "drum_advantage": (),
+    "length_offset": (),
+    "length_scale": (),
 }
 _POSITIVE = (
     "mass", "gravity", "linear_density", "axial_stiffness", "cable_diameter", "speed_max",
-    "acceleration_max", "drum_radius",
+    "acceleration_max", "drum_radius", "drum_gear", "drum_advantage", "length_scale",
 )  # fmt: skip
 _NOT_NEGATIVE = (
     "pulley_radius", "run_length", "axial_damping", "tension_min", "winch_lag", "length_min",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -61,6 +61,8 @@ def build_robot(file: RobotFile) -> Robot:
         length_max=np.array([winch.length_max for winch in winches]),
         drum_radius=np.array([drum.radius for drum in drums]) if drums else None,
         drum_buildup=np.array([drum.buildup for drum in drums]) if drums else None,
+        drum_gear=_known([drum.gear for drum in drums]),
+        drum_advantage=np.array([drum.advantage or 1.0 for drum in drums]) if drums else None,
         mass=body.mass,
         center_of_mass=body.center_of_mass,
         inertia=body.inertia,
@@ -74,17 +76,14 @@ def build_robot(file: RobotFile) -> Robot:
         description=file.description,
         licence=file.licence,
         provenance=dict(file.provenance),
+        **_calibration(file),
     )
 
 
 def home_rotation(home: Home) -> Array:
     """Rotation from P to W at home, shape (3, 3); identity where the file states none."""
     if home.quaternion_wxyz is not None:
-        w, x, y, z = home.quaternion_wxyz
-        vector = np.array([x, y, z])
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        turned: Array = np.outer(vector, vector) + w * cross
-        return (w * w - float(vector @ vector)) * np.eye(3) + 2.0 * turned
+        return _rotation(home.quaternion_wxyz)
     roll, pitch, yaw = np.radians(home.rpy_deg or (0.0, 0.0, 0.0))
     about_x = np.array(
         [[1.0, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]]
@@ -95,6 +94,41 @@ def home_rotation(home: Home) -> Array:
     about_z = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1.0]])
     rotation: Array = about_z @ about_y @ about_x
     return rotation
+
+
+def _rotation(quaternion: list[float]) -> Array:
+    """Rotation matrix of a unit quaternion w, x, y, z."""
+    w, x, y, z = quaternion
+    vector = np.array([x, y, z])
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    turned: Array = np.outer(vector, vector) + w * cross
+    return (w * w - float(vector @ vector)) * np.eye(3) + 2.0 * turned
+
+
+def _calibration(file: RobotFile) -> dict[str, Any]:
+    """Fields that a calibration filled in."""
+    found: dict[str, Any] = {}
+    sensors = file.sensors
+    if sensors is not None and sensors.lengths is not None:
+        cables = [sensors.lengths.cables[chain.name] for chain in file.chains]
+        found["length_offset"] = np.array([cable.offset for cable in cables])
+        found["length_scale"] = np.array([cable.scale for cable in cables])
+        found["length_delay"] = sensors.lengths.delay
+    if sensors is not None and sensors.poses is not None:
+        found["pose_rotation"] = _rotation(sensors.poses.quaternion_wxyz)
+    if file.calibration is not None:
+        lower = np.zeros((len(file.calibration.parameters),) * 2)
+        for i, row in enumerate(file.calibration.covariance):
+            lower[i, : i + 1] = row
+        found["calibrated"] = tuple(file.calibration.parameters)
+        found["calibration_covariance"] = lower + np.tril(lower, -1).T
+    return found
+
+
+def _known(values: list[float | None]) -> Array | None:
+    """An array, or None where anything is missing."""
+    known = [value for value in values if value is not None]
+    return np.array(known) if known and len(known) == len(values) else None
 
 
 def _body(file: RobotFile) -> RigidBody:

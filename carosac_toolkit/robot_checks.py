@@ -24,7 +24,7 @@ _REFERENCES: dict[str, FieldPath] = {
 }
 _PHYSICAL = (
     "gravity", "frame", "platform", "cable_types", "winches", "chains", "tension_limits",
-    "workspace", "home",
+    "workspace", "home", "sensors", "calibration",
 )  # fmt: skip
 
 
@@ -40,6 +40,7 @@ def cross_faults(data: dict[str, Any], parts: Any) -> list[Fault]:
         *_limit_faults(data, parts),
         *_all_or_none(parts),
         *_home_faults(data, parts),
+        *_sensor_faults(data, parts),
         *_provenance_faults(data),
     ]
 
@@ -128,14 +129,24 @@ def _all_or_none(parts: Any) -> Iterator[Fault]:
         for name, winch in parts.winches.items():
             if winch.drum is None and any(w.drum is not None for w in parts.winches.values()):
                 yield ("winches", name), "drum missing; allowed: a drum in all winches or in none"
+            if winch.drum is not None and winch.drum.gear is None and _any_gear(parts.winches):
+                allowed = "a gear in all drums or in none"
+                yield ("winches", name, "drum"), f"gear missing; allowed: {allowed}"
             if winch.drum is not None and winch.length_max is not None:
-                most = winch.drum.radius**2 / winch.length_max
+                line = (winch.drum.advantage or 1.0) * winch.length_max
+                most = winch.drum.radius**2 / line
                 if winch.drum.buildup >= most:
                     yield (
                         ("winches", name, "drum", "buildup"),
-                        f"got {winch.drum.buildup:g} m; allowed: below radius^2 / length_max = "
-                        f"{most:g} m, so that the drum pays out {winch.length_max:g} m",
+                        f"got {winch.drum.buildup:g} m; allowed: below radius^2 / (advantage * "
+                        f"length_max) = {most:g} m, so that the drum pays out "
+                        f"{winch.length_max:g} m",
                     )
+
+
+def _any_gear(winches: Any) -> bool:
+    """Whether any drum has a gear."""
+    return any(w.drum is not None and w.drum.gear is not None for w in winches.values())
 
 
 def _home_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:
@@ -157,6 +168,20 @@ def _home_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:
             if not low <= value <= high:
                 allowed = f"inside the workspace box, from {low:g} to {high:g} m"
                 yield ("home", "position", i), f"got {value:g} m; allowed: {allowed}"
+
+
+def _sensor_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:
+    """Length sensors of cables that do not exist, or of some cables only."""
+    if parts.sensors is None or parts.sensors.lengths is None or parts.chains is None:
+        return
+    path: FieldPath = ("sensors", "lengths", "cables")
+    chains, known = [chain.name for chain in parts.chains], parts.sensors.lengths.cables
+    for name in known:
+        if name not in chains:
+            yield (*path, name), f"no such chain; allowed: {', '.join(chains)}"
+    for name in chains:
+        if name not in known:
+            yield path, f"{name} missing; allowed: all chains, {', '.join(chains)}"
 
 
 def _provenance_faults(data: dict[str, Any]) -> Iterator[Fault]:

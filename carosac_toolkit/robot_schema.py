@@ -169,10 +169,12 @@ class CableType(_Section):
 
 
 class Drum(_Section):
-    """A winch drum; the squared radius falls by `buildup` per length paid out."""
+    """A winch drum; the squared radius falls by `buildup` per length of line paid out."""
 
     radius: Extent
     buildup: Distance
+    gear: Annotated[float, _reads("1", "> 0")] | None = None
+    advantage: Annotated[float, _reads("1", "> 0")] | None = None
 
 
 class Winch(_Section):
@@ -265,6 +267,49 @@ class Home(_Section):
         return self
 
 
+class LengthSensor(_Section):
+    """What the length sensor of a cable reads: scale * unstrained length + offset."""
+
+    offset: Coordinate
+    scale: Annotated[float, _reads("1", "> 0")]
+
+
+class LengthSensors(_Section):
+    """The length sensors, by chain."""
+
+    delay: Annotated[float, _reads("s")]
+    cables: dict[str, LengthSensor]
+
+
+class PoseSensor(_Section):
+    """Motion capture or the like; the rotation is from its frame to W."""
+
+    quaternion_wxyz: Quaternion
+
+
+class Sensors(_Section):
+    """What a calibration found of the sensors."""
+
+    lengths: LengthSensors | None = None
+    poses: PoseSensor | None = None
+
+
+class Calibration(_Section):
+    """Parameters that were estimated, and the lower triangle of their covariance."""
+
+    parameters: list[Text]
+    covariance: list[list[Annotated[float, _reads("1")]]]
+
+    @model_validator(mode="after")
+    def _check(self) -> Calibration:
+        count = len(self.parameters)
+        if [len(row) for row in self.covariance] != list(range(1, count + 1)):
+            got = f"rows of {[len(row) for row in self.covariance]} numbers"
+            allowed = f"the lower triangle, rows of 1 to {count} numbers, one for each parameter"
+            raise FieldFault("covariance", got, allowed)
+        return self
+
+
 class RobotFile(_Section):
     """The whole file."""
 
@@ -281,4 +326,6 @@ class RobotFile(_Section):
     tension_limits: TensionLimits | None = None
     workspace: Box
     home: Home
+    sensors: Sensors | None = None
+    calibration: Calibration | None = None
     provenance: dict[str, Text]

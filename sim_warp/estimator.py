@@ -29,18 +29,20 @@ class SimulatorSettings(CableOptions):
 
     Attributes:
         delay: By how much the lengths lead the poses [s]: the belief at a time is the pose that
-            belongs to the lengths of that much earlier. 0: they are of the same time.
+            belongs to the lengths of that much earlier. 0: they are of the same time. None: what
+            the robot says, `Robot.length_delay`.
         gap_max: Time between two measurements [s] beyond which nothing is known of the motion; the
             platform is then hung anew.
     """
 
-    delay: float = 0.0
+    delay: float | None = None
     gap_max: float = 60.0
 
     def __post_init__(self) -> None:
         """Refuse what cannot be simulated."""
         super().__post_init__()
-        check_not_negative("delay", self.delay, "s")
+        if self.delay is not None:
+            check_not_negative("delay", self.delay, "s")
         check_positive("gap_max", self.gap_max, "s")
 
 
@@ -79,6 +81,9 @@ class SimulatorEstimator:
     def __init__(self, robot: Robot, settings: SimulatorSettings) -> None:
         self._robot = robot
         self._settings = settings
+        known = robot.length_delay or 0.0
+        self._delay = known if settings.delay is None else settings.delay
+        check_not_negative("delay", self._delay, "s")
         self._simulator: Simulator | None = None
         self._record: SimulationRecord | None = None
 
@@ -96,7 +101,7 @@ class SimulatorEstimator:
         if self._simulator is None or self._simulator.size != size:
             options = self._settings.simulator_options
             self._simulator = Simulator(self._robot, worlds=size, **options)
-        self._delayed = DelayedLengths(lengths, self._settings.delay)
+        self._delayed = DelayedLengths(lengths, self._delay)
         self._time = measurement.time
         self._lost = np.zeros(size, dtype=np.bool_)  # worlds that stand nowhere sensible
         good = self._hang(np.ones(size, dtype=np.bool_), lengths)

@@ -60,7 +60,8 @@ def _dispatch(words: list[str]) -> int:
     if words[0] == "--version":
         print(f"carosac {__version__}")
         return 0
-    return _run(words[0], words[1:])
+    name, rest = _command(words)
+    return _run(name, rest)
 
 
 def _commands() -> dict[str, EntryPoint]:
@@ -68,20 +69,39 @@ def _commands() -> dict[str, EntryPoint]:
     return {entry.name: entry for entry in sorted(entry_points(group="carosac.commands"))}
 
 
+def _command(words: list[str]) -> tuple[str, list[str]]:
+    """Name of the command that words ask for, and the words after it.
+
+    The entry point ``calibrate.lengths`` is the command ``carosac calibrate lengths``.
+    """
+    group = f"{words[0]}."
+    members = [name.removeprefix(group) for name in _commands() if name.startswith(group)]
+    if not members:
+        return words[0], words[1:]
+    if len(words) > 1 and words[1] in members:
+        return group + words[1], words[2:]
+    if len(words) == 1 or words[1] in ("-h", "--help"):
+        print(_USAGE.format(commands=_summaries(group)))
+        raise SystemExit(0 if len(words) > 1 else 2)
+    close = get_close_matches(words[1], members, n=1)
+    hint = f"; did you mean '{close[0]}'?" if close else ""
+    raise InvalidField(f"command after '{words[0]}'", repr(words[1]), f"{', '.join(members)}{hint}")
+
+
 def _run(name: str, words: list[str]) -> int:
     """Run one command with its own arguments."""
-    commands = list(_commands())
-    if name not in commands:
-        close = get_close_matches(name, commands, n=1)
+    if name not in _commands():
+        spoken = [command.replace(".", " ") for command in _commands()]
+        close = get_close_matches(name, spoken, n=1)
         hint = f"; did you mean '{close[0]}'?" if close else ""
-        raise InvalidField("command", repr(name), f"{', '.join(commands)}{hint}")
+        raise InvalidField("command", repr(name), f"{', '.join(spoken)}{hint}")
     from carosac_toolkit.cli.arguments import parse_options
     from carosac_toolkit.cli.common import CommandResult, write_json
     from carosac_toolkit.cli.outputs import check_outputs
     from carosac_toolkit.registry import load
 
     module: ModuleType = load("commands", name)
-    options = parse_options(module, name, words)
+    options = parse_options(module, name.replace(".", " "), words)
     check_outputs(options)
     json_path: Path | None = getattr(options, "json", None)
     answer = module.run(options)
@@ -91,9 +111,13 @@ def _run(name: str, words: list[str]) -> int:
     return result.status
 
 
-def _summaries() -> str:
-    """List the commands with the first line of their docstrings, without importing them."""
-    commands = _commands()
+def _summaries(group: str = "") -> str:
+    """List the commands of a group with the first line of their docstrings, importing none."""
+    commands = {
+        name.replace(".", " "): entry
+        for name, entry in _commands().items()
+        if name.startswith(group)
+    }
     width = max((len(name) for name in commands), default=0)
     return "\n".join(f"  {name:<{width}}  {_summary(entry)}" for name, entry in commands.items())
 

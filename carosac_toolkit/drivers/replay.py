@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from carosac_toolkit.encoders import calibrated
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.recording import Recording, load_recording
 from carosac_toolkit.recordings.bundled import find_recording
@@ -35,7 +36,8 @@ class ReplaySettings:
 class ReplayDriver:
     """Steps sample by sample; a command changes nothing and the recorded one is returned.
 
-    What the recording has as poses is its truth.
+    What the recording has as poses is its truth. Readings are converted by what the robot says of
+    its sensors (`carosac_toolkit.encoders`).
     """
 
     Settings: ClassVar = ReplaySettings
@@ -43,7 +45,7 @@ class ReplayDriver:
 
     def __init__(self, robot: Robot, recording: Recording, settings: ReplaySettings) -> None:
         recording.require_cables(robot)
-        self._recording = recording
+        self._recording = calibrated(recording, robot)
         self._settings = settings
         self._index: int | None = None
 

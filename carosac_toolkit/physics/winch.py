@@ -83,11 +83,13 @@ def winch_records(robot: Robot, settings: WinchSettings | None = None) -> NDArra
             allowed = f"None: robot {robot.name!r} has no drum_radius and drum_buildup"
             raise InvalidField("believed_drum_buildup", f"{belief} m", allowed)
         return records
-    believed = robot.drum_buildup if belief is None else np.full(robot.n, belief)
-    _check_drums("drum_buildup", robot, robot.drum_radius, robot.drum_buildup)
+    advantage = 1.0 if robot.drum_advantage is None else robot.drum_advantage
+    buildup = advantage * robot.drum_buildup  # per length of cable, not of line
+    believed = buildup if belief is None else advantage * np.full(robot.n, belief)
+    _check_drums("drum_buildup", robot, robot.drum_radius, buildup)
     _check_drums("believed_drum_buildup", robot, robot.drum_radius, believed)
     records["drum_radius"] = records["believed_radius"] = robot.drum_radius
-    records["drum_buildup"] = robot.drum_buildup
+    records["drum_buildup"] = buildup
     records["believed_buildup"] = believed
     return records
 
@@ -192,7 +194,7 @@ def _check_drums(name: str, robot: Robot, radius: Array, buildup: Array) -> None
     if bad.any():
         i = int(np.argmax(bad))
         allowed = (
-            f"below drum_radius^2 / length_max = {most[i]:.6g} m, so that the drum pays out "
-            f"{robot.length_max[i]:g} m"
+            f"below drum_radius^2 / length_max = {most[i]:.6g} m per length of cable, so that the "
+            f"drum pays out {robot.length_max[i]:g} m"
         )
         raise InvalidField(f"{name}[{i}]", f"{buildup[i]:g} m", allowed)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
+from carosac_toolkit.encoders import calibrated
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics.cable_lengths import length_at_tension
 from carosac_toolkit.recording import Recording
@@ -40,7 +41,8 @@ def validate(
     that raises costs its own scores only.
 
     Args:
-        recording: With measured poses and unstrained lengths.
+        recording: With measured poses and lengths, as it was recorded: what the robot says of its
+            sensors (`carosac_toolkit.encoders`) is applied here.
         robot: What the models are built for, with as many cables as the recording.
         models: Names of estimators, or ``module:Class``; each once.
         start: First sample to score.
@@ -54,7 +56,9 @@ def validate(
         InvalidField: An unknown model, a range outside the recording, another number of cables, a
             recording without poses in the range or with relative lengths.
     """
-    targets = _check_inputs(recording, robot, models, start=start, stop=stop)
+    recording.require_cables(robot)
+    recording = calibrated(recording, robot)
+    targets = _check_inputs(recording, models, start=start, stop=stop)
     end = len(recording.time) if stop is None else stop
     poses = recording.pose_at(recording.time[start:end])
     index = start + np.flatnonzero(poses.valid)
@@ -85,12 +89,7 @@ def validate(
 
 
 def _check_inputs(
-    recording: Recording,
-    robot: Robot,
-    models: Sequence[str],
-    *,
-    start: int = 0,
-    stop: int | None = None,
+    recording: Recording, models: Sequence[str], *, start: int = 0, stop: int | None = None
 ) -> dict[str, Any]:
     """Refuse what cannot be validated; see `validate`.
 
@@ -100,7 +99,6 @@ def _check_inputs(
     targets = {name: load_model(name) for name in models}
     if not targets or len(targets) < len(models):
         raise InvalidField("models", list(models), "at least one, each once")
-    recording.require_cables(robot)
     if recording.metadata.length_kind != "unstrained":
         allowed = "'unstrained': relative lengths fix no pose; calibrate the robot first"
         raise InvalidField("length_kind", repr(recording.metadata.length_kind), allowed)

@@ -1,0 +1,102 @@
+"""What data can tell about parameters, and what they cannot, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import CarosacError
+
+BLIND = 1e-9  # of the largest eigenvalue of the scaled information: smaller ones count as none
+WEAK = 0.5  # share of its prior variance that a combination of parameters keeps: the rest is data
+PARTS = 0.35  # of the largest entry of a combination: smaller entries are not named
+NAMED = 6  # parameters of a combination that are named
+
+
+class Unobservable(CarosacError):
+    """The data cannot determine what was asked of them."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Observability:
+    """What the data alone say of k parameters, each measured in its own scale.
+
+    Attributes:
+        parameters: k.
+        rank: Combinations that the data say something about.
+        condition: Largest over smallest of the scaled information's singular values; infinite
+            where the rank is below k.
+        blind: Combinations that the data say nothing about, in words.
+        weak: Combinations that are known from before rather than from the data, in words.
+    """
+
+    parameters: int
+    rank: int
+    condition: float
+    blind: tuple[str, ...]
+    weak: tuple[str, ...]
+
+    def sentences(self) -> list[str]:
+        """What people should know before they trust the numbers."""
+        lines = [
+            f"the data determine {self.rank} of {self.parameters} combinations of the parameters"
+            + (f", condition {self.condition:.3g}" if np.isfinite(self.condition) else "")
+        ]
+        lines += [f"the data say nothing about {words}" for words in self.blind]
+        lines += [f"known from before rather than from the data: {words}" for words in self.weak]
+        return lines
+
+    def data(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {
+            "parameters": self.parameters,
+            "rank": self.rank,
+            "condition": self.condition,
+            "blind": list(self.blind),
+            "weak": list(self.weak),
+        }
+
+
+def judge(names: Sequence[str], information: Array, scale: Array) -> Observability:
+    """Judge what data say about parameters.
+
+    Args:
+        names: k parameters.
+        information: Fisher information of the data alone, without priors, shape (k, k).
+        scale: What counts as one of each parameter: its prior sigma, or what it may plausibly
+            change by, shape (k,).
+
+    Returns:
+        Rank, condition and the combinations that are not, or hardly, determined. A combination is
+        weak where it keeps more than half of the variance that `scale` gives it.
+    """
+    scaled = information * np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    most = max(float(values[-1]), np.finfo(float).tiny)
+    blind = values <= BLIND * most
+    weak = ~blind & (1.0 / (1.0 + np.maximum(values, 0.0)) > WEAK)
+    full = not blind.any()
+    return Observability(
+        parameters=len(names),
+        rank=int((~blind).sum()),
+        condition=float(np.sqrt(most / values[0])) if full else np.inf,
+        blind=tuple(_words(names, vectors[:, i]) for i in np.flatnonzero(blind)),
+        weak=tuple(_words(names, vectors[:, i]) for i in np.flatnonzero(weak)),
+    )
+
+
+def _words(names: Sequence[str], direction: Array) -> str:
+    """A combination of parameters in words, largest part first."""
+    order = np.argsort(-np.abs(direction))
+    chosen = [i for i in order if abs(direction[i]) >= PARTS * abs(direction[order[0]])]
+    sign = np.sign(direction[order[0]])
+    parts = [
+        f"{'' if k == 0 else ' + ' if sign * direction[i] > 0 else ' - '}{names[i]}"
+        for k, i in enumerate(chosen[:NAMED])
+    ]
+    more = f" and {len(chosen) - NAMED} more" if len(chosen) > NAMED else ""
+    return "".join(parts) + more

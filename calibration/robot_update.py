@@ -1,0 +1,148 @@
+"""From an estimate to a new robot, and to its file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from calibration.estimate import Estimate
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.cli.common import check_writable, replacing
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.parameters import values_of, with_values
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot_file import robot_text
+
+
+def prior_covariance(robot: Robot, names: tuple[str, ...], sigma: Array) -> Array:
+    """What a robot file knows of parameters: its calibration, its exit covariances, or `sigma`.
+
+    Args:
+        robot: The robot.
+        names: k parameters.
+        sigma: One standard deviation of each where the robot says nothing, shape (k,); finite.
+
+    Returns:
+        Joint covariance, shape (k, k).
+    """
+    covariance = np.diag(np.square(sigma))
+    if robot.exit_covariance is not None:
+        for cable, block in zip(robot.cable_names, robot.exit_covariance, strict=True):
+            rows = [(names.index(n), a) for a, n in enumerate(_axes(cable)) if n in names]
+            for i, a in rows:
+                for j, b in rows:
+                    covariance[i, j] = block[a, b]
+    if robot.calibrated is not None and robot.calibration_covariance is not None:
+        known = [name for name in names if name in robot.calibrated]
+        mine = [names.index(name) for name in known]
+        theirs = [robot.calibrated.index(name) for name in known]
+        covariance[mine] = covariance[:, mine] = 0.0
+        covariance[np.ix_(mine, mine)] = robot.calibration_covariance[np.ix_(theirs, theirs)]
+    return covariance
+
+
+def updated(robot: Robot, estimate: Estimate) -> Robot:
+    """The robot with estimated parameters and all that is known of them.
+
+    What an earlier calibration knew of other parameters stays, as independent of the new ones.
+
+    Args:
+        robot: The robot that was calibrated.
+        estimate: Of some of its parameters.
+
+    Raises:
+        InvalidField: A value that a robot cannot have.
+    """
+    names, covariance = list(estimate.names), estimate.covariance
+    if robot.calibrated is not None and robot.calibration_covariance is not None:
+        rest = [i for i, name in enumerate(robot.calibrated) if name not in names]
+        older = robot.calibration_covariance[np.ix_(rest, rest)]
+        names += [robot.calibrated[i] for i in rest]
+        covariance = np.block(
+            [
+                [covariance, np.zeros((len(covariance), len(older)))],
+                [np.zeros((len(older), len(covariance))), older],
+            ]
+        )
+    changed = with_values(robot, estimate.names, estimate.value)
+    return replace(
+        changed,
+        calibrated=tuple(names),
+        calibration_covariance=covariance,
+        exit_covariance=_exit_covariance(robot, names, covariance),
+    )
+
+
+def check_output(option: str, output: Path | None, robot: str) -> None:
+    """Refuse to write a new robot over the one that was calibrated, before any work is done.
+
+    Args:
+        option: The option that names the output.
+        output: Where the new robot file is to go.
+        robot: Bundled name or path of the old one.
+    """
+    check_writable(option, output, (".yaml", ".yml"))
+    if output is not None and Path(robot).exists() and output.exists():
+        if output.samefile(robot):
+            allowed = "a new file: the robot file that was calibrated is never overwritten"
+            raise InvalidField(option, f"'{output}'", allowed)
+
+
+def write_robot(
+    source: str, estimate: Estimate, output: Path, *, provenance: str, name: str | None = None
+) -> Robot:
+    """Write a robot file with estimated parameters and covariances; comments of the old one stay.
+
+    Args:
+        source: Bundled name or path of the robot that was calibrated.
+        estimate: Of some of its parameters.
+        output: The new file.
+        provenance: Where the numbers come from, one line.
+        name: Of the new robot; None keeps the old one.
+
+    Returns:
+        The robot in the new file.
+
+    Raises:
+        InvalidField: The output is the old file, or a value is one that no robot can have.
+    """
+    from carosac_toolkit.robot_file import parse_robot
+    from carosac_toolkit.robot_writer import robot_document
+
+    check_output("output", output, source)
+    text = robot_text(source)
+    robot = updated(parse_robot(text, source=source), estimate)
+    if name is not None:
+        robot = replace(robot, name=name)
+    document = robot_document(text, robot, provenance=provenance)
+    with replacing(output) as temporary:
+        temporary.write_text(document, encoding="utf-8")
+    return robot
+
+
+def change_in_sigmas(robot: Robot, estimate: Estimate) -> Array:
+    """By how many of its prior standard deviations each parameter changed, shape (k,)."""
+    moved = np.abs(estimate.value - values_of(robot, estimate.names))
+    found: Array = moved / estimate.prior_sigma
+    return found
+
+
+def _axes(cable: str) -> list[str]:
+    """Names of the coordinates of an exit point."""
+    return [f"exit_points[{cable}].{axis}" for axis in "xyz"]
+
+
+def _exit_covariance(robot: Robot, names: list[str], covariance: Array) -> Array | None:
+    """Blocks of the exit points; those of before where a point was not estimated."""
+    blocks = []
+    for i, cable in enumerate(robot.cable_names):
+        rows = [names.index(name) for name in _axes(cable) if name in names]
+        if len(rows) == 3:
+            blocks.append(covariance[np.ix_(rows, rows)])
+        elif robot.exit_covariance is not None and not rows:
+            blocks.append(robot.exit_covariance[i])
+        else:
+            return robot.exit_covariance
+    return np.array(blocks)
