@@ -234,7 +234,7 @@ class _Writer:
         section = self.document.setdefault("calibration", CommentedMap())
         section["parameters"] = list(robot.calibrated)
         rows = enumerate(robot.calibration_covariance)
-        section["covariance"] = [_flow(row[: i + 1], digits=8) for i, row in rows]
+        section["covariance"] = [_flow(row[: i + 1]) for i, row in rows]
         self._from("calibration")
 
 
@@ -287,6 +287,6 @@ def _flow(values: Sequence[float] | Array, digits: int = _DIGITS) -> CommentedSe
 
 def _matrix(rows: Array) -> CommentedSeq:
     """A matrix on one line."""
-    found = CommentedSeq([_flow(row, digits=10) for row in rows])
+    found = CommentedSeq([_flow(row) for row in rows])
     found.fa.set_flow_style()
     return found

@@ -1,0 +1,216 @@
+"""Calibrate exit points, anchor points, encoders and delay from cable lengths and measured poses.
+
+Blunders are left out and named. Set-ups that cannot tell the exit points are refused with the
+reason, as are swapped cables and wrong units. A file of motor angles (CSV, columns motor_A_deg and
+the like) needs no poses: they are unknowns there, and so are the drums.
+
+Exit status 1 means that the result should not be used before a warning has been looked into.
+"""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from calibration.lengths import (
+    LengthCalibration,
+    Settings,
+    SuggestedPoses,
+    calibrate,
+    suggest_poses,
+)
+from calibration.lengths.planning import COUNT_MAX
+from calibration.lengths.report import (
+    CABLE_GROUPS,
+    CABLE_HEADER,
+    POSE_GROUPS,
+    POSE_HEADER,
+    cable_rows,
+    pose_rows,
+    sentences,
+    write_report,
+)
+from calibration.observability import Unobservable
+from calibration.report import print_parameters, print_sentences, terminal_width
+from calibration.robot_update import check_output, write_robot
+from calibration.self_calibration.files import holds_motor_angles
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, OutputFolder
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.recording import load_recording
+from carosac_toolkit.recordings.bundled import find_recording
+from carosac_toolkit.recordings.robot import find_robot
+from carosac_toolkit.report_page import check_folder
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.text_tables import fit
+
+SENTENCES = 8  # on what is hardly known, on the screen; the report has all
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(CommonOptions):
+    """Options of ``carosac calibrate lengths``."""
+
+    recording: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING")]
+    """A bundled recording, a .parquet, .csv or .mat file with measured poses, or a CSV of motor
+    angles."""
+    robot: str | None = None
+    """A bundled robot or a YAML file; by default the one that the recording names, or else the
+    bundled one with the exit points measured in it."""
+    output: OutputFile = None
+    """The new robot file; never the old one."""
+    report: OutputFolder = None
+    """Folder for report.html and pictures; an earlier report in it is replaced."""
+    start: int = 0
+    """First sample to use."""
+    stop: int | None = None
+    """One past the last sample to use; by default all are used."""
+    suggest_poses: int = 0
+    """How many further poses to suggest, those that would teach most about the exit points."""
+    length_noise: float | None = None
+    """Standard deviation of a reading [m]; by default estimated from what the fit leaves."""
+    position_noise: float = Settings.position_noise
+    """Standard deviation of a measured position, per axis [m]."""
+    rotation_noise: float = Settings.rotation_noise
+    """Standard deviation of a measured orientation, per axis [rad]."""
+    exit_prior: float = Settings.exit_prior
+    """How well the exit points are known before, per axis [m]; covariances in the robot file
+    come first. This and the other priors: one standard deviation, 0 holds the value."""
+    anchor_prior: float = Settings.anchor_prior
+    """How well the anchor points are known before, per axis [m]."""
+    offset_prior: float = Settings.offset_prior
+    """How well the zeros of the readings are known before [m]; nothing where they are relative."""
+    scale_prior: float = Settings.scale_prior
+    """How well the scales of the readings are known before."""
+    delay_prior: float = Settings.delay_prior
+    """How well the delay between readings and poses is known before [s]."""
+    tilt_prior: float = Settings.tilt_prior
+    """How level the frame of the poses is [rad]."""
+    center_prior: float = Settings.center_prior
+    """How well the centre of mass is known before, per axis [m]; fewer than 6 cables only."""
+
+
+def run(options: Options) -> CommandResult:
+    """Calibrate from one recording."""
+    path = find_recording(options.recording)
+    if holds_motor_angles(path):
+        from calibration.self_calibration.command import run_motor_angles
+
+        return run_motor_angles(options, path)
+    if not 0 <= options.suggest_poses <= COUNT_MAX:
+        raise InvalidField("--suggest-poses", options.suggest_poses, f"0 to {COUNT_MAX}")
+    settings = _settings(options)
+    recording = load_recording(path)
+    found = find_robot(recording, path, options.robot)
+    check_output("--output", options.output, found.name)
+    if options.report is not None:
+        check_folder("--report", options.report)
+    try:
+        result = calibrate(
+            recording, found.robot, settings=settings, start=options.start, stop=options.stop
+        )
+    except Unobservable:
+        _print_suggested(_suggested(options, settings, found.robot))
+        raise
+    suggested = _suggested(options, settings, result)
+    print_sentences(
+        [
+            f"{options.recording}: {len(result.sample)} samples over {np.ptp(result.time):.1f} s; "
+            f"robot {found.name}"
+        ],
+        "",
+    )
+    _print(result, suggested)
+    _write(options, result, suggested, found.name)
+    data = {"robot": found.name, **result.data()}
+    data["suggested_poses"] = suggested.data() if suggested is not None else []
+    return CommandResult(data, status=1 if result.warnings else 0)
+
+
+def _settings(options: Options) -> Settings:
+    """Noise and priors of the options."""
+    return Settings(
+        length_noise=options.length_noise,
+        position_noise=options.position_noise,
+        rotation_noise=options.rotation_noise,
+        exit_prior=options.exit_prior,
+        anchor_prior=options.anchor_prior,
+        offset_prior=options.offset_prior,
+        scale_prior=options.scale_prior,
+        delay_prior=options.delay_prior,
+        tilt_prior=options.tilt_prior,
+        center_prior=options.center_prior,
+    )
+
+
+def _suggested(
+    options: Options, settings: Settings, result: LengthCalibration | Robot
+) -> SuggestedPoses | None:
+    """Further poses, if they were asked for."""
+    if options.suggest_poses == 0:
+        return None
+    return suggest_poses(
+        result, options.suggest_poses, settings=settings, rng=np.random.default_rng(options.seed)
+    )
+
+
+def _print(result: LengthCalibration, suggested: SuggestedPoses | None) -> None:
+    """Print warnings, tables and sentences within the width of the terminal."""
+    width = max(80, shutil.get_terminal_size().columns)
+    print_sentences(result.warnings, "WARNING: ")
+    print("\n" + fit(CABLE_HEADER, cable_rows(result), CABLE_GROUPS, width), end="\n\n")
+    print_sentences(sentences(result))
+    weak = [*result.observability.sentences(), *result.sentences]
+    print_sentences(weak[:SENTENCES])
+    if len(weak) > SENTENCES:
+        print_sentences([f"and {len(weak) - SENTENCES} more such sentences, in the report"])
+    print()
+    print_parameters(result.estimate)
+    _print_suggested(suggested)
+
+
+def _print_suggested(suggested: SuggestedPoses | None) -> None:
+    """Print the table of further poses, if there are any."""
+    if suggested is not None:
+        print("\nposes to measure next, each the best one together with those above it:")
+        print(fit(POSE_HEADER, pose_rows(suggested), POSE_GROUPS, terminal_width()))
+
+
+def _write(
+    options: Options, result: LengthCalibration, suggested: SuggestedPoses | None, robot: str
+) -> None:
+    """Write robot file and report."""
+    if options.output is not None:
+        write_robot(
+            robot, result.estimate, options.output,
+            provenance=(
+                f"cable lengths and poses of {Path(options.recording).name} "
+                f"({len(result.sample)} samples, residual {1e3 * result.residual_rms:.2f} mm RMS)"
+            ),
+        )  # fmt: skip
+        print(f"\nnew robot file: {options.output}")
+    if options.report is not None:
+        write_report(
+            options.report, result, suggested,
+            title=f"Calibration of {result.robot.name} from {Path(options.recording).name}",
+            provenance={"recording": options.recording, "robot": robot},
+            words=_words(options, robot),
+        )  # fmt: skip
+        print(f"report: {options.report / 'report.html'}")
+
+
+def _words(options: Options, robot: str) -> list[str]:
+    """The command that repeats this."""
+    words = ["carosac", "calibrate", "lengths", options.recording, "--robot", robot]
+    for name, default in vars(Options(recording="")).items():
+        value = getattr(options, name)
+        if name not in ("recording", "robot", "json", "output", "report") and value != default:
+            words += [f"--{name.replace('_', '-')}", str(value)]
+    for name in ("output", "report"):
+        value = getattr(options, name)
+        words += [f"--{name}", str(value)] if value is not None else []
+    return words

@@ -1,0 +1,215 @@
+"""Gauss-Newton on coordinates of a robot; one batch of worlds gives errors and Jacobian."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.recording import Recording
+from carosac_toolkit.robot import Robot
+from calibration.identification.measured import MeasuredPoses
+from calibration.identification.noise import Noise, coloured, white
+from calibration.identification.open_loop import LengthPath, OpenLoop, simulate
+from calibration.identification.settings import IdentificationSettings
+from calibration.identification.unknowns import Unknowns
+
+STEP = 0.005  # of the coordinates, for differences
+SETTLED = 0.1  # of a posterior sigma: a smaller step ends the search
+COARSE = 4  # steps in which the noise is taken for white
+ADAPT = 12  # steps after which the noise is no longer estimated anew
+STRETCH = 5.0  # [s]
+LONGEST_STEP = 2.0  # prior sigmas that a coordinate may move in one step
+DAMPING = 1e-3  # of the Hessian's diagonal, to begin with
+TRIES = 9  # dampings that are tried before a search gives up
+Report = Callable[[int, float, float], None]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """Coordinates that fit best.
+
+    Attributes:
+        coordinates: shape (k,).
+        covariance: shape (k, k).
+        information: What the data say of the coordinates, without the prior, shape (k, k).
+        excess: By how much the data count for less than independent innovations would.
+        iterations: Steps taken.
+        converged: Whether the last step was small.
+    """
+
+    coordinates: Array
+    covariance: Array
+    information: Array
+    excess: float
+    iterations: int
+    converged: bool
+
+
+class Fitter:
+    """The search for the robot that moves as measured."""
+
+    def __init__(
+        self,
+        unknowns: Unknowns,
+        recording: Recording,
+        poses: MeasuredPoses,
+        settings: IdentificationSettings,
+    ) -> None:
+        """Take the data.
+
+        Args:
+            unknowns: k coordinates.
+            recording: Readings.
+            poses: Measured ones to be fitted.
+            settings: How it is computed.
+        """
+        self._unknowns = unknowns
+        self._path = LengthPath(recording)
+        self._start = float(recording.time[0])
+        self._poses = poses
+        self._settings = settings
+        self._precision = np.linalg.inv(unknowns.prior)
+
+    def run(self, report: Report) -> Fit:
+        """Search.
+
+        Args:
+            report: Called after each step with its number and the RMS errors [m] and [rad].
+
+        Raises:
+            CarosacError: The robot's simulation fails where the search stands.
+        """
+        at = np.zeros(len(self._unknowns.names))
+        damping, settled = DAMPING, False
+        for count in range(1, self._settings.iterations + 1):
+            errors, jacobian = self._linearised(at)
+            if count <= ADAPT:
+                noise = white(errors) if count <= COARSE else coloured(errors)
+            report(count, *_rms(errors))
+            information, gradient = self._normal(at, errors, jacobian, noise)
+            hessian = information + self._precision
+            settled = count > ADAPT and self._size(at, hessian, gradient) <= SETTLED
+            if settled:
+                break
+            before = at
+            at, damping = self._search(at, hessian, gradient, noise.cost(errors), noise, damping)
+            if at is before and count > ADAPT:
+                break
+        errors, jacobian = self._linearised(at)
+        noise = coloured(errors)
+        information, _ = self._normal(at, errors, jacobian, noise)
+        excess = self._excess(errors, jacobian, noise, information)
+        return Fit(
+            coordinates=at,
+            covariance=np.linalg.inv(information / excess + self._precision),
+            information=information / excess,
+            excess=excess,
+            iterations=count,
+            converged=settled,
+        )
+
+    def _excess(
+        self, errors: Array, jacobian: Array, noise: Noise, information: Array
+    ) -> float:
+        """By how much scores of whole stretches of time vary more than independent ones, >= 1."""
+        new, slope = noise.innovations(errors), noise.innovations(jacobian)
+        scores = np.einsum("nci,nc->ni", slope, noise.shares(new) * new)
+        length = max(1, int(np.searchsorted(self._poses.time, self._poses.time[0] + STRETCH)))
+        edges = np.arange(0, len(scores), length)
+        sums = np.add.reduceat(scores, edges, axis=0)
+        inverse = np.linalg.inv(information + self._precision)
+        spread = float(np.einsum("bi,ij,bj->", sums, inverse, sums))
+        return max(1.0, spread / float(np.trace(inverse @ information)))
+
+    def _simulated(self, points: Array) -> tuple[OpenLoop, NDArray[np.bool_]]:
+        """What the robots at some coordinates (B, k) do, and which of them exist."""
+        robots: list[Robot] = []
+        exists = np.ones(len(points), dtype=np.bool_)
+        for k, point in enumerate(points):
+            try:
+                robots.append(self._unknowns.robot_at(point))
+            except InvalidField:
+                robots.append(self._unknowns.robot)
+                exists[k] = False
+        found = simulate(
+            robots, self._path, self._start, self._poses.time, time_step=self._settings.time_step
+        )
+        return found, exists & ~found.failed
+
+    def _linearised(self, at: Array) -> tuple[Array, Array]:
+        """Errors (K, 6) and their Jacobian (K, 6, k)."""
+        motion, good = self._simulated(np.vstack([at, at + STEP * np.eye(len(at))]))
+        if not good.all():
+            name = "" if not good[0] else f" beside {self._unknowns.names[int(np.argmin(good)) - 1]}"
+            raise CarosacError(f"identification: no finite motion of the robot{name}")
+        errors = [
+            self._poses.errors(motion.position[:, k], motion.rotation[:, k])
+            for k in range(len(at) + 1)
+        ]
+        return errors[0], np.stack([(error - errors[0]) / STEP for error in errors[1:]], axis=2)
+
+    def _normal(
+        self, at: Array, errors: Array, jacobian: Array, noise: Noise
+    ) -> tuple[Array, Array]:
+        """Information of the data (k, k), and gradient with the prior (k,)."""
+        new, slope = noise.innovations(errors), noise.innovations(jacobian)
+        weighted = slope * noise.shares(new)[:, :, None]
+        information = np.einsum("nci,ncj->ij", weighted, slope)
+        return information, np.einsum("nci,nc->i", weighted, new) + self._precision @ at
+
+    def _search(
+        self,
+        at: Array,
+        hessian: Array,
+        gradient: Array,
+        cost: float,
+        noise: Noise,
+        damping: float,
+    ) -> tuple[Array, float]:
+        """A step of Levenberg and Marquardt that lowers the cost, and its damping.
+
+        Returns:
+            Where it leads, `at` itself where none helps; the damping to begin with next time.
+        """
+        lowest = cost + float(at @ self._precision @ at)
+        for _ in range(TRIES):
+            point = self._stepped(at, hessian, gradient, damping)
+            motion, good = self._simulated(point[None])
+            errors = self._poses.errors(motion.position[:, 0], motion.rotation[:, 0])
+            found = noise.cost(errors) + float(point @ self._precision @ point)
+            if good[0] and found < lowest:
+                return point, max(damping / 8.0, 1e-6)
+            damping *= 5.0
+        return at, DAMPING
+
+    def _free(self, at: Array, gradient: Array) -> NDArray[np.bool_]:
+        """Coordinates that are not held at their bound."""
+        found: NDArray[np.bool_] = ~((at <= self._unknowns.lower + 1e-9) & (gradient > 0.0))
+        return found
+
+    def _size(self, at: Array, hessian: Array, gradient: Array) -> float:
+        """Largest part of a Gauss-Newton step, in posterior sigmas."""
+        free = self._free(at, gradient)
+        inverse = np.linalg.inv(hessian[np.ix_(free, free)])
+        return float(np.abs(inverse @ gradient[free] / np.sqrt(np.diag(inverse))).max())
+
+    def _stepped(self, at: Array, hessian: Array, gradient: Array, damping: float) -> Array:
+        """Where a damped step leads; coordinates that would leave their bound stay on it."""
+        lower, free = self._unknowns.lower, self._free(at, gradient)
+        stiff = hessian + damping * np.diag(np.diag(hessian))
+        step = np.zeros(len(at))
+        step[free] = -np.linalg.solve(stiff[np.ix_(free, free)], gradient[free])
+        longest = float(np.abs(step / np.sqrt(np.diag(self._unknowns.prior))).max())
+        found: Array = np.maximum(at + step * min(1.0, LONGEST_STEP / longest), lower)
+        return found
+
+
+def _rms(errors: Array) -> tuple[float, float]:
+    """RMS distance [m] and angle [rad] of errors (K, 6)."""
+    power = (errors**2).mean(axis=0)
+    return float(np.sqrt(power[:3].sum())), float(np.sqrt(power[3:].sum()))

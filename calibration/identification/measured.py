@@ -1,0 +1,86 @@
+"""Poses that a simulation is compared with, and by how much it misses them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.recording import Recording
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeasuredPoses:
+    """K measured poses in W, at times of length samples.
+
+    Attributes:
+        index: Of the length samples, shape (K,).
+        time: [s], shape (K,).
+        position: [m], shape (K, 3).
+        rotation: From P to W, shape (K, 3, 3).
+    """
+
+    index: NDArray[np.int64]
+    time: Array
+    position: Array
+    rotation: Array
+
+    def rows(self, which: NDArray[np.int64]) -> MeasuredPoses:
+        """Some of them."""
+        return MeasuredPoses(
+            index=self.index[which],
+            time=self.time[which],
+            position=self.position[which],
+            rotation=self.rotation[which],
+        )
+
+    def within(self, start: int, stop: int) -> MeasuredPoses:
+        """Those of length samples start <= i < stop."""
+        return self.rows(np.flatnonzero((self.index >= start) & (self.index < stop)))
+
+    def thinned(self, rate: float) -> MeasuredPoses:
+        """As many as come at no more than a rate [Hz]."""
+        kept, last = [], -np.inf
+        for row, time in enumerate(self.time):
+            if time - last >= (1.0 - 1e-6) / rate:
+                kept.append(row)
+                last = float(time)
+        return self.rows(np.array(kept, dtype=np.int64))
+
+    def errors(self, position: Array, rotation: Array) -> Array:
+        """Model minus measured: position [m], rotation vector of R_measured^T R [rad].
+
+        Args:
+            position: Of the model, shape (K, 3).
+            rotation: Of the model, shape (K, 3, 3).
+
+        Returns:
+            shape (K, 6).
+        """
+        turned = rotation_vectors(self.rotation.swapaxes(1, 2) @ rotation)
+        return np.concatenate([position - self.position, turned], axis=1)
+
+
+def poses_of(recording: Recording) -> MeasuredPoses:
+    """Measured poses at the length samples that have one nearby in time."""
+    found = recording.pose_at(recording.time)
+    index = np.flatnonzero(found.valid)
+    return MeasuredPoses(
+        index=index,
+        time=recording.time[index],
+        position=found.pose.position[index],
+        rotation=found.pose.rotation[index],
+    )
+
+
+def rotation_vectors(rotation: Array) -> Array:
+    """Rotation vectors [rad], shape (K, 3), of rotations (K, 3, 3) below half a turn."""
+    skew = rotation - rotation.swapaxes(1, 2)
+    axis = 0.5 * np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
+    sine = np.linalg.norm(axis, axis=1)
+    angle = np.arctan2(sine, 0.5 * (np.trace(rotation, axis1=1, axis2=2) - 1.0))
+    small = sine < 1e-9
+    found: Array = axis * np.where(small, 1.0, angle / np.where(small, 1.0, sine))[:, None]
+    return found

@@ -1,0 +1,173 @@
+"""Identify the dynamics of a robot from a recording with poses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.encoders import calibrated
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.physics import statics
+from carosac_toolkit.recording import Recording
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.validation.phases import find_phases
+from carosac_toolkit.validation.scores import PoseScores, score_poses
+from calibration.identification.fit import Fit, Fitter, Report
+from calibration.identification.measured import MeasuredPoses, poses_of
+from calibration.identification.open_loop import LengthPath, simulate
+from calibration.identification.result import Identification, Part, RestErrors
+from calibration.identification.settings import IdentificationSettings
+from calibration.identification.unknowns import Unknowns, choose_unknowns
+from calibration.observability import Observability, Unobservable, judge
+from calibration.robot_update import updated
+
+Range = tuple[int, int]
+FEWEST = 5.0  # seconds of motion, below which no dynamics are identified
+STILL = 0.01  # [m]: a platform that moves by less does not show its dynamics
+
+
+def identify(
+    recording: Recording,
+    robot: Robot,
+    settings: IdentificationSettings | None = None,
+    *,
+    train: Range,
+    test: Range | None = None,
+    report: Report = lambda step, position, rotation: None,
+) -> Identification:
+    """Fit the simulator, open loop through recorded lengths, to measured poses.
+
+    The simulation always begins at the first sample, at rest. Parameters and their covariances in
+    the robot file are what is known before; the settings stand for what it does not say.
+
+    Args:
+        recording: Readings of the lengths and measured poses, as recorded.
+        robot: Where the search starts, with as many cables.
+        settings: None takes the defaults.
+        train: Length samples start <= i < stop whose poses are fitted.
+        test: Samples that are scored only; None: none.
+        report: Called after each step with its number and the RMS errors [m] and [rad].
+
+    Raises:
+        InvalidField: A range outside the recording, ranges that overlap, or too little in them.
+        Unobservable: The recording does not show the dynamics.
+        CarosacError: The robot cannot be simulated on these lengths.
+    """
+    chosen = settings or IdentificationSettings()
+    poses = _check(recording, robot, train, test)
+    fitted = poses.within(*train).thinned(chosen.rate)
+    unknowns = choose_unknowns(robot, chosen)
+    fit = Fitter(unknowns, recording, fitted, chosen).run(report)
+    estimate = unknowns.estimate(fit.coordinates, fit.covariance)
+    identified = updated(robot, estimate)
+    path = LengthPath(recording)
+    before = _motion(robot, recording, path, poses, chosen)
+    after = _motion(identified, recording, path, poses, chosen)
+    return Identification(
+        robot=identified,
+        estimate=estimate,
+        observability=_observability(unknowns, fit),
+        train=_part(poses, before, after, train),
+        test=None if test is None else _part(poses, before, after, test),
+        rests=_rests(recording, robot, identified, poses),
+        measured=poses,
+        before=before[:, :3] + poses.position,
+        after=after[:, :3] + poses.position,
+        errors=after,
+        iterations=fit.iterations,
+        converged=fit.converged,
+        excess=fit.excess,
+        fitted_samples=len(fitted.time),
+    )
+
+
+def _check(recording: Recording, robot: Robot, train: Range, test: Range | None) -> MeasuredPoses:
+    """Refuse what nothing can be identified from; return the measured poses in W."""
+    recording.require_cables(robot)
+    count = len(recording.time)
+    for name, span in (("train", train), ("test", test)):
+        if span is not None and not 0 <= span[0] < span[1] <= count:
+            allowed = f"START:STOP with 0 <= START < STOP <= {count}, the number of samples"
+            raise InvalidField(name, f"{span[0]}:{span[1]}", allowed)
+    if test is not None and max(train[0], test[0]) < min(train[1], test[1]):
+        allowed = f"samples outside of train = {train[0]}:{train[1]}"
+        raise InvalidField("test", f"{test[0]}:{test[1]}", allowed)
+    poses = poses_of(calibrated(recording, robot))
+    for name, span in (("train", train), ("test", test)):
+        if span is not None and len(poses.within(*span).time) == 0:
+            raise InvalidField(name, f"{span[0]}:{span[1]}", "samples with measured poses nearby")
+    fitted = poses.within(*train)
+    duration = float(fitted.time[-1] - fitted.time[0])
+    if duration < FEWEST:
+        allowed = f"at least {FEWEST:g} s with measured poses"
+        raise InvalidField("train", f"{duration:.3g} s", allowed)
+    reach = float(np.ptp(fitted.position, axis=0).max())
+    if reach < STILL:
+        raise Unobservable(
+            f"identification: the platform moves by only {reach * 1e3:.2g} mm in samples "
+            f"{train[0]}:{train[1]}; a platform at rest does not show its dynamics"
+        )
+    return poses
+
+
+def _motion(
+    robot: Robot,
+    recording: Recording,
+    path: LengthPath,
+    poses: MeasuredPoses,
+    settings: IdentificationSettings,
+) -> Array:
+    """Errors of a robot's simulation at all measured poses, shape (K, 6)."""
+    start = float(recording.time[0])
+    motion = simulate([robot], path, start, poses.time, time_step=settings.time_step)
+    if motion.failed.any():
+        raise CarosacError(f"identification: no finite motion of robot {robot.name!r}")
+    return poses.errors(motion.position[:, 0], motion.rotation[:, 0])
+
+
+def _part(poses: MeasuredPoses, before: Array, after: Array, span: Range) -> Part:
+    """Scores of a range of samples."""
+    rows = (poses.index >= span[0]) & (poses.index < span[1])
+    return Part(
+        start=span[0], stop=span[1], before=_scores(before[rows]), after=_scores(after[rows])
+    )
+
+
+def _scores(errors: Array) -> PoseScores:
+    return score_poses(errors[:, :3], np.linalg.norm(errors[:, 3:], axis=1))
+
+
+def _observability(unknowns: Unknowns, fit: Fit) -> Observability:
+    return judge(unknowns.names, fit.information, np.sqrt(np.diag(unknowns.prior)))
+
+
+def _rests(
+    recording: Recording, robot: Robot, identified: Robot, poses: MeasuredPoses
+) -> RestErrors:
+    """Mean measured pose of each rest against the mean equilibrium of its lengths."""
+    rests = find_phases(recording.time, recording.unstrained_length).rests
+    spans = [rows for a, b in rests if len(rows := _rows(poses, a, b))]
+    first = [int(poses.index[rows[0]]) for rows in spans]
+    found = []
+    for each in (robot, identified):
+        lengths = calibrated(recording, each).unstrained_length
+        hung = [_mean_position(each, lengths[poses.index[rows]]) for rows in spans]
+        where = [poses.position[rows].mean(axis=0) for rows in spans]
+        found.append(np.linalg.norm(np.array(hung) - np.array(where), axis=1) if spans else [])
+    return RestErrors(before=np.array(found[0]), after=np.array(found[1]), starts=np.array(first))
+
+
+def _rows(poses: MeasuredPoses, start: int, stop: int) -> Array:
+    """Rows of the poses of some length samples."""
+    return np.flatnonzero((poses.index >= start) & (poses.index < stop))
+
+
+def _mean_position(robot: Robot, lengths: Array) -> Array:
+    """Mean equilibrium on some lengths (K, n), shape (3,); NaN where there is none."""
+    if (lengths <= 0.0).any():
+        return np.full(3, np.nan)
+    rest = statics.forward_kinematics(robot, lengths)
+    if not rest.converged.all():
+        return np.full(3, np.nan)
+    mean: Array = rest.position.mean(axis=0)
+    return mean

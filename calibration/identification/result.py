@@ -1,0 +1,182 @@
+"""What an identification found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.validation.scores import PoseScores
+from calibration.estimate import Estimate
+from calibration.identification.measured import MeasuredPoses
+from calibration.observability import Observability
+
+AGAINST_PRIOR = 2.0  # sigmas: a parameter that moved further contradicts what was known
+TAUGHT = 0.7  # of its prior sigma: a parameter that keeps more was hardly learnt
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Part:
+    """A range of samples, before and after.
+
+    Attributes:
+        start: First length sample.
+        stop: One past the last.
+        before: Of the robot as it was known.
+        after: Of the identified robot.
+    """
+
+    start: int
+    stop: int
+    before: PoseScores
+    after: PoseScores
+
+    def data(self) -> dict[str, Any]:
+        """Scores after, and those before under ``before``, ready for JSON."""
+        samples = {"start": self.start, "stop": self.stop}
+        return {**samples, **self.after.data(), "before": self.before.data()}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RestErrors:
+    """Mean pose of each rest phase against the equilibrium of its lengths (kinematic solver).
+
+    Attributes:
+        before: Distance for the robot as it was known [m], shape (R,); NaN without equilibrium.
+        after: For the identified robot [m], shape (R,).
+        starts: First sample of each rest, shape (R,).
+    """
+
+    before: Array
+    after: Array
+    starts: Array
+
+    def data(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {
+            "first_sample": self.starts,
+            "before_m": self.before,
+            "after_m": self.after,
+            "before_rms_m": _rms(self.before),
+            "after_rms_m": _rms(self.after),
+            "after_max_m": float(np.nanmax(self.after)) if len(self.after) else None,
+        }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Identification:
+    """An identified robot and how well it moves as measured.
+
+    Attributes:
+        robot: The identified one, with what is known of it.
+        estimate: Its parameters.
+        observability: What the data tell of the coordinates of the search.
+        train: Samples that were fitted.
+        test: Samples that were not; None where none were kept back.
+        rests: Mean poses at rest.
+        measured: All measured poses, K of them, in W.
+        before: Positions of the robot as it was known [m], shape (K, 3).
+        after: Positions of the identified robot [m], shape (K, 3).
+        errors: Of the identified robot, shape (K, 6): [m] and [rad].
+        iterations: Steps of the search.
+        converged: Whether it ended by itself.
+        excess: By how much the data count for less than independent innovations would.
+        fitted_samples: Poses that were fitted.
+    """
+
+    robot: Robot
+    estimate: Estimate
+    observability: Observability
+    train: Part
+    test: Part | None
+    rests: RestErrors
+    measured: MeasuredPoses
+    before: Array
+    after: Array
+    errors: Array
+    iterations: int
+    converged: bool
+    excess: float
+    fitted_samples: int
+
+    def data(self) -> dict[str, Any]:
+        """All numbers under names with units, ready for JSON."""
+        return {
+            "train": self.train.data(),
+            "test": None if self.test is None else self.test.data(),
+            "parameters": self.estimate.data(),
+            "observability": self.observability.data(),
+            "rests": self.rests.data(),
+            "iterations": self.iterations,
+            "converged": self.converged,
+            "fitted_samples": self.fitted_samples,
+            "excess": self.excess,
+        }
+
+    def sentences(self) -> list[str]:
+        """What was found, and what the data cannot tell."""
+        lines = [self._scores("fitted", self.train)]
+        if self.test is not None:
+            lines.append(self._scores("kept back", self.test))
+        else:
+            lines.append("no samples were kept back: nothing says how well this carries over")
+        if len(self.rests.after):
+            lines.append(
+                f"mean pose of {len(self.rests.after)} rests against the equilibrium of their "
+                f"lengths: {_rms(self.rests.before) * 1e3:.1f} mm before, "
+                f"{_rms(self.rests.after) * 1e3:.1f} mm after (largest "
+                f"{np.nanmax(self.rests.after) * 1e3:.1f} mm)"
+            )
+        lines.append(
+            f"{self.fitted_samples} poses were fitted; sigmas take into account that their errors "
+            f"last for many samples, and count the data {self.excess:.1f} times less for what even "
+            "that leaves unexplained"
+        )
+        return [*lines, *self._untaught(), *self._contradictions()]
+
+    def warnings(self) -> list[str]:
+        """What must not be overlooked."""
+        found = []
+        if not self.converged:
+            found.append(f"the search had not settled after {self.iterations} steps")
+        test = self.test
+        if test is not None and test.after.rmse[3] > test.before.rmse[3]:
+            found.append("the identified robot is worse than before on the samples kept back")
+        return found
+
+    def _scores(self, word: str, part: Part) -> str:
+        x, y, z, norm = part.after.rmse * 1e3
+        return (
+            f"samples {part.start}:{part.stop} ({word}), open loop: {norm:.1f} mm RMS in norm "
+            f"({x:.1f}/{y:.1f}/{z:.1f} mm), {np.degrees(part.after.orientation_rmse):.2f} degrees; "
+            f"before: {part.before.rmse[3] * 1e3:.1f} mm"
+        )
+
+    def _untaught(self) -> list[str]:
+        """Parameters that the data say little about."""
+        kept = self.estimate.sigma / self.estimate.prior_sigma
+        names = [n for n, share in zip(self.estimate.names, kept, strict=True) if share > TAUGHT]
+        if not names:
+            return []
+        return [f"the data hardly tell, so that what was known before decides: {', '.join(names)}"]
+
+    def _contradictions(self) -> list[str]:
+        """Parameters that moved further than was thought possible."""
+        moved = np.abs(self.estimate.value - self.estimate.start) / self.estimate.prior_sigma
+        far = [
+            f"{name} ({share:.1f} sigmas)"
+            for name, share in zip(self.estimate.names, moved, strict=True)
+            if share > AGAINST_PRIOR
+        ]
+        if not far:
+            return []
+        return [f"moved further than what was known before suggests: {', '.join(far)}"]
+
+
+def _rms(values: Array) -> float:
+    """Root mean square of what is known; NaN where nothing is."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt((known**2).mean())) if len(known) else float("nan")

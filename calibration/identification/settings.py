@@ -1,0 +1,64 @@
+"""What is assumed before an identification, and how it is computed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from carosac_toolkit.errors import InvalidField
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentificationSettings:
+    """One standard deviation of each parameter where the robot file knows none; 0 holds it.
+
+    Shares are logarithmic: 0.7 is a factor of two.
+
+    Attributes:
+        exit_points: Per axis [m].
+        anchor_points: Per axis [m].
+        length_offset: [m].
+        length_scale: [1].
+        length_delay: [s].
+        center_of_mass: Per axis [m].
+        mass: Share.
+        inertia: Share of each principal spread of the mass.
+        linear_density: Share, one for all cables.
+        axial_stiffness: Share, one for all cables.
+        axial_damping: Share, one for all cables.
+        run_length: Of cable between winch and exit point, one for all cables [m].
+        drag: Share.
+        angular_drag: Share.
+        rate: Poses per second that are fitted, at most [Hz].
+        iterations: At most.
+        time_step: Of the simulator, at most [s].
+    """
+
+    exit_points: float = 0.02
+    anchor_points: float = 0.005
+    length_offset: float = 0.05
+    length_scale: float = 0.002
+    length_delay: float = 0.05
+    center_of_mass: float = 0.03
+    mass: float = 0.05
+    inertia: float = 0.5
+    linear_density: float = 0.05
+    axial_stiffness: float = 0.7
+    axial_damping: float = 1.0
+    run_length: float = 10.0
+    drag: float = 1.0
+    angular_drag: float = 1.0
+    rate: float = 10.0
+    iterations: int = 25
+    time_step: float = 1.0 / 140.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is no standard deviation."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            lowest = (
+                "> 0" if field.name in ("rate", "iterations", "time_step") else ">= 0"
+            )
+            if not (np.isfinite(value) and (value > 0.0 or (value == 0.0 and lowest == ">= 0"))):
+                raise InvalidField(field.name, value, f"{field.name} {lowest}, finite")

@@ -1,0 +1,158 @@
+"""Recordings of simulated robots with the full measurement model: a truth to identify."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.perturbations import draw_plant, find_condition
+from carosac_toolkit.physics import statics
+from carosac_toolkit.recording import Recording
+from carosac_toolkit.recordings.metadata import RecordingMetadata
+from carosac_toolkit.recordings.poses import PoseSamples
+from carosac_toolkit.recordings.quaternions import from_matrix
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.sensors import SensorSettings
+from carosac_toolkit.trajectories.draws import draw_points
+from carosac_toolkit.trajectories.moves import waypoints
+from sim_warp.driver import SimDriverSettings, SimPlant
+
+PERIOD = 0.01  # [s] of the commands
+SETTLE = 20.0  # [s] before the recording begins, at rest but for the wind
+INNER = 0.4  # of the way to the edges of the workspace, where platforms tilt far
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings:
+    """A run of moves and rests.
+
+    Attributes:
+        condition: From which the plant is drawn.
+        moves: Between drawn places in the workspace.
+        speed: Highest of the moves [m/s].
+        acceleration: Highest of the moves [m/s^2].
+        rest: Between moves [s].
+        rate: Of lengths and poses [Hz].
+        length_delay: By how much lengths lead poses [s].
+        sensors: Noise and bias of lengths and poses.
+        cables: Of the simulated plant.
+    """
+
+    condition: str = "nominal-1"
+    moves: int = 14
+    speed: float = 0.8
+    acceleration: float = 0.4
+    rest: float = 2.5
+    rate: float = 20.0
+    length_delay: float = 0.02
+    sensors: SensorSettings = SensorSettings()
+    cables: str = "particles"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SyntheticRun:
+    """A recording and the truth behind it.
+
+    Attributes:
+        recording: What the sensors said.
+        plant: The robot that moved; its length sensors are described as they were.
+    """
+
+    recording: Recording
+    plant: Robot
+
+
+def simulate_run(robot: Robot, seed: int, settings: RunSettings | None = None) -> SyntheticRun:
+    """Draw a plant and a path, and record them.
+
+    Lengths are commanded for the nominal robot at rest on the path, so the plant sways.
+
+    Args:
+        robot: The nominal robot, n < 6 cables.
+        seed: Of plant, path, wind and noise.
+        settings: None takes the defaults.
+    """
+    chosen = settings or RunSettings()
+    rng = np.random.default_rng([seed, 5])
+    condition = find_condition(chosen.condition)
+    plant = draw_plant(robot, condition, rng)
+    start, command = _commands(robot, chosen, rng)
+    options = SimDriverSettings(
+        cables=chosen.cables,  # type: ignore[arg-type]
+        wind_force=condition.wind_force,
+        wind_time=condition.wind_time,
+    )
+    world = SimPlant(plant, options, seed=seed)
+    world.reset(start[None])
+    world.advance(command[:1], SETTLE)
+    stride = round(1.0 / (chosen.rate * PERIOD))
+    lengths, positions, rotations = [], [], []
+    for k, asked in enumerate(command):
+        if k > 0:
+            world.advance(asked[None], PERIOD)
+        if k % stride == 0:
+            truth = world.truth()
+            assert truth.unstrained_length is not None
+            lengths.append(truth.unstrained_length[0])
+            positions.append(truth.position[0])
+            rotations.append(truth.rotation[0])
+    time = PERIOD * stride * np.arange(len(lengths))
+    return _record(
+        chosen, plant, rng, time, np.array(lengths), np.array(positions), np.array(rotations)
+    )
+
+
+def _commands(
+    robot: Robot, settings: RunSettings, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Where a path of moves and rests begins, (3,), and lengths along it, shape (K, n)."""
+    middle = 0.5 * (robot.workspace_min + robot.workspace_max)
+    points = middle + INNER * (draw_points(robot, rng, count=settings.moves) - middle)
+    path = waypoints(
+        points, speed_max=settings.speed, acceleration_max=settings.acceleration,
+        rest=settings.rest,
+    )  # fmt: skip
+    time = np.arange(0.0, path.duration + settings.rest, PERIOD)
+    position = path.sample(np.minimum(time, path.duration)).position
+    rest = statics.inverse_kinematics(robot, position)
+    assert rest.converged.all(), "the workspace of the robot holds the path"
+    return points[0], rest.unstrained_length
+
+
+def _record(
+    settings: RunSettings,
+    plant: Robot,
+    rng: np.random.Generator,
+    time: Array,
+    length: Array,
+    position: Array,
+    rotation: Array,
+) -> SyntheticRun:
+    """What the sensors say."""
+    from scipy.spatial.transform import Rotation
+
+    sensors = settings.sensors
+    offset = sensors.encoder_bias * rng.standard_normal(plant.n)
+    reading = length + offset + sensors.encoder_noise * rng.standard_normal(length.shape)
+    if sensors.encoder_resolution > 0.0:
+        reading = sensors.encoder_resolution * np.round(reading / sensors.encoder_resolution)
+    turn = Rotation.from_rotvec(sensors.rotation_noise * rng.standard_normal(position.shape))
+    poses = PoseSamples(
+        time=time + settings.length_delay,
+        position=position + sensors.position_noise * rng.standard_normal(position.shape),
+        quaternion=from_matrix(rotation @ turn.as_matrix()),
+    )
+    described = replace(
+        plant,
+        length_offset=offset,
+        length_scale=np.ones(plant.n),
+        length_delay=settings.length_delay,
+    )
+    metadata = RecordingMetadata(
+        description=f"SYNTHETIC: simulated moves of a plant drawn from {settings.condition}",
+        created_by="calibration.identification.synthetic",
+    )
+    recording = Recording(time=time, unstrained_length=reading, poses=poses, metadata=metadata)
+    return SyntheticRun(recording=recording, plant=described)

@@ -1,0 +1,184 @@
+"""Coordinates in which a robot is identified: each starts at 0 and has a prior sigma of about 1.
+
+What must stay positive is a factor exp(sigma u). The inertia is varied through the second moments of
+the mass, S = 1/2 tr(I) 1 - I, as S -> D S D with D diagonal and positive: whatever the coordinates
+are, a real body can have it. Stiffness and run length are varied at a constant stiffness of the
+whole cable at home: EA = k (L + run), where data often know k alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.parameters import values_of, with_values
+from carosac_toolkit.robot import Robot
+from calibration.estimate import Estimate
+from calibration.identification.settings import IdentificationSettings
+from calibration.robot_update import prior_covariance
+
+STEP = 1e-6  # of the coordinates, for the derivatives of parameters
+_SPREADS = ("inertia.xx", "inertia.yy", "inertia.zz")
+_FACTORS = ("mass", "linear_density", "axial_stiffness", "axial_damping", "drag", "angular_drag")
+_PER_CABLE = ("linear_density", "axial_stiffness", "axial_damping", "run_length")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Unknowns:
+    """k coordinates about a robot.
+
+    Attributes:
+        robot: Where all coordinates are 0.
+        names: Parameters in their order; the inertia's stand for the spread of mass along that
+            axis.
+        scale: What a coordinate of 1 changes a parameter by, or the logarithm of its factor, (k,).
+        factor: Whether it is a factor, shape (k,).
+        lower: Least coordinates, shape (k,).
+        prior: Joint covariance of the coordinates, shape (k, k).
+        reach: Mean length of the cables at home, straight [m].
+    """
+
+    robot: Robot
+    names: tuple[str, ...]
+    scale: Array
+    factor: Array
+    lower: Array
+    prior: Array
+    reach: float
+
+    def robot_at(self, coordinates: Array) -> Robot:
+        """The robot of some coordinates, shape (k,).
+
+        Raises:
+            InvalidField: There is no such robot.
+        """
+        robot, start = self.robot, values_of(self.robot, self.names)
+        shares = self.scale * coordinates
+        values = np.where(self.factor > 0.0, start * np.exp(shares), start + shares)
+        for i, name in enumerate(self.names):
+            if _field(name) == "axial_stiffness":
+                values[i] *= self._lengthening(name, values)
+        plain = [i for i, name in enumerate(self.names) if name not in _SPREADS]
+        changed = with_values(robot, [self.names[i] for i in plain], values[plain])
+        if len(plain) == len(self.names):
+            return changed
+        stretch = np.ones(3)
+        for i, name in enumerate(_SPREADS):
+            stretch[i] = np.exp(0.5 * shares[self.names.index(name)])
+        spread = 0.5 * np.trace(robot.inertia) * np.eye(3) - robot.inertia
+        spread = spread * np.outer(stretch, stretch)
+        return replace(changed, inertia=np.trace(spread) * np.eye(3) - spread)
+
+    def _lengthening(self, name: str, values: Array) -> float:
+        """By which factor the cable with its run becomes longer, for a parameter named as EA."""
+        run = name.replace("axial_stiffness", "run_length")
+        if run not in self.names:
+            return 1.0
+        row = self.names.index(run)
+        before = float(values_of(self.robot, (run,))[0])
+        return float((self.reach + values[row]) / (self.reach + before))
+
+    def estimate(self, coordinates: Array, covariance: Array) -> Estimate:
+        """What is known of the parameters themselves.
+
+        Args:
+            coordinates: Estimated, shape (k,).
+            covariance: Of the coordinates, shape (k, k).
+        """
+
+        def values(at: Array) -> Array:
+            return values_of(self.robot_at(at), self.names)
+
+        def derivative(at: Array) -> Array:
+            steps = STEP * np.eye(len(at))
+            here = values(at)
+            columns = [(values(at + step) - here) / STEP for step in steps]  # bounds lie below
+            found: Array = np.stack(columns, axis=1)
+            return found
+
+        slope, first = derivative(coordinates), derivative(np.zeros(len(coordinates)))
+        return Estimate(
+            names=self.names,
+            value=values(coordinates),
+            covariance=slope @ covariance @ slope.T,
+            start=values(np.zeros(len(coordinates))),
+            prior_sigma=np.sqrt(np.diag(first @ self.prior @ first.T)),
+        )
+
+
+def choose_unknowns(robot: Robot, settings: IdentificationSettings) -> Unknowns:
+    """Coordinates for all that is not held, with what the robot file knows as their prior.
+
+    Args:
+        robot: Where the search starts.
+        settings: How well the rest is known.
+
+    Raises:
+        InvalidField: Everything is held, or a number that would be a factor is 0.
+    """
+    names, scale = _names(robot, settings)
+    factor = np.array([name in _SPREADS or _field(name) in _FACTORS for name in names])
+    start = values_of(robot, names) if names else np.zeros(0)
+    for name, value, is_factor in zip(names, start, factor, strict=True):
+        if is_factor and value <= 0.0:
+            allowed = f"> 0, or the setting {_field(name)} = 0, which holds it"
+            raise InvalidField(name, value, allowed)
+    if not names:
+        raise InvalidField("settings", "all parameters are held", "at least one sigma > 0")
+    natural = np.where(factor, start * scale, scale)  # one sigma of the parameters themselves
+    known = prior_covariance(robot, names, natural)
+    prior = known / np.outer(natural, natural)
+    lower = np.full(len(names), -np.inf)
+    for i, name in enumerate(names):
+        if _field(name) == "run_length":
+            lower[i] = -start[i] / scale[i]
+    return Unknowns(
+        robot=robot,
+        names=names,
+        scale=scale,
+        factor=factor.astype(np.float64),
+        lower=lower,
+        prior=prior,
+        reach=_reach(robot),
+    )
+
+
+def _reach(robot: Robot) -> float:
+    """Mean distance from exit points to home [m]."""
+    return float(np.linalg.norm(robot.exit_points - robot.home_position, axis=1).mean())
+
+
+def _field(name: str) -> str:
+    """Field that a parameter belongs to."""
+    return name.split("[")[0].split(".")[0]
+
+
+def _names(robot: Robot, settings: IdentificationSettings) -> tuple[tuple[str, ...], Array]:
+    """Parameters that are not held, and what is known of them."""
+    cables = robot.cable_names
+    groups: dict[str, list[str]] = {
+        "exit_points": [f"exit_points[{c}].{a}" for c in cables for a in "xyz"],
+        "length_offset": [f"length_offset[{c}]" for c in cables],
+        "length_scale": [f"length_scale[{c}]" for c in cables],
+        "anchor_points": [f"anchor_points[{c}].{a}" for c in cables for a in "xyz"],
+        "center_of_mass": [f"center_of_mass.{a}" for a in "xyz"],
+        "inertia": list(_SPREADS),
+        "mass": ["mass"],
+        "drag": ["drag"],
+        "angular_drag": ["angular_drag"],
+        "length_delay": ["length_delay"],
+    }
+    for field in _PER_CABLE:
+        same = np.ptp(getattr(robot, field)) == 0.0
+        groups[field] = [field] if same else [f"{field}[{c}]" for c in cables]
+    names: list[str] = []
+    scale: list[float] = []
+    for field, members in groups.items():
+        sigma = getattr(settings, field)
+        if sigma > 0.0:
+            names += members
+            scale += [sigma] * len(members)
+    return tuple(names), np.array(scale)

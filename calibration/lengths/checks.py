@@ -1,0 +1,146 @@
+"""Whether a recording can calibrate a robot at all: mix-ups and set-ups that tell too little."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calibration.lengths.unknowns import Unknowns
+from calibration.observability import Unobservable
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.physics.straight_line import straight_length
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.validation.plausibility import find_mix_ups
+from carosac_toolkit.values import Pose
+
+CLEAR = 0.5  # a mix-up is named where putting it right leaves less than this of the misfit
+MOVED = 0.1  # [m]: cables that move less tell no order
+UNITS_OFF = 3.0  # times as much change as the distances have: other units
+LEARNT = 0.7  # of the prior sigma of an exit point: more than that left is nothing learnt
+UNKNOWN = 0.02  # [m]: exit points that are known better than this need not be learnt
+THIN = 0.02  # of the size of the frame: extent of the poses that counts as none
+
+
+class MixUp(CarosacError):
+    """Readings and poses do not belong together as they are."""
+
+
+def check_order(robot: Robot, reading: Array, pose: Pose, *, relative: bool) -> None:
+    """Refuse readings of swapped cables, in other units, and quaternions in another order.
+
+    Args:
+        robot: Before the calibration.
+        reading: [m], shape (S, n).
+        pose: Measured at the same times.
+        relative: Whether the readings have an unknown constant each.
+
+    Raises:
+        MixUp: Names what is mixed up.
+    """
+    said = _changes(robot, reading, pose)
+    if not said and not relative and robot.length_offset is None:
+        said = [line for line in find_mix_ups(robot, reading, pose) if "winch" not in line]
+    if said:
+        advice = "put that right in the recording or in the robot file, then calibrate again"
+        raise MixUp("\n  ".join(["recording and robot do not fit:", *said, advice]))
+
+
+def _changes(robot: Robot, reading: Array, pose: Pose) -> list[str]:
+    """What the changes of the readings show, whatever their zeros are."""
+    from scipy.optimize import linear_sum_assignment
+
+    cables = straight_length(robot, pose.position, pose.rotation)
+    good = cables.valid.all(axis=1)
+    read = reading[good] - np.median(reading[good], axis=0)
+    far = cables.length[good] - np.median(cables.length[good], axis=0)
+    spread = np.median(np.abs(far), axis=0)
+    if len(far) < 3 or spread.min() < MOVED:
+        return []
+    times = float(np.median(np.median(np.abs(read), axis=0) / spread))
+    if times > UNITS_OFF or times < 1.0 / UNITS_OFF:
+        change = f"Readings change {times:.3g} times as much as the distances at the poses"
+        units = {1000.0: "mm", 100.0: "cm"}
+        near = [word for factor, word in units.items() if 0.8 < times / factor < 1.25]
+        return [f"{change}: are they in {near[0]}?" if near else f"{change}: wrong units?"]
+    misfit = np.median(np.abs(read[:, :, None] - far[:, None, :]), axis=0)  # (n, n)
+    order = linear_sum_assignment(misfit)[1]
+    same = np.arange(robot.n)
+    if (order == same).all() or misfit[same, order].sum() > CLEAR * misfit[same, same].sum():
+        return []
+    names = robot.cable_names
+    swaps = [f"reading {i + 1} moves as cable '{names[j]}'" for i, j in enumerate(order) if i != j]
+    return [f"Cables seem swapped: {', '.join(swaps)}."]
+
+
+def check_observable(unknowns: Unknowns, data: Array, position: Array) -> None:
+    """Refuse a set-up that leaves exit points as unknown as they were.
+
+    Args:
+        unknowns: The parameters; exit points that are known apart, as by a tachymeter, pass.
+        data: Fisher information of the readings alone, shape (k, k).
+        position: Of the platform at the samples [m], shape (S, 3).
+
+    Raises:
+        Unobservable: With the reason.
+    """
+    exits = unknowns.exits
+    if unknowns.anchored or not len(exits):
+        return
+    after = np.linalg.inv(data + unknowns.information)
+    said = []
+    for cable, rows in zip(unknowns.robot.cable_names, exits.reshape(-1, 3), strict=True):
+        values, vectors = np.linalg.eigh(after[np.ix_(rows, rows)])
+        sigma, before = float(np.sqrt(values[-1])), unknowns.covariance[rows[0], rows[0]] ** 0.5
+        if sigma > max(LEARNT * before, UNKNOWN):
+            along = np.array2string(np.abs(vectors[:, -1]), precision=2, separator=", ")
+            said.append(
+                f"exit point '{cable}' would stay unknown by {sigma * 1e3:.0f} mm along {along} "
+                f"(it was {before * 1e3:.0f} mm)"
+            )
+    if said:
+        advice = (
+            "record more poses, spread over the whole workspace (--suggest-poses says which), or "
+            "give the robot file covariances of its exit points, as from a tachymeter"
+        )
+        raise Unobservable("\n  ".join([f"{_spread(unknowns.robot, position)}:", *said, advice]))
+
+
+def _spread(robot: Robot, position: Array) -> str:
+    """What is wrong with the poses, in words."""
+    count = len(position)
+    extent = np.zeros(3)
+    if count > 1:
+        values = np.linalg.svd(position - position.mean(axis=0), compute_uv=False)
+        extent[: len(values)] = 3.5 * values / np.sqrt(count)  # the length of a uniform line
+    thin = THIN * float(np.ptp(robot.exit_points, axis=0).max())
+    wide = int((extent > thin).sum())
+    size = f"its {count} poses are" if count != 1 else "its only pose is"
+    shape = ("in one point", "on one line", "in one plane", "too few, or too close together")[wide]
+    spans = " x ".join(f"{value:.2f}" for value in extent)
+    return f"the recording cannot calibrate the exit points: {size} {shape} ({spans} m)"
+
+
+def radial_sentences(unknowns: Unknowns, covariance: Array, direction: Array) -> list[str]:
+    """Say where the exit point along its cable and the offset are almost one unknown.
+
+    Args:
+        unknowns: The parameters.
+        covariance: Of the estimate, shape (k, k).
+        direction: Mean unit vector from exit to anchor points, shape (n, 3).
+    """
+    offsets, said = unknowns.index("length_offset"), list[str]()
+    if len(offsets) != unknowns.robot.n or not len(unknowns.exits):
+        return said
+    for i, name in enumerate(unknowns.robot.cable_names):
+        radial = np.zeros(len(covariance))
+        radial[unknowns.exits[3 * i : 3 * i + 3]] = direction[i] / np.linalg.norm(direction[i])
+        apart, offset = radial @ covariance @ radial, covariance[offsets[i], offsets[i]]
+        shared = radial @ covariance[:, offsets[i]] / np.sqrt(apart * offset)
+        both = np.sqrt(max(apart + offset - 2.0 * radial @ covariance[:, offsets[i]], 0.0))
+        if abs(shared) > 0.8:
+            said.append(
+                f"exit point of '{name}' along its cable and its length offset are almost one "
+                f"unknown (correlation {shared:.2f}): {np.sqrt(apart) * 1e3:.1f} mm and "
+                f"{np.sqrt(offset) * 1e3:.1f} mm each, {both * 1e3:.2f} mm together"
+            )
+    return said

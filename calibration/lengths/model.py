@@ -1,0 +1,157 @@
+"""What the encoders should read at measured poses, with derivatives by all parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.lengths.samples import PosesAt
+from calibration.lengths.wrench import Balance, balance
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.encoders import readings
+from carosac_toolkit.physics import statics
+from carosac_toolkit.physics.cable_lengths import length_at_tension
+from carosac_toolkit.physics.straight_line import StraightCables, straight_length
+from carosac_toolkit.robot import Robot
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prediction:
+    """Predicted readings of S samples; m = n, or 6 with the balance of a robot of n < 6 cables.
+
+    Attributes:
+        value: Readings [m], and residuals of the balance, shape (S, m).
+        by_all: Derivative by all parameters (`unknowns.all_names`), shape (S, m, K).
+        by_pose: Derivative by an error of the measured pose, translation and rotation vector,
+            shape (S, m, 6).
+    """
+
+    value: Array
+    by_all: Array
+    by_pose: Array
+
+
+def in_world(robot: Robot, poses: PosesAt, *, anchored: bool) -> PosesAt:
+    """Measured poses in W, which is their own frame F unless the exit points are `anchored`."""
+    turn = robot.pose_rotation
+    if turn is None or not anchored:
+        return poses
+    twist = np.hstack([poses.twist[:, :3] @ turn.T, poses.twist[:, 3:] @ turn.T])
+    return PosesAt(
+        position=poses.position @ turn.T,
+        rotation=turn @ poses.rotation,
+        twist=twist,
+        valid=poses.valid,
+    )
+
+
+def upwards(robot: Robot, *, anchored: bool) -> Array:
+    """Unit vector against gravity in W, shape (3,)."""
+    level = anchored or robot.pose_rotation is None
+    return np.array([0.0, 0.0, 1.0]) if level else np.asarray(robot.pose_rotation)[2]
+
+
+def tensions(robot: Robot, poses: PosesAt, up: Array) -> Array:
+    """Tensions at poses in W [N], (S, n); NaN where the platform cannot be at rest there.
+
+    Those of the least squared tensions within the limits for n >= 6 cables, and those of least
+    acceleration for fewer.
+    """
+    if robot.n >= 6:
+        rest = statics.inverse_kinematics(robot, poses.position, poses.rotation)
+        return np.asarray(np.where(rest.converged[:, None], rest.tension, np.nan))
+    cables = straight_length(robot, poses.position, poses.rotation)
+    found = balance(robot, poses.rotation, cables, up).tension
+    return np.asarray(np.where((found > 0.0).all(axis=1, keepdims=True), found, np.nan))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Correction:
+    """What sag and stretch do to lengths; NaN where there is no such cable.
+
+    Attributes:
+        value: Unstrained length of the hanging cable less the length of a straight one [m], (S, n).
+        by_tension: By how much a larger tension changes it, per share of the tension [m], (S, n).
+    """
+
+    value: Array
+    by_tension: Array
+
+
+def correction(robot: Robot, poses: PosesAt, tension: Array) -> Correction:
+    """Effect of sag and stretch at poses in W.
+
+    Args:
+        robot: With n cables.
+        poses: S poses in W.
+        tension: At the platform [N], shape (S, n).
+    """
+    cables = length_at_tension(robot, poses.position, poses.rotation, tension)
+    straight = straight_length(robot, poses.position, poses.rotation)
+    value = np.where(straight.valid, cables.unstrained_length - straight.length, np.nan)
+    return Correction(value=value, by_tension=-2.0 * cables.sag - cables.stretch)
+
+
+def predict(
+    robot: Robot, poses: PosesAt, correction: Array, *, plumb: bool, anchored: bool
+) -> Prediction:
+    """Readings at measured poses.
+
+    Args:
+        robot: With the parameters to judge.
+        poses: In W.
+        correction: As of a robot nearby [m], shape (S, n).
+        plumb: Whether the balance of the platform is compared as well; n < 6.
+        anchored: Whether a tilt turns the poses, or gravity alone.
+    """
+    cables = straight_length(robot, poses.position, poses.rotation)
+    length = cables.length + correction
+    arm = robot.anchor_points @ poses.rotation.swapaxes(1, 2)  # (S, n, 3) [m], in W
+    by_pose = np.concatenate([cables.direction, np.cross(arm, cables.direction)], axis=2)
+    scale = np.ones(robot.n) if robot.length_scale is None else robot.length_scale
+    size, n = length.shape
+    value, by_pose = readings(robot, length), by_pose * scale[:, None]
+    ones = np.broadcast_to(np.eye(n), (size, n, n))
+    by_cable = np.concatenate(
+        [_by_geometry(cables, poses) * scale[:, None], ones, length[:, :, None] * np.eye(n)], axis=2
+    )
+    by_center, by_gravity = np.zeros((size, n, 3)), np.zeros((size, n, 2))
+    if plumb:
+        held = balance(robot, poses.rotation, cables, upwards(robot, anchored=anchored))
+        value = np.concatenate([value, held.residual], axis=1)
+        by_pose = np.concatenate([by_pose, held.by_pose], axis=1)
+        by_cable = np.concatenate([by_cable, _balance_by_cable(held)], axis=1)
+        by_center = np.concatenate([by_center, held.by_center], axis=1)
+        by_gravity = np.concatenate([by_gravity, held.by_gravity], axis=1)
+    by_tilt = _by_tilt(by_pose, poses) if anchored else -by_gravity
+    blocks = [by_cable, by_pose @ poses.twist[..., None], by_tilt]
+    blocks += [by_center] if n < 6 else []
+    return Prediction(value=value, by_all=np.concatenate(blocks, axis=2), by_pose=by_pose)
+
+
+def _by_geometry(cables: StraightCables, poses: PosesAt) -> Array:
+    """Lengths by exit points and anchor points, shape (S, n, 6 n)."""
+    size, n = cables.length.shape
+    found = np.zeros((size, n, 2, n, 3))
+    own = np.arange(n)
+    found[:, own, 0, own] = -cables.direction
+    found[:, own, 1, own] = cables.direction @ poses.rotation
+    return found.reshape(size, n, 6 * n)
+
+
+def _balance_by_cable(held: Balance) -> Array:
+    """Balance by exit points, anchor points, offsets and scales, shape (S, 6 - n, 8 n)."""
+    size, rows, n, _ = held.by_exit.shape
+    flat = [block.reshape(size, rows, 3 * n) for block in (held.by_exit, held.by_anchor)]
+    return np.concatenate([*flat, np.zeros((size, rows, 2 * n))], axis=2)
+
+
+def _by_tilt(by_pose: Array, poses: PosesAt) -> Array:
+    """Derivative by a tilt of the frame of the poses about x and y of W, shape (S, m, 2)."""
+    motion = np.zeros((len(poses.position), 6, 2))
+    for k, axis in enumerate(np.eye(3)[:2]):
+        motion[:, :3, k] = np.cross(axis, poses.position)
+        motion[:, 3:, k] = axis
+    found: Array = by_pose @ motion
+    return found

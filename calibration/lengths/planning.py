@@ -1,0 +1,158 @@
+"""Which further poses would teach most about the exit points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.lengths.model import predict
+from calibration.lengths.result import LengthCalibration
+from calibration.lengths.samples import PosesAt
+from calibration.lengths.settings import TYPICAL_NOISE, TYPICAL_SWAY, Settings
+from calibration.lengths.unknowns import Unknowns, find_unknowns
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics import statics
+from carosac_toolkit.recordings.quaternions import from_matrix
+from carosac_toolkit.robot import Robot
+
+CANDIDATES = 400
+COUNT_MAX = 40
+TURN = 0.2  # [rad]: largest rotation that is suggested, per axis
+EDGE = 0.5  # share of the candidates that lie on the edges of the workspace box
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SuggestedPoses:
+    """Poses in the order of their worth, N of them.
+
+    Attributes:
+        position: Platform origin in W [m], shape (N, 3).
+        rotation: From P to W, shape (N, 3, 3); with fewer than 6 cables that of rest there.
+        sigma: Root mean square of one standard deviation of the exit points' coordinates after
+            each further pose [m], shape (N + 1,); the first is that before.
+        worst: The largest of them [m], shape (N + 1,).
+    """
+
+    position: Array
+    rotation: Array
+    sigma: Array
+    worst: Array
+
+    def data(self) -> list[dict[str, Any]]:
+        """Ready for JSON."""
+        return [
+            {"position_m": p, "quaternion_wxyz": q, "exit_sigma_m": s, "exit_sigma_max_m": w}
+            for p, q, s, w in zip(
+                self.position.tolist(), from_matrix(self.rotation).tolist(),
+                self.sigma[1:].tolist(), self.worst[1:].tolist(), strict=True,
+            )
+        ]  # fmt: skip
+
+
+def suggest_poses(
+    found: LengthCalibration | Robot,
+    count: int,
+    *,
+    settings: Settings | None = None,
+    rng: np.random.Generator,
+) -> SuggestedPoses:
+    """Choose poses of rest one after the other, each the best together with those before.
+
+    The best is that which leaves the least sum of variances of the exit points (A-optimal).
+
+    Args:
+        found: A calibration to be improved, or a robot that was not calibrated yet.
+        count: How many.
+        settings: Noise and priors, those of the calibration.
+        rng: Source of the candidates.
+
+    Raises:
+        InvalidField: No number, or a robot that can rest nowhere in its workspace.
+    """
+    if not 1 <= count <= COUNT_MAX:
+        raise InvalidField("--suggest-poses", count, f"1 to {COUNT_MAX}")
+    known = settings or Settings()
+    if isinstance(found, Robot):
+        robot, noise = found, (known.length_noise or TYPICAL_NOISE, TYPICAL_SWAY)
+        unknowns = find_unknowns(robot, known, relative=False)
+        now = unknowns.covariance
+    else:
+        robot, unknowns, now = found.robot, found.unknowns, found.covariance
+        noise = (found.length_noise, found.plumb_noise or TYPICAL_SWAY)
+    rest = _candidates(robot, rng)
+    jacobian, spread = _gains(robot, unknowns, known, rest, noise)
+    exits, chosen = unknowns.exits, list[int]()
+    variance = [np.diag(now)[exits]]
+    for _ in range(count):
+        best, now = _best(now, jacobian, spread, exits, chosen)
+        chosen.append(best)
+        variance.append(np.diag(now)[exits])
+    return SuggestedPoses(
+        position=rest.position[chosen],
+        rotation=rest.rotation[chosen],
+        sigma=np.sqrt(np.mean(variance, axis=1)),
+        worst=np.sqrt(np.max(variance, axis=1)),
+    )
+
+
+def _candidates(robot: Robot, rng: np.random.Generator) -> PosesAt:
+    """Poses of rest with tensions within the limits, half of them on the edges of the box."""
+    from scipy.spatial.transform import Rotation
+
+    share = rng.uniform(-1.0, 1.0, (CANDIDATES, 3))
+    for row in share[: int(EDGE * CANDIDATES)]:
+        ends = rng.permutation(3)[:2]
+        row[ends] = np.sign(row[ends])
+    middle = 0.5 * (robot.workspace_min + robot.workspace_max)
+    half = 0.5 * (robot.workspace_max - robot.workspace_min)
+    turn = Rotation.from_rotvec(rng.uniform(-TURN, TURN, (CANDIDATES, 3))).as_matrix()
+    held = turn @ robot.home_rotation if robot.n >= 6 else None
+    rest = statics.inverse_kinematics(robot, middle + half * share, held)
+    good = rest.converged & rest.stable & ~rest.slack.any(axis=1) & rest.in_winch_range.all(axis=1)
+    if good.sum() < COUNT_MAX:
+        allowed = "a robot that can rest in more than a tenth of its workspace box"
+        raise InvalidField("robot", robot.name, allowed)
+    count = int(good.sum())
+    return PosesAt(
+        position=rest.position[good],
+        rotation=rest.rotation[good],
+        twist=np.zeros((count, 6)),
+        valid=np.ones(count, dtype=np.bool_),
+    )
+
+
+def _gains(
+    robot: Robot, unknowns: Unknowns, known: Settings, rest: PosesAt, noise: tuple[float, float]
+) -> tuple[Array, Array]:
+    """Derivatives (C, m, k) and covariances (C, m, m) of what a candidate would measure."""
+    plumb = robot.n < 6
+    level = replace(robot, pose_rotation=None)
+    found = predict(
+        level,
+        rest,
+        np.zeros((len(rest.position), robot.n)),
+        plumb=plumb,
+        anchored=unknowns.anchored,
+    )
+    m = found.value.shape[1]
+    own = np.where(np.arange(m) < robot.n, *noise) ** 2
+    pose = np.diag([known.position_noise**2] * 3 + [known.rotation_noise**2] * 3)
+    whole = np.diag(own) + found.by_pose @ pose @ found.by_pose.swapaxes(1, 2)
+    return found.by_all[:, :, unknowns.columns], whole
+
+
+def _best(
+    now: Array, jacobian: Array, noise: Array, exits: NDArray[np.int64], taken: list[int]
+) -> tuple[int, Array]:
+    """The candidate that takes most off the variance of the exit points, and what it leaves."""
+    moved = jacobian @ now  # (C, m, k)
+    gain = np.linalg.solve(moved @ jacobian.swapaxes(1, 2) + noise, moved)
+    worth = (moved[:, :, exits] * gain[:, :, exits]).sum(axis=(1, 2))
+    worth[taken] = -np.inf
+    best = int(np.argmax(worth))
+    left = now - moved[best].T @ gain[best]
+    return best, np.asarray(0.5 * (left + left.T))

@@ -1,0 +1,130 @@
+"""The parameters of a calibration from lengths: names, start, prior, and the robot they make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.lengths.settings import Settings
+from calibration.robot_update import prior_covariance
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.parameters import values_of, with_values
+from carosac_toolkit.robot import Robot
+
+LOOSE = 1e3  # [m]: prior of an offset that nothing is known of
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Unknowns:
+    """k parameters of a robot.
+
+    Attributes:
+        robot: The robot before the calibration.
+        names: Of the parameters, k of them.
+        columns: Column of each in the Jacobians by all parameters, shape (k,).
+        start: Values before, shape (k,).
+        covariance: Prior, shape (k, k).
+        anchored: Whether the exit points are known in a levelled frame of their own, as by a
+            tachymeter. If not, W is the frame of the measured poses, and the tilt of that frame
+            turns gravity alone.
+    """
+
+    robot: Robot
+    names: tuple[str, ...]
+    columns: NDArray[np.int64]
+    start: Array
+    covariance: Array
+    anchored: bool
+
+    @property
+    def information(self) -> Array:
+        """Inverse of the prior covariance, shape (k, k)."""
+        scale = np.sqrt(np.diag(self.covariance))
+        unit = self.covariance / np.outer(scale, scale)
+        found: Array = np.linalg.inv(unit) / np.outer(scale, scale)
+        return found
+
+    @property
+    def exits(self) -> NDArray[np.int64]:
+        """Which of them are coordinates of exit points."""
+        return np.array(
+            [k for k, name in enumerate(self.names) if name.startswith("exit_")], np.int64
+        )
+
+    def index(self, prefix: str) -> NDArray[np.int64]:
+        """Which of them have names that begin so."""
+        return np.array(
+            [k for k, name in enumerate(self.names) if name.startswith(prefix)], np.int64
+        )
+
+    def robot_at(self, value: Array) -> Robot:
+        """The robot with these parameters, in W; pulleys swivel about what stands on the ground."""
+        robot = with_values(self.robot, self.names, value)
+        if self.anchored or robot.pose_rotation is None:
+            return robot
+        return replace(robot, swivel_axis=robot.swivel_axis @ robot.pose_rotation)
+
+
+def all_names(cable_names: Sequence[str], *, center: bool) -> tuple[str, ...]:
+    """Every parameter, in the order of the Jacobians' columns.
+
+    Args:
+        cable_names: Of the robot.
+        center: Whether the centre of mass is among them.
+    """
+    names = [f"exit_points[{c}].{axis}" for c in cable_names for axis in "xyz"]
+    names += [f"anchor_points[{c}].{axis}" for c in cable_names for axis in "xyz"]
+    names += [f"length_offset[{c}]" for c in cable_names]
+    names += [f"length_scale[{c}]" for c in cable_names]
+    names += ["length_delay", "pose_tilt.x", "pose_tilt.y"]
+    return (*names, *([f"center_of_mass.{axis}" for axis in "xyz"] if center else []))
+
+
+def find_unknowns(robot: Robot, settings: Settings, *, relative: bool) -> Unknowns:
+    """Parameters with a prior that leaves them free.
+
+    Args:
+        robot: Before the calibration; its covariances are priors.
+        settings: Priors of what it knows no covariance of.
+        relative: Whether the readings are lengths up to an unknown constant.
+    """
+    names = all_names(robot.cable_names, center=robot.n < 6)
+    sigma = np.array([_sigma(name, settings, relative) for name in names])
+    anchored = is_anchored(robot)
+    if not anchored and robot.n >= 6:  # nothing depends on it
+        sigma[[names.index(f"pose_tilt.{axis}") for axis in "xy"]] = 0.0
+    prior = prior_covariance(robot, names, sigma)
+    prior[sigma == 0.0] = 0.0
+    prior[:, sigma == 0.0] = 0.0
+    free = np.flatnonzero(np.diag(prior) > 0.0)
+    return Unknowns(
+        robot=robot,
+        names=tuple(names[k] for k in free),
+        columns=free,
+        start=values_of(robot, [names[k] for k in free]),
+        covariance=prior[np.ix_(free, free)],
+        anchored=anchored,
+    )
+
+
+def is_anchored(robot: Robot) -> bool:
+    """Whether the exit points are known apart from the measured poses."""
+    return robot.exit_covariance is not None or robot.pose_rotation is not None
+
+
+def _sigma(name: str, settings: Settings, relative: bool) -> float:
+    """Prior of one parameter."""
+    if name.startswith("length_offset") and relative and settings.offset_prior > 0.0:
+        return LOOSE
+    return {
+        "exit_points": settings.exit_prior,
+        "anchor_points": settings.anchor_prior,
+        "length_offset": settings.offset_prior,
+        "length_scale": settings.scale_prior,
+        "length_delay": settings.delay_prior,
+        "pose_tilt": settings.tilt_prior,
+        "center_of_mass": settings.center_prior,
+    }[name.split("[")[0].split(".")[0]]

@@ -1,0 +1,258 @@
+"""Self-calibration: exit points, drums and all positions from motor angles and a few positions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calibration.estimate import Estimate
+from calibration.observability import Observability, Unobservable, judge
+from calibration.self_calibration.map_estimate import MapEstimate, estimate
+from calibration.self_calibration.motor_angles import MotorAngles
+from calibration.self_calibration.noise import Settled, settle
+from calibration.self_calibration.problem import Problem
+from calibration.self_calibration.result import Blunder, LeftOut, SelfCalibration
+from calibration.self_calibration.settings import Settings
+from calibration.self_calibration.solver import Fit, Trust, equations, fit
+from calibration.self_calibration.start import LINE, starts
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.robot import Robot
+
+LOOSE = 0.05  # of the longest cable: an exit point less sure than that was not calibrated
+FLAT = 1e-3  # of their extent: known positions that close to a line or plane lie in it
+RIVAL = 13.8  # squared standard deviations: another solution that is less worse is as good
+RIVAL_STEPS = 30
+MANY = 0.2  # of the samples: more blunders are none
+COARSE = 0.02  # of the longest cable: more noise of the line is none
+FAR_OFF = 4.0  # standard deviations before: nothing is that far off by chance
+_FREE = {
+    0: "no position is known, which leaves place and turns of everything free.",
+    1: "1 position is known, which leaves turns about it free.",
+    2: "2 positions are known, which leaves a turn about the line through them free.",
+}
+TELLING = 0.05  # [m] sigma above which predicting a known position tells nothing
+
+
+def calibrate(
+    motor_angles: MotorAngles, robot: Robot, settings: Settings | None = None
+) -> SelfCalibration:
+    """Find what the motor angles of a resting platform tell of a robot.
+
+    Cables are straight and stiff, as no tensions are known: what a constant tension stretches is
+    taken for a larger drum. The rotation of the platform is that at home.
+
+    Args:
+        motor_angles: N samples, a few with known positions.
+        robot: As known before: exit points, drums, home and workspace.
+        settings: What else is known before.
+
+    Returns:
+        Parameters with covariances, positions with sigmas, residuals and blunders.
+
+    Raises:
+        InvalidField: The motors are not those of the robot, its drums are unknown, or there are too
+            few samples to tell the noise.
+        Unobservable: The data leave the exit points free.
+    """
+    settings = settings or Settings()
+    angles = motor_angles.in_order_of(robot.cable_names)
+    problem = Problem(robot, angles, settings)
+    found = starts(problem)
+    everything = np.ones(len(angles.samples), dtype=np.bool_)
+    line = settings.line_sigma or LINE
+    rough = Trust(line_sigma=line, lengths=everything, known=angles.is_known, robust=False)
+    _refuse(problem, found[0], rough)
+    settled = settle(problem, found[0], settings)
+    _refuse(problem, settled.fit, settled.trust)
+    best = estimate(problem, settled)
+    return _result(problem, settled, best, _warnings(problem, settled, found[1:]))
+
+
+def _result(
+    problem: Problem, settled: Settled, best: MapEstimate, warnings: tuple[str, ...]
+) -> SelfCalibration:
+    """Put everything together."""
+    angles, trust = problem.angles, settled.trust
+    lost = ~trust.lengths & ~trust.known
+    position = np.where(lost[:, None], settled.fit.position, best.position)
+    spread = np.sqrt(np.diagonal(best.position_covariance, axis1=1, axis2=2))
+    sigma = np.sqrt(np.diag(best.covariance))
+    return SelfCalibration(
+        robot=problem.robot,
+        estimate=_parameters(problem, best),
+        samples=angles.samples,
+        position=position,
+        position_sigma=np.where(lost[:, None], np.inf, spread),
+        residual=problem.linearize(best.shared, position).residual,
+        used=trust.lengths,
+        is_known=angles.is_known,
+        known_position=angles.known_position,
+        advantage=problem.advantage,
+        length_at_zero=best.shared[problem.zeros],
+        length_at_zero_sigma=sigma[problem.zeros],
+        line_sigma=trust.line_sigma,
+        redundancy=settled.redundancy,
+        blunders=_blunders(problem, settled),
+        left_out=_left_out(problem, settled),
+        observability=_observability(problem, settled.fit, trust),
+        warnings=warnings,
+    )
+
+
+def _parameters(problem: Problem, best: MapEstimate) -> Estimate:
+    """The numbers of the robot, each with its own drum, as the robot file has them."""
+    robot = problem.robot
+    before, slope_before = problem.drum_radius(problem.start)
+    radius, slope = problem.drum_radius(best.shared)
+    exits = np.eye(problem.size)[problem.exits.ravel()]
+    buildup = np.eye(problem.size)[problem.buildups]
+    to_robot = np.vstack([exits, slope, buildup])
+    prior = np.linalg.inv(problem.prior)
+    from_before = np.vstack([exits, slope_before, buildup])
+    names = [*problem.names[: problem.exits.size]]
+    names += [f"drum_radius[{cable}]" for cable in robot.cable_names]
+    names += [f"drum_buildup[{cable}]" for cable in robot.cable_names]
+    covariance = to_robot @ best.covariance @ to_robot.T
+    return Estimate(
+        names=tuple(names),
+        value=np.concatenate(
+            [best.shared[problem.exits].ravel(), radius, best.shared[problem.buildups]]
+        ),
+        covariance=0.5 * (covariance + covariance.T),
+        start=np.concatenate(
+            [problem.start[problem.exits].ravel(), before, problem.start[problem.buildups]]
+        ),
+        prior_sigma=np.sqrt(np.diag(from_before @ prior @ from_before.T)),
+    )
+
+
+def _observability(problem: Problem, found: Fit, trust: Trust) -> Observability:
+    """What the data alone say of all that the samples share."""
+    system = equations(problem, found.shared, found.position, trust)
+    scale = np.sqrt(np.diag(np.linalg.inv(problem.prior)))
+    return judge(problem.names, system.information - problem.prior, scale)
+
+
+def _refuse(problem: Problem, found: Fit, trust: Trust) -> None:
+    """Refuse data that leave the exit points where they were guessed.
+
+    The exit points are judged with everything else known as before, their own prior aside.
+    """
+    system = equations(problem, found.shared, found.position, trust)
+    rows = np.arange(problem.exits.size)
+    rest = np.arange(len(rows), problem.size)
+    data = system.information - problem.prior
+    both = data + problem.prior
+    tied = data[np.ix_(rows, rest)]
+    alone = data[np.ix_(rows, rows)] - tied @ np.linalg.solve(both[np.ix_(rest, rest)], tied.T)
+    scale = np.sqrt(np.diag(np.linalg.inv(problem.prior)))[rows]
+    seen = judge(problem.names[: len(rows)], alone, scale)
+    left = np.linalg.inv(both)[np.ix_(rows, rows)]
+    loose = float(np.sqrt(np.linalg.eigvalsh(left)[-1]))
+    if (seen.blind or seen.weak) and loose > LOOSE * float(problem.start[problem.zeros].max()):
+        raise Unobservable(_reason(problem, trust, seen, loose))
+
+
+def _reason(problem: Problem, trust: Trust, seen: Observability, loose: float) -> str:
+    """Why the exit points stay free, and what would help."""
+    known = problem.angles.known_position[trust.known]
+    count = len(known)
+    spread = np.linalg.svd(known - known.mean(axis=0), compute_uv=False) if count else np.zeros(3)
+    free = (*seen.blind, *seen.weak)
+    if _misfits(problem, trust):
+        why = _misfits(problem, trust)
+    elif count in _FREE:
+        why = _FREE[count]
+    elif spread[1] < FLAT * spread[0]:
+        why = "the known positions lie on one line, which leaves a turn about it free."
+    else:
+        why = f"{len(problem.angles.samples)} samples are too few, or too close together."
+    return (
+        f"the motor angles do not determine the exit points: {why} Up to {loose:.2g} m stay free, "
+        f"above all in {free[0]}. Allowed: at least three known positions, not on one line, "
+        "among samples spread over the workspace; or exit points that the robot file knows better"
+    )
+
+
+def _warnings(problem: Problem, settled: Settled, rivals: list[Fit]) -> tuple[str, ...]:
+    """Other solutions that fit as well, many blunders, and what nobody expected."""
+    lines = []
+    for rival in rivals:
+        other = fit(problem, rival.shared, rival.position, settled.trust, steps=RIVAL_STEPS)
+        worse = other.cost - settled.fit.cost
+        apart = np.abs(other.shared[problem.exits] - settled.fit.shared[problem.exits]).max()
+        if worse < RIVAL and apart > LOOSE * float(problem.start[problem.zeros].max()):
+            lines.append(
+                f"another solution fits almost as well ({worse:.1f} squared standard deviations "
+                f"worse), with exit points up to {apart:.2f} m elsewhere, such as a mirrored one; "
+                "a known position out of the plane of the others tells them apart"
+            )
+    misfits = _misfits(problem, settled.trust)
+    lines += [misfits] if misfits else []
+    moved = settled.fit.shared - problem.start
+    far = np.abs(moved) / np.sqrt(np.diag(np.linalg.inv(problem.prior)))
+    k = int(np.argmax(far))
+    if far[k] > FAR_OFF:
+        lines.append(
+            f"{problem.names[k]} is {far[k]:.1f} standard deviations from where it was thought to "
+            "be: are cables swapped, or is the robot file wrong there?"
+        )
+    return tuple(lines)
+
+
+def _misfits(problem: Problem, trust: Trust) -> str:
+    """What it means that most samples do not fit each other, or nothing."""
+    out, count = int((~trust.lengths).sum()), len(trust.lengths)
+    if out > MANY * count:
+        what = f"the motor angles of {out} of {count} samples do not fit the others"
+    elif trust.line_sigma > COARSE * float(problem.start[problem.zeros].max()):
+        what = f"the motor angles of all samples fit only to {trust.line_sigma:.2g} m of line"
+    else:
+        return ""
+    return (
+        f"{what}; is the robot file right about gears and advantages, and the file about the order "
+        "and sign of the motors?"
+    )
+
+
+def _blunders(problem: Problem, settled: Settled) -> tuple[Blunder, ...]:
+    """Samples that were left out, by name."""
+    tests, trust, angles = settled.tests, settled.trust, problem.angles
+    found = []
+    for k, name in enumerate(angles.samples):
+        if not trust.lengths[k]:
+            sigmas = float(np.sqrt(tests.closure[k] / max(tests.closure_free[k], 1.0)))
+            found.append(Blunder(sample=name, what="motor angles", sigmas=sigmas))
+        if angles.is_known[k] and not trust.known[k]:
+            sigmas = float(np.sqrt(tests.place[k] / max(tests.place_free[k], 1.0)))
+            found.append(Blunder(sample=name, what="known position", sigmas=sigmas))
+    return tuple(found)
+
+
+def _left_out(problem: Problem, settled: Settled) -> tuple[LeftOut, ...]:
+    """Predict each known position from everything else."""
+    trust, angles, found = settled.trust, problem.angles, []
+    for k in np.flatnonzero(trust.known & trust.lengths):
+        known = trust.known.copy()
+        known[k] = False
+        less = replace(trust, known=known)
+        other = fit(problem, settled.fit.shared, settled.fit.position, less)
+        sigma = np.sqrt(
+            np.diag(_position_covariance(problem, other, less, int(k)))
+            + problem.known_sigma[k] ** 2
+        )
+        if (sigma < TELLING).all():
+            error = other.position[k] - angles.known_position[k]
+            found.append(LeftOut(sample=angles.samples[k], error=error, sigma=sigma))
+    return tuple(found)
+
+
+def _position_covariance(problem: Problem, found: Fit, trust: Trust, row: int) -> Array:
+    """Covariance of one position [m^2], shape (3, 3)."""
+    system = equations(problem, found.shared, found.position, trust)
+    slope = system.by_shared[row]
+    covariance: Array = system.position_covariance[row] + slope @ np.linalg.solve(
+        system.information, slope.T
+    )
+    return covariance

@@ -1,0 +1,108 @@
+"""``carosac calibrate lengths`` on a file of motor angles."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+from calibration.report import print_parameters, print_sentences, terminal_width
+from calibration.robot_update import check_output, write_robot
+from calibration.self_calibration.calibrate import calibrate
+from calibration.self_calibration.files import load_motor_angles
+from calibration.self_calibration.motor_angles import MotorAngles
+from calibration.self_calibration.problem import check_drums
+from calibration.self_calibration.report import (
+    BLUNDER_HEADER,
+    LEFT_OUT_HEADER,
+    blunder_rows,
+    left_out_rows,
+    sentences,
+    write_report,
+)
+from carosac_toolkit.cli.common import CommandResult
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.report_page import check_folder
+from carosac_toolkit.robot_file import list_robots, load_robot
+from carosac_toolkit.text_tables import fit
+
+
+class Options(Protocol):
+    """What this needs of the options of the command."""
+
+    @property
+    def robot(self) -> str | None:
+        """Bundled robot or YAML file."""
+
+    @property
+    def output(self) -> Path | None:
+        """The new robot file."""
+
+    @property
+    def report(self) -> Path | None:
+        """Folder of the report."""
+
+    @property
+    def seed(self) -> int:
+        """Not used: nothing is random."""
+
+
+def run_motor_angles(options: Options, path: Path) -> CommandResult:
+    """Calibrate a robot from motor angles; print, and write what was asked for.
+
+    Args:
+        options: Of the command.
+        path: CSV of motor angles.
+
+    Returns:
+        Numbers, with exit status 1 where something must not be overlooked.
+    """
+    angles = load_motor_angles(path)
+    name = options.robot or _robot_of(angles)
+    check_output("--output", options.output, name)
+    if options.report is not None:
+        check_folder("--report", options.report)
+    robot = load_robot(name)
+    check_drums(robot)
+    result = calibrate(angles, robot)
+    known = int(angles.is_known.sum())
+    print(
+        f"{path}: {len(angles.samples)} samples of {len(angles.cables)} motors, {known} known "
+        f"position{'' if known == 1 else 's'}; robot {robot.name}"
+    )
+    print_sentences(result.warnings, "WARNING: ")
+    print_sentences(sentences(result))
+    print_sentences(result.observability.sentences())
+    print()
+    print_parameters(result.estimate)
+    if result.left_out:
+        print("\nknown positions left out one at a time, predicted less known:")
+        print(fit(LEFT_OUT_HEADER, left_out_rows(result), (1, 5), terminal_width()))
+    if result.blunders:
+        print("\nleft out as blunders:")
+        print(fit(BLUNDER_HEADER, blunder_rows(result), (2, 1), terminal_width()))
+    if options.output is not None:
+        provenance = f"self-calibration from the motor angles in {path.name}"
+        write_robot(name, result.estimate, options.output, provenance=provenance)
+        print(f"\nnew robot: {options.output}")
+    if options.report is not None:
+        files = write_report(options.report, result, path, _words(options, path, name))
+        print(f"\nreport: {files[-1]} and {len(files) - 1} pictures beside it")
+    return CommandResult(result.data(), status=1 if result.warnings else 0)
+
+
+def _robot_of(angles: MotorAngles) -> str:
+    """The bundled robot with drums whose cables are called like the motors."""
+    for name in list_robots():
+        robot = load_robot(name)
+        if robot.drum_radius is not None and sorted(robot.cable_names) == sorted(angles.cables):
+            return name
+    allowed = f"a robot file: no bundled robot with drums has cables {list(angles.cables)}"
+    raise InvalidField("--robot", "nothing", allowed)
+
+
+def _words(options: Options, path: Path, robot: str) -> list[str]:
+    """The command that repeats this."""
+    words = ["carosac", "calibrate", "lengths", str(path), "--robot", robot]
+    for option, value in (("--output", options.output), ("--report", options.report)):
+        words += [option, str(value)] if value is not None else []
+    return words

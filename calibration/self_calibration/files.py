@@ -1,0 +1,207 @@
+"""Files of motor angles: CSV with one line per sample."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calibration.self_calibration.motor_angles import MotorAngles
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.cli.common import replacing
+from carosac_toolkit.errors import InvalidFile, MissingFile
+from carosac_toolkit.recordings.table import shortened
+
+_MOTOR = re.compile(r"motor_(?:angle_)?(?P<cable>.+?)_(?P<unit>deg|rad)")
+_KNOWN = re.compile(r"known_(?P<sigma>sigma_)?(?P<axis>[xyz])_(?P<unit>mm|m)")
+_UNITS = {"deg": math.radians(1.0), "rad": 1.0, "mm": 1e-3, "m": 1.0}
+COLUMNS = "sample, motor_NAME_deg or motor_angle_01_rad, known_x_mm or known_x_m"
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A column that means something: where it stands, of what, and in which unit."""
+
+    index: int
+    name: str
+    factor: float
+
+
+def holds_motor_angles(path: Path) -> bool:
+    """Whether a file is a CSV with a column of motor angles; False where it cannot be read."""
+    try:
+        with path.open(encoding="utf-8-sig") as stream:
+            for line in stream:
+                if line.strip() and not line.startswith("#"):
+                    return any(_MOTOR.fullmatch(cell.strip()) for cell in line.split(","))
+    except (OSError, UnicodeDecodeError):
+        pass
+    return False
+
+
+def load_motor_angles(path: str | Path) -> MotorAngles:
+    """Read motor angles and the few positions that are known.
+
+    Columns, in any order: ``sample`` (a name), one ``motor_NAME_deg`` or ``motor_angle_01_rad`` a
+    motor (deg or rad, positive paying cable out), ``known_x_mm``, ``known_y_mm``, ``known_z_mm``
+    (or ``_m``), blank where the position is unknown, and ``known_sigma_x_mm`` and so on if they
+    differ from the settings. Lines that start with # are comments.
+
+    Raises:
+        MissingFile: There is no such file.
+        InvalidFile: With all faults that were found, by line.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise MissingFile(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InvalidFile(path, [f"this is no text file: {error}"]) from error
+    lines = [
+        (number, [cell.strip() for cell in next(csv.reader([line]))])
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.startswith("#")
+    ]
+    if len(lines) < 2:
+        raise InvalidFile(path, [f"no samples; allowed: a header ({COLUMNS}) and lines below it"])
+    reader = _Reader(lines[0][1])
+    faults = reader.faults or reader.read(lines[1:])
+    if faults:
+        raise InvalidFile(path, shortened(faults))
+    return reader.result()
+
+
+def write_motor_angles(angles: MotorAngles, path: Path) -> None:
+    """Write motor angles [rad] and known positions [m]; every number reads back the same."""
+    known = [f"known_{axis}_m" for axis in "xyz"]
+    spread = [f"known_sigma_{axis}_m" for axis in "xyz"] if angles.known_sigma is not None else []
+    motors = [f"motor_{name}_rad" for name in angles.cables]
+    lines = [",".join(["sample", *motors, *known, *spread])]
+    for k, name in enumerate(angles.samples):
+        cells = [*angles.known_position[k]]
+        cells += [] if angles.known_sigma is None else [*angles.known_sigma[k]]
+        words = [repr(float(value)) if angles.is_known[k] else "" for value in cells]
+        lines.append(",".join([name, *(repr(float(v)) for v in angles.motor_angle[k]), *words]))
+    with replacing(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+class _Reader:
+    """The columns of a file, and what was read of them."""
+
+    def __init__(self, header: Sequence[str]) -> None:
+        self.faults: list[str] = []
+        self._width = len(header)
+        self._sample = header.index("sample") if "sample" in header else -1
+        self._motors: list[_Column] = []
+        self._known: dict[str, _Column] = {}
+        self._sigma: dict[str, _Column] = {}
+        for index, title in enumerate(header):
+            self._add(index, title)
+        self._check(header)
+        self._names: list[tuple[int, str]] = []
+        self._angle: list[list[float]] = []
+        self._position: list[list[float]] = []
+        self._spread: list[list[float]] = []
+
+    def _add(self, index: int, title: str) -> None:
+        """Take one column, or say that its name means nothing."""
+        motor, known = _MOTOR.fullmatch(title), _KNOWN.fullmatch(title)
+        if motor:
+            self._motors.append(_Column(index, motor["cable"], _UNITS[motor["unit"]]))
+        elif known:
+            place = self._sigma if known["sigma"] else self._known
+            if known["axis"] in place:
+                self.faults.append(f"column {title}: the same coordinate comes twice")
+            place[known["axis"]] = _Column(index, title, _UNITS[known["unit"]])
+        elif title != "sample":
+            self.faults.append(f"column {title!r}: unknown; allowed: {COLUMNS}")
+
+    def _check(self, header: Sequence[str]) -> None:
+        """Find columns that are missing or double."""
+        if self._sample < 0:
+            self.faults.append("column sample: missing; allowed: a name for each sample")
+        if not self._motors:
+            self.faults.append("no motor angles; allowed: columns such as motor_a_deg")
+        names = [column.name for column in self._motors]
+        for name in sorted({n for n in names if names.count(n) > 1}):
+            self.faults.append(f"motor {name}: two columns; allowed: one per motor")
+        for what, place in (("known", self._known), ("known_sigma", self._sigma)):
+            gone = [axis for axis in "xyz" if axis not in place]
+            if gone and (place or what == "known"):
+                columns = ", ".join(f"{what}_{axis}_mm" for axis in gone)
+                self.faults.append(f"column {columns}: missing; allowed: x, y and z")
+
+    def read(self, lines: Sequence[tuple[int, list[str]]]) -> list[str]:
+        """Read all samples; returns the faults, by line."""
+        faults: list[str] = []
+        for number, cells in lines:
+            if len(cells) != self._width:
+                faults.append(
+                    f"line {number}: got {len(cells)} cells; allowed: {self._width}, as in the "
+                    "header (is the file cut?)"
+                )
+                continue
+            self._names.append((number, cells[self._sample]))
+            self._angle.append([self._number(c, cells, number, faults) for c in self._motors])
+            self._place(cells, number, faults)
+        seen: dict[str, int] = {}
+        for number, name in self._names:
+            if not name or name in seen:
+                before = f", as on line {seen[name]}" if name else ""
+                faults.append(f"line {number}: sample: got {name!r}{before}; allowed: a new name")
+            seen.setdefault(name, number)
+        return faults
+
+    def _number(self, column: _Column, cells: list[str], line: int, faults: list[str]) -> float:
+        """One number in SI units."""
+        try:
+            value = float(cells[column.index]) * column.factor
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            faults.append(
+                f"line {line}: {column.name}: got {cells[column.index]!r}; allowed: a number"
+            )
+        return value
+
+    def _place(self, cells: list[str], line: int, faults: list[str]) -> None:
+        """A known position, or none."""
+        columns = [self._known[axis] for axis in "xyz"]
+        given = [bool(cells[column.index]) for column in columns]
+        self._position.append([math.nan] * 3)
+        self._spread.append([math.nan] * 3)
+        if not any(given):
+            return
+        if not all(given):
+            gone = [c.name for c, there in zip(columns, given, strict=True) if not there]
+            faults.append(
+                f"line {line}: {', '.join(gone)}: blank; allowed: all three coordinates of a known "
+                "position, or none"
+            )
+            return
+        self._position[-1] = [self._number(c, cells, line, faults) for c in columns]
+        if self._sigma:
+            spread = [self._sigma[axis] for axis in "xyz"]
+            self._spread[-1] = [self._number(c, cells, line, faults) for c in spread]
+            if min(self._spread[-1]) <= 0.0:
+                faults.append(f"line {line}: {spread[0].name}: got <= 0; allowed: > 0")
+
+    def result(self) -> MotorAngles:
+        """What was read."""
+        position: Array = np.array(self._position)
+        spread: Array = np.array(self._spread)
+        return MotorAngles(
+            samples=tuple(name for _, name in self._names),
+            cables=tuple(column.name for column in self._motors),
+            motor_angle=np.array(self._angle),
+            known_position=np.nan_to_num(position),
+            is_known=np.isfinite(position[:, 0]),
+            known_sigma=np.nan_to_num(spread) if self._sigma else None,
+        )

@@ -1,0 +1,116 @@
+"""The maximum a posteriori estimate and its covariance by a factor graph (gtsam)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import S, X
+
+from calibration.self_calibration.noise import Settled
+from calibration.self_calibration.problem import Problem
+from calibration.self_calibration.solver import FAR
+from carosac_toolkit.arrays import Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MapEstimate:
+    """All unknowns with covariances.
+
+    Attributes:
+        shared: Shape (m,).
+        covariance: Of the shared unknowns, shape (m, m).
+        position: [m], shape (N, 3).
+        position_covariance: [m^2], shape (N, 3, 3).
+        iterations: That the optimiser took from the start it was given.
+    """
+
+    shared: Array
+    covariance: Array
+    position: Array
+    position_covariance: Array
+    iterations: int
+
+
+def estimate(problem: Problem, settled: Settled) -> MapEstimate:
+    """Optimise the graph of all believed data from where the robust fit ended.
+
+    The graph has one vector of shared unknowns and one point for each sample. A sample that is
+    not believed keeps its place in the graph, with a known position or its wide prior only.
+
+    Args:
+        problem: The samples.
+        settled: Start, noise and which data count.
+    """
+    graph = _graph(problem, settled)
+    values = gtsam.Values()
+    values.insert(S(0), _unit(problem, settled.fit.shared))
+    for k, point in enumerate(settled.fit.position):
+        values.insert(X(k), point)
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setLinearSolverType("MULTIFRONTAL_QR")
+    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
+    result = optimizer.optimize()
+    marginals = gtsam.Marginals(graph, result)
+    scale = _scale(problem)
+    count = len(problem.angles.samples)
+    return MapEstimate(
+        shared=problem.start + scale * result.atVector(S(0)),
+        covariance=marginals.marginalCovariance(S(0)) * np.outer(scale, scale),
+        position=np.array([result.atPoint3(X(k)) for k in range(count)]),
+        position_covariance=np.array([marginals.marginalCovariance(X(k)) for k in range(count)]),
+        iterations=optimizer.iterations(),
+    )
+
+
+def _scale(problem: Problem) -> Array:
+    """One standard deviation of each shared unknown before: its unit in the graph."""
+    found: Array = np.sqrt(np.diag(np.linalg.inv(problem.prior)))
+    return found
+
+
+def _unit(problem: Problem, shared: Array) -> Array:
+    """Shared unknowns in the units of the graph."""
+    found: Array = (shared - problem.start) / _scale(problem)
+    return found
+
+
+def _graph(problem: Problem, settled: Settled) -> Any:
+    """Priors, known positions, and one factor of lengths for each sample."""
+    graph = gtsam.NonlinearFactorGraph()
+    scale, trust, angles = _scale(problem), settled.trust, problem.angles
+    prior = gtsam.noiseModel.Gaussian.Information(problem.prior * np.outer(scale, scale))
+    graph.addPriorVector(S(0), np.zeros(problem.size), prior)
+    reach = FAR * float(problem.start[problem.zeros].max())
+    wide = gtsam.noiseModel.Isotropic.Sigma(3, reach)
+    noise = gtsam.noiseModel.Diagonal.Sigmas(trust.line_sigma / problem.advantage)
+    for k in range(len(angles.samples)):
+        graph.addPriorPoint3(X(k), problem.robot.home_position, wide)
+        if trust.known[k]:
+            tight = gtsam.noiseModel.Diagonal.Sigmas(problem.known_sigma[k])
+            graph.addPriorPoint3(X(k), angles.known_position[k], tight)
+        if trust.lengths[k]:
+            graph.add(gtsam.CustomFactor(noise, [S(0), X(k)], _lengths(problem, scale, k)))
+    return graph
+
+
+def _lengths(
+    problem: Problem, scale: Array, row: int
+) -> Callable[[Any, Any, list[Array] | None], Array]:
+    """Residuals of one sample, with their Jacobians."""
+
+    def error(factor: Any, values: Any, jacobians: list[Array] | None) -> Array:
+        keys = factor.keys()
+        shared = problem.start + scale * values.atVector(keys[0])
+        position = np.asarray(values.atPoint3(keys[1]))
+        linear = problem.linearize(shared, position[None], slice(row, row + 1))
+        if jacobians is not None:
+            jacobians[0] = np.asfortranarray(linear.by_shared[0] * scale)
+            jacobians[1] = np.asfortranarray(linear.by_position[0])
+        found: Array = linear.residual[0]
+        return found
+
+    return error

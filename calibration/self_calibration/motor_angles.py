@@ -1,0 +1,91 @@
+"""Motor angles of a robot whose platform was put to many places, few of which are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array, set_frozen
+from carosac_toolkit.errors import InvalidField
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotorAngles:
+    """N samples of n motors, taken while the platform rests.
+
+    Attributes:
+        samples: One name per sample, N of them.
+        cables: What the motors are called, n of them: names of cables, or 01, 02, ... in order.
+        motor_angle: Since one common reference, at which all are 0 [rad], positive paying cable
+            out, shape (N, n).
+        known_position: Platform origin in W where it is known, else 0 [m], shape (N, 3).
+        is_known: Where it is known, shape (N,).
+        known_sigma: One standard deviation of known positions per axis [m], shape (N, 3); None:
+            up to the settings.
+    """
+
+    samples: tuple[str, ...]
+    cables: tuple[str, ...]
+    motor_angle: Array
+    known_position: Array
+    is_known: NDArray[np.bool_]
+    known_sigma: Array | None = None
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays; refuse names that come twice and sigmas that are none."""
+        for field in ("samples", "cables"):
+            names = tuple(getattr(self, field))
+            if not names or len(set(names)) != len(names):
+                double = sorted({name for name in names if names.count(name) > 1})
+                raise InvalidField(field, f"{double or 'nothing'}", "at least one, all different")
+            object.__setattr__(self, field, names)
+        count = len(self.samples)
+        set_frozen(self, {"motor_angle": (count, len(self.cables)), "known_position": (count, 3)})
+        known = np.array(self.is_known, dtype=np.bool_)
+        if known.shape != (count,):
+            raise InvalidField("is_known", f"shape {known.shape}", f"shape ({count},)")
+        known.setflags(write=False)
+        object.__setattr__(self, "is_known", known)
+        if self.known_sigma is not None:
+            set_frozen(self, {"known_sigma": (count, 3)})
+            if not (self.known_sigma[known] > 0.0).all():
+                bad = float(self.known_sigma[known].min())
+                raise InvalidField("known_sigma", f"{bad:g} m", "> 0 wherever a position is known")
+
+    def index(self, sample: str) -> int:
+        """Where a sample stands.
+
+        Raises:
+            InvalidField: There is none of this name.
+        """
+        if sample not in self.samples:
+            raise InvalidField("sample", repr(sample), f"one of {list(self.samples)}")
+        return self.samples.index(sample)
+
+    def without_known(self, samples: Sequence[str]) -> MotorAngles:
+        """The same angles, with the positions of some samples unknown."""
+        rows = [self.index(sample) for sample in samples]
+        known, position = self.is_known.copy(), self.known_position.copy()
+        known[rows], position[rows] = False, 0.0
+        return replace(self, is_known=known, known_position=position)
+
+    def in_order_of(self, cable_names: Sequence[str]) -> MotorAngles:
+        """The same with one column per cable of a robot, in the robot's order.
+
+        Raises:
+            InvalidField: The motors are neither called like the cables nor numbered 1 to n.
+        """
+        names = list(self.cables)
+        if sorted(names) == sorted(cable_names):
+            columns = [names.index(name) for name in cable_names]
+        elif all(name.isdigit() for name in names) and sorted(map(int, names)) == list(
+            range(1, len(cable_names) + 1)
+        ):
+            columns = [int(k) for k in np.argsort([int(name) for name in names])]
+        else:
+            allowed = f"the robot's {list(cable_names)}, or 01 to {len(cable_names):02d}"
+            raise InvalidField("motors", f"{names}", allowed)
+        return replace(self, cables=tuple(cable_names), motor_angle=self.motor_angle[:, columns])

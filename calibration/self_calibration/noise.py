@@ -1,0 +1,225 @@
+"""How well each sample fits, how much noise there is, and which samples are blunders.
+
+A sample of n lengths has n - 3 more than its position takes: what they leave is its closure. A
+known position is compared with the one that the lengths alone give. Both are tested against their
+own covariance, in which a sample that was used takes part of the noise away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibration.self_calibration.problem import Problem
+from calibration.self_calibration.settings import Settings
+from calibration.self_calibration.solver import Fit, Mask, Trust, Whitened, equations, fit, whiten
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+
+CHECKED = 0.05  # share of its own noise that a combination must show for a test of it
+ROUNDS = 20
+PLACING = 20  # Gauss-Newton steps
+STILL = 1e-7  # [m]
+SETTLED = 0.01  # relative change of the noise
+LINE_MIN = 1e-6  # [m] that no line is known better than
+ENOUGH = 5.0  # lengths beyond what is estimated, below which the noise must be given
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tests:
+    """Squared misfits in standard deviations, and of how many combinations they are.
+
+    Attributes:
+        closure: Of the lengths of each sample, shape (N,).
+        closure_free: How many combinations it is of, shape (N,).
+        square: Sum of squares of each closure, not divided by its own variance, shape (N,).
+        share: What the noise makes of that on average, shape (N,).
+        place: Of each known position, 0 where unknown, shape (N,).
+        place_free: shape (N,).
+    """
+
+    closure: Array
+    closure_free: Array
+    square: Array
+    share: Array
+    place: Array
+    place_free: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Settled:
+    """A fit with the data that it believes.
+
+    Attributes:
+        fit: The values.
+        soft: Those of the robust fit before, in which every sample has a position.
+        trust: Noise and which data count.
+        tests: Of every sample.
+        redundancy: Lengths beyond what they were needed for.
+    """
+
+    fit: Fit
+    soft: Fit
+    trust: Trust
+    tests: Tests
+    redundancy: float
+
+
+def settle(problem: Problem, start: Fit, settings: Settings) -> Settled:
+    """Find noise and blunders, and fit without them.
+
+    Args:
+        problem: The samples.
+        start: A robust fit in the right basin.
+        settings: Noise, if it is known, and what counts as a blunder.
+
+    Raises:
+        InvalidField: There are too few samples to tell the noise.
+    """
+    angles = problem.angles
+    trust = Trust(
+        line_sigma=settings.line_sigma or 5e-3,
+        lengths=np.ones(len(angles.samples), dtype=np.bool_),
+        known=angles.is_known,
+        robust=True,
+    )
+    soft, trust = _soft(problem, start, trust, settings)
+    found = soft
+    for _ in range(ROUNDS):
+        tests = test(problem, found, trust)
+        lengths, known = _believed(problem, tests, settings)
+        same = (lengths == trust.lengths).all() and (known == trust.known).all()
+        line = trust.line_sigma
+        if settings.line_sigma is None:
+            share = _enough(float(tests.share[lengths].sum()))
+            line *= np.sqrt(float(tests.square[lengths].sum()) / share)
+        settled = abs(line / trust.line_sigma - 1.0) < SETTLED and not trust.robust and same
+        trust = Trust(line_sigma=max(line, LINE_MIN), lengths=lengths, known=known, robust=False)
+        found = _placed(problem, fit(problem, found.shared, found.position, trust), soft, trust)
+        if settled or (line <= LINE_MIN and same):
+            break
+    tests = test(problem, found, trust)
+    redundancy = float(tests.share[trust.lengths].sum())
+    return Settled(fit=found, soft=soft, trust=trust, tests=tests, redundancy=redundancy)
+
+
+def _placed(problem: Problem, found: Fit, soft: Fit, trust: Trust) -> Fit:
+    """A fit with the samples that it left out at the positions that their lengths give."""
+    out = ~trust.lengths & ~trust.known
+    position = np.where(out[:, None], soft.position, found.position)
+    everything = replace(trust, lengths=np.ones_like(trust.lengths))
+    for _ in range(PLACING if out.any() else 0):
+        step = equations(problem, found.shared, position, everything).step
+        position = np.where(out[:, None], position + step, position)
+    return replace(found, position=position)
+
+
+def test(problem: Problem, found: Fit, trust: Trust) -> Tests:
+    """Test every sample, used or not."""
+    system = equations(problem, found.shared, found.position, trust)
+    shared = np.linalg.inv(system.information)
+    where, white, own, gain = _by_lengths(problem, found, trust)
+    sign = 1.0 - 2.0 * system.lengths[:, None, None]  # -1: the sample was used, 1: it was not
+    slope = white.by_position
+    n = slope.shape[1]
+    rest = np.eye(n) - slope @ gain
+    by_shared = rest @ white.by_shared
+    covariance = rest + sign * (by_shared @ shared @ by_shared.swapaxes(1, 2))
+    closure = np.einsum("kij,kj->ki", rest, white.residual)
+    square, free = _normalised(closure, covariance)
+    known = problem.angles.is_known
+    miss = where - problem.angles.known_position
+    moved = gain @ white.by_shared
+    spread = own + np.eye(3) * problem.known_sigma[:, None, :] ** 2
+    both = 1.0 - 2.0 * (system.lengths * system.known)[:, None, None]
+    place = spread + both * (moved @ shared @ moved.swapaxes(1, 2))
+    scale = 1.0 / np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
+    away, away_free = _normalised(miss * scale, place * scale[:, :, None] * scale[:, None, :])
+    return Tests(
+        closure=square,
+        closure_free=free,
+        square=(closure**2).sum(axis=1),
+        share=np.trace(covariance, axis1=1, axis2=2),
+        place=np.where(known, away, 0.0),
+        place_free=np.where(known, away_free, 0.0),
+    )
+
+
+def _by_lengths(problem: Problem, found: Fit, trust: Trust) -> tuple[Array, Whitened, Array, Array]:
+    """Positions by the lengths alone, whatever is known of them.
+
+    Returns:
+        Positions (N, 3), the samples there, covariances (N, 3, 3) of these positions, and how they
+        follow from the residuals (N, 3, n).
+    """
+    where = found.position
+    for step in range(PLACING):
+        white = whiten(problem, found.shared, where, trust.line_sigma)
+        slope = white.by_position
+        square = slope.swapaxes(1, 2) @ slope
+        own: Array = np.asarray(np.linalg.pinv(square, rcond=1e-10, hermitian=True), np.float64)
+        gain = own @ slope.swapaxes(1, 2)
+        move = np.einsum("kij,kj->ki", gain, white.residual)
+        if step == PLACING - 1 or np.abs(move).max() < STILL:
+            break
+        where = where - move
+    return where, white, own, gain
+
+
+def _soft(problem: Problem, start: Fit, trust: Trust, settings: Settings) -> tuple[Fit, Trust]:
+    """Robust fits whose noise is that of the median sample."""
+    from scipy.stats import chi2
+
+    found = fit(problem, start.shared, start.position, trust)
+    if settings.line_sigma is not None:
+        return found, trust
+    for _ in range(ROUNDS):
+        tests = test(problem, found, trust)
+        some = tests.closure_free > 0
+        _enough(float(tests.share.sum()))
+        ratio = tests.closure[some] / chi2.median(tests.closure_free[some])
+        change = float(np.sqrt(np.median(ratio)))
+        line = max(trust.line_sigma * change, LINE_MIN)
+        done = abs(change - 1.0) < SETTLED or line == LINE_MIN
+        trust = replace(trust, line_sigma=line)
+        found = fit(problem, found.shared, found.position, trust)
+        if done:
+            break
+    return found, trust
+
+
+def _believed(problem: Problem, tests: Tests, settings: Settings) -> tuple[Mask, Mask]:
+    """Whose lengths, and whose known positions, are no blunders."""
+    lengths = chance(tests.closure, tests.closure_free) > settings.blunder
+    places = chance(tests.place, tests.place_free) > settings.blunder
+    # What a known position is compared with are the lengths: where they are wrong it stays.
+    return lengths, problem.angles.is_known & (places | ~lengths)
+
+
+def chance(square: Array, free: Array) -> Array:
+    """Probability that noise alone makes a squared misfit so large; 1 where nothing is tested."""
+    from scipy.stats import chi2
+
+    found: Array = np.where(free > 0, chi2.sf(square, np.maximum(free, 1)), 1.0)
+    return found
+
+
+def _normalised(vector: Array, covariance: Array) -> tuple[Array, Array]:
+    """Squared norms by the covariance, and the rank used, each shape (N,)."""
+    values, axes = np.linalg.eigh(0.5 * (covariance + covariance.swapaxes(1, 2)))
+    seen = values > CHECKED
+    along = np.einsum("kji,kj->ki", axes, vector)
+    square = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0)
+    return square.sum(axis=1), seen.sum(axis=1).astype(np.float64)
+
+
+def _enough(share: float) -> float:
+    """Refuse to tell the noise from hardly anything."""
+    if share < ENOUGH:
+        allowed = (
+            f"the noise of the line in the settings: the lengths are only {max(share, 0.0):.1f} "
+            f"more than what is estimated from them, and {ENOUGH:g} are needed to tell it"
+        )
+        raise InvalidField("line_sigma", "nothing", allowed)
+    return share

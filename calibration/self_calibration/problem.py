@@ -1,0 +1,230 @@
+r"""Motor angles as a function of what is unknown.
+
+The drum of cable i pays out, since the reference at which its motor angle is 0, by drum angle
+:math:`\varphi` and with radius :math:`r_i` at the reference, build-up :math:`b_i` and advantage
+:math:`\alpha_i`,
+
+.. math:: L_i(\varphi) = L_{0,i} + (r_i \varphi - b_i \varphi^2 / 4) / \alpha_i,
+
+and a straight stiff cable to the platform at p has the length :math:`\ell_i(p)` (with the wrapped
+arc where there is a pulley). The residual is :math:`L_i(\varphi) - \ell_i(p)`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.robot_update import prior_covariance
+from calibration.self_calibration.motor_angles import MotorAngles
+from calibration.self_calibration.settings import Settings
+from carosac_toolkit.arrays import Array, frozen_array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics.drum import drums_of
+from carosac_toolkit.physics.straight_line import straight_length
+from carosac_toolkit.robot import Robot
+
+ALIKE = 2e-5  # [m] between the radii of drums that are of one make
+Rows = slice | NDArray[np.intp]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Linear:
+    """Residuals of some samples and how they change.
+
+    Attributes:
+        residual: Length by the drum less straight length [m], shape (N, n).
+        by_shared: Derivative by the m shared unknowns, shape (N, n, m).
+        by_position: Derivative by the position of the sample, shape (N, n, 3).
+    """
+
+    residual: Array
+    by_shared: Array
+    by_position: Array
+
+
+class Problem:
+    """All samples; unknown are the positions and m numbers that they share.
+
+    The shared unknowns are the exit points (3 n), one error of the drum radius and one build-up
+    for each group of alike drums, and the lengths at the reference (n).
+
+    Attributes:
+        names: Of the shared unknowns, m of them.
+        start: What is known of them before, shape (m,).
+        prior: Information on them before, shape (m, m).
+        exits: Where the exit points stand among them, shape (n, 3).
+        radii: Where the radius error of each cable stands, shape (n,).
+        buildups: Where its build-up stands, shape (n,).
+        zeros: Where its length at the reference stands, shape (n,).
+        advantage: Line paid out per length of cable, shape (n,).
+        radius: Of the drums at the reference, as known before [m], shape (n,).
+        known_sigma: Of known positions [m], shape (N, 3).
+    """
+
+    def __init__(self, robot: Robot, angles: MotorAngles, settings: Settings) -> None:
+        """Set up.
+
+        Args:
+            robot: As known before.
+            angles: N samples, the motors in the order of the robot's cables.
+            settings: What is known before.
+
+        Raises:
+            InvalidField: The robot file does not say how motor angle and length belong together.
+        """
+        drums = drums_of(robot)
+        self.robot, self.angles = robot, angles
+        self.advantage = drums.advantage
+        home = straight_length(robot, robot.home_position[None]).length[0]
+        zero = home if settings.length_at_zero is None else settings.length_at_zero
+        length = frozen_array("length_at_zero", zero, (robot.n,))
+        turned = drums.motor_angle(length) / drums.gear
+        self.radius = drums.radius - 0.5 * drums.buildup * turned
+        self._drums = drums
+        self._drum_angle = angles.motor_angle / drums.gear
+        self._set_places(_alike(drums.radius, self.radius, self._makes()))
+        self.start = np.concatenate(
+            [robot.exit_points.ravel(), np.zeros(self._groups), np.array(self._buildups), length]
+        )
+        self.prior = self._prior(settings)
+        spread = angles.known_sigma
+        self.known_sigma = np.tile(settings.known_sigma, (len(angles.samples), 1))
+        if spread is not None:
+            self.known_sigma[angles.is_known] = spread[angles.is_known]
+
+    @property
+    def size(self) -> int:
+        """Number of shared unknowns m."""
+        return len(self.names)
+
+    def linearize(self, shared: Array, position: Array, rows: Rows = slice(None)) -> Linear:
+        """Residuals and their derivatives.
+
+        Args:
+            shared: Shape (m,).
+            position: Of the chosen samples [m], shape (N, 3).
+            rows: Which samples.
+        """
+        angle = self._drum_angle[rows]
+        count, n = angle.shape
+        straight, direction = self.straight(shared, position)
+        by_shared = np.zeros((count, n, self.size))
+        for i in range(n):
+            by_shared[:, i, self.exits[i]] = direction[:, i]
+            by_shared[:, i, self.radii[i]] = angle[:, i] / self.advantage[i]
+            by_shared[:, i, self.buildups[i]] = -0.25 * angle[:, i] ** 2 / self.advantage[i]
+            by_shared[:, i, self.zeros[i]] = 1.0
+        return Linear(
+            residual=self.wound(shared, rows) - straight,
+            by_shared=by_shared,
+            by_position=-direction,
+        )
+
+    def drum_radius(self, shared: Array) -> tuple[Array, Array]:
+        """Radii at unstrained length 0 [m], shape (n,), and their derivative, shape (n, m)."""
+        radius = self.radius + shared[self.radii]
+        buildup, length = shared[self.buildups], shared[self.zeros]
+        found = np.sqrt(radius**2 + self.advantage * buildup * length)
+        slope = np.zeros((len(found), self.size))
+        rows = np.arange(len(found))
+        slope[rows, self.radii] = radius / found
+        slope[rows, self.buildups] = 0.5 * self.advantage * length / found
+        slope[rows, self.zeros] = 0.5 * self.advantage * buildup / found
+        return found, slope
+
+    def wound(self, shared: Array, rows: Rows = slice(None)) -> Array:
+        """Lengths of the cables by their drums [m], shape (N, n)."""
+        drums = replace(
+            self._drums,
+            radius=self.radius + shared[self.radii],
+            buildup=shared[self.buildups],
+            gear=np.ones(self.robot.n),
+        )
+        found: Array = shared[self.zeros] + drums.length(self._drum_angle[rows])
+        return found
+
+    def straight(self, shared: Array, position: Array) -> tuple[Array, Array]:
+        """Straight lengths (N, n) [m] and their directions (N, n, 3), as in `straight_length`.
+
+        Only the vector from exit to anchor point matters: the platform moves instead of the exit
+        points, so that one robot's buffers serve all calls.
+        """
+        exits, count = shared[self.exits], len(position)
+        n = len(exits)
+        moved = (position - (exits - self.robot.exit_points)[:, None, :]).reshape(-1, 3)
+        cables = straight_length(self.robot, moved)
+        each = np.arange(n)
+        length = cables.length.reshape(n, count, n)[each, :, each].T
+        direction = cables.direction.reshape(n, count, n, 3)[each, :, each].swapaxes(0, 1)
+        return length, direction
+
+    def _makes(self) -> list[tuple[float, ...]]:
+        """What drums of one make have in common."""
+        drums = self._drums
+        return list(zip(drums.gear, drums.advantage, drums.buildup, strict=True))
+
+    def _set_places(self, group: Sequence[int]) -> None:
+        """Give each unknown its place and its name."""
+        n = self.robot.n
+        cables = self.robot.cable_names
+        self._groups = max(group) + 1
+        self._buildups = sorted(set(self._drums.buildup.tolist()))
+        of_buildup = [self._buildups.index(b) for b in self._drums.buildup.tolist()]
+        self.exits = np.arange(3 * n).reshape(n, 3)
+        self.radii = 3 * n + np.array(group)
+        self.buildups = 3 * n + self._groups + np.array(of_buildup)
+        self.zeros = 3 * n + self._groups + len(self._buildups) + np.arange(n)
+        names = [f"exit_points[{cable}].{axis}" for cable in cables for axis in "xyz"]
+        names += [f"drum_radius[{_joined(cables, group, g)}]" for g in range(self._groups)]
+        names += [
+            f"drum_buildup[{_joined(cables, of_buildup, g)}]" for g in range(len(self._buildups))
+        ]
+        self.names = tuple(names + [f"length_at_zero[{cable}]" for cable in cables])
+
+    def _prior(self, settings: Settings) -> Array:
+        """Information before."""
+        exits = self.names[: self.exits.size]
+        covariance = np.zeros((self.size, self.size))
+        block = slice(0, self.exits.size)
+        covariance[block, block] = prior_covariance(
+            self.robot, exits, np.full(len(exits), settings.exit_sigma)
+        )
+        sigma = np.full(self.size, settings.length_at_zero_sigma)
+        sigma[self.radii] = settings.drum_radius_sigma
+        thickness = np.maximum(self.start[self.buildups], 1e-9)
+        sigma[self.buildups] = settings.drum_buildup_sigma * thickness
+        rest = np.arange(self.exits.size, self.size)
+        covariance[rest, rest] = sigma[rest] ** 2
+        return np.asarray(np.linalg.inv(covariance))
+
+
+def _alike(empty: Array, reference: Array, makes: Sequence[tuple[float, ...]]) -> list[int]:
+    """Groups of drums of one make: the same radius with all line wound in, or at the reference."""
+    group: list[int] = []
+    for i in range(len(makes)):
+        for j in range(i):
+            same = min(abs(empty[i] - empty[j]), abs(reference[i] - reference[j])) < ALIKE
+            if makes[i] == makes[j] and same:
+                group.append(group[j])
+                break
+        else:
+            group.append(max(group, default=-1) + 1)
+    return group
+
+
+def _joined(cables: Sequence[str], group: Sequence[int], g: int) -> str:
+    """Cables of one group."""
+    return ", ".join(name for name, mine in zip(cables, group, strict=True) if mine == g)
+
+
+def check_drums(robot: Robot) -> None:
+    """Refuse a robot whose drums are unknown, before any work is done."""
+    try:
+        drums_of(robot)
+    except InvalidField as error:
+        allowed = f"{error.allowed} of {robot.name!r}, as in the bundled robot 'hangprinter'"
+        raise InvalidField(error.field, error.value, allowed) from error

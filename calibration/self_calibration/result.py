@@ -1,0 +1,127 @@
+"""What a self-calibration found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.estimate import Estimate
+from calibration.observability import Observability
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.robot import Robot
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blunder:
+    """A sample that does not fit the others and was left out.
+
+    Attributes:
+        sample: Its name.
+        what: ``motor angles`` or ``known position``.
+        sigmas: Root mean square misfit in its own standard deviations.
+    """
+
+    sample: str
+    what: str
+    sigmas: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LeftOut:
+    """A known position that was predicted from all other data.
+
+    Attributes:
+        sample: Its name.
+        error: Predicted less known position [m], shape (3,).
+        sigma: One standard deviation of that error [m], shape (3,).
+    """
+
+    sample: str
+    error: Array
+    sigma: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SelfCalibration:
+    """Parameters and positions from motor angles; N samples, n cables.
+
+    Attributes:
+        robot: As it was known before.
+        estimate: Exit points, drum radii and build-ups.
+        samples: Names.
+        position: Platform origin in W [m], shape (N, 3).
+        position_sigma: One standard deviation [m], shape (N, 3); infinite for a sample whose motor
+            angles are a blunder and whose position is not known.
+        residual: Length by the drum less straight length [m], shape (N, n).
+        used: Whose motor angles were used, shape (N,).
+        is_known: Whose position was given, shape (N,).
+        known_position: The given ones, 0 elsewhere [m], shape (N, 3).
+        advantage: Line paid out per length of cable, shape (n,).
+        length_at_zero: Lengths where the motor angles are 0 [m], shape (n,).
+        length_at_zero_sigma: [m], shape (n,).
+        line_sigma: Noise of the line paid out, as found or given [m].
+        redundancy: Lengths beyond those that the unknowns take.
+        blunders: Samples that were left out.
+        left_out: Known positions predicted one at a time, where the others suffice.
+        observability: Of all that the samples share.
+        warnings: What must not be overlooked.
+    """
+
+    robot: Robot
+    estimate: Estimate
+    samples: tuple[str, ...]
+    position: Array
+    position_sigma: Array
+    residual: Array
+    used: NDArray[np.bool_]
+    is_known: NDArray[np.bool_]
+    known_position: Array
+    advantage: Array
+    length_at_zero: Array
+    length_at_zero_sigma: Array
+    line_sigma: float
+    redundancy: float
+    blunders: tuple[Blunder, ...]
+    left_out: tuple[LeftOut, ...]
+    observability: Observability
+    warnings: tuple[str, ...]
+
+    @property
+    def residual_rms(self) -> float:
+        """Root mean square residual of the lengths that were used [m of cable]."""
+        return float(np.sqrt((self.residual[self.used] ** 2).mean()))
+
+    @property
+    def line_residual_rms(self) -> float:
+        """The same of the line that the drums paid out: the advantage times as much [m]."""
+        return float(np.sqrt(((self.residual * self.advantage)[self.used] ** 2).mean()))
+
+    def data(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        rows = zip(self.samples, self.position, self.position_sigma, self.residual, strict=True)
+        each = [(name, place, sigma, miss) for name, place, sigma, miss in rows]
+        return {
+            "robot": self.robot.name,
+            "positions_m": {name: place for name, place, _, _ in each},
+            "positions_sigma_m": {name: sigma for name, _, sigma, _ in each},
+            "residuals_m": {name: miss for name, _, _, miss in each},
+            "residual_rms_m": self.residual_rms,
+            "line_residual_rms_m": self.line_residual_rms,
+            "line_sigma_m": self.line_sigma,
+            "redundancy": self.redundancy,
+            "parameters": self.estimate.data(),
+            "length_at_zero_m": dict(
+                zip(self.robot.cable_names, self.length_at_zero.tolist(), strict=True)
+            ),
+            "observability": self.observability.data(),
+            "blunders": [
+                {"sample": b.sample, "what": b.what, "sigmas": b.sigmas} for b in self.blunders
+            ],
+            "left_out": {
+                one.sample: {"error_m": one.error, "sigma_m": one.sigma} for one in self.left_out
+            },
+            "warnings": list(self.warnings),
+        }

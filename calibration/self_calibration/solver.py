@@ -1,0 +1,208 @@
+"""Least squares with all positions eliminated, robust where asked: fast enough for many starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.self_calibration.problem import Problem
+from carosac_toolkit.arrays import Array
+
+SOFT = 3.0  # standard deviations from which on a robust fit lets go of a sample
+FAR = 20.0  # times the longest cable: one standard deviation of a position before any data
+SETTLED = 1e-8  # relative change of the cost that ends a fit
+GIVE_UP = 1e8  # damping with which no step is left
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trust:
+    """What is believed of the data.
+
+    Attributes:
+        line_sigma: One standard deviation of the line paid out [m].
+        lengths: Whose motor angles count, shape (N,).
+        known: Whose known position counts, shape (N,).
+        robust: Whether samples far off lose weight (Cauchy).
+    """
+
+    line_sigma: float
+    lengths: Mask
+    known: Mask
+    robust: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """Where a fit ended.
+
+    Attributes:
+        shared: Shape (m,).
+        position: [m], shape (N, 3).
+        cost: Sum of squares, whitened, or of what takes their place where robust.
+        converged: Whether the cost settled.
+    """
+
+    shared: Array
+    position: Array
+    cost: float
+    converged: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Whitened:
+    """The samples at some values, every number in its standard deviations.
+
+    Attributes:
+        residual: Of the lengths, shape (N, n).
+        by_shared: Shape (N, n, m).
+        by_position: Shape (N, n, 3).
+        away: From known positions, 0 where none, shape (N, 3).
+    """
+
+    residual: Array
+    by_shared: Array
+    by_position: Array
+    away: Array
+
+
+def whiten(problem: Problem, shared: Array, position: Array, line_sigma: float) -> Whitened:
+    """Evaluate all samples."""
+    linear = problem.linearize(shared, position)
+    scale = problem.advantage / line_sigma
+    angles = problem.angles
+    away = np.where(
+        angles.is_known[:, None], (position - angles.known_position) / problem.known_sigma, 0.0
+    )
+    return Whitened(
+        residual=linear.residual * scale,
+        by_shared=linear.by_shared * scale[:, None],
+        by_position=linear.by_position * scale[:, None],
+        away=away,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Equations:
+    """Normal equations, position by position and reduced to the shared unknowns.
+
+    Attributes:
+        information: Of the shared unknowns, positions unknown, prior included, shape (m, m).
+        gradient: Shape (m,).
+        by_shared: Change of each best position by the shared unknowns, shape (N, 3, m).
+        step: Of each position with the shared unknowns held, shape (N, 3).
+        position_covariance: Of each position with the shared unknowns held, shape (N, 3, 3).
+        cost: As in `Fit`.
+        lengths: Weight of the lengths of each sample, shape (N,).
+        known: Weight of each known position, shape (N,).
+    """
+
+    information: Array
+    gradient: Array
+    by_shared: Array
+    step: Array
+    position_covariance: Array
+    cost: float
+    lengths: Array
+    known: Array
+
+
+def equations(
+    problem: Problem, shared: Array, position: Array, trust: Trust, damping: float = 0.0
+) -> Equations:
+    """Linearise everything at some values.
+
+    Args:
+        problem: The samples.
+        shared: Shape (m,).
+        position: [m], shape (N, 3).
+        trust: Which data count.
+        damping: Relative growth of the diagonals (Levenberg-Marquardt).
+    """
+    white = whiten(problem, shared, position, trust.line_sigma)
+    weight, loss = _weights((white.residual**2).sum(axis=1), free_lengths(problem), trust.robust)
+    hold, drift = _weights((white.away**2).sum(axis=1), 3, trust.robust)
+    weight, hold = weight * trust.lengths, hold * trust.known
+    reach = FAR * float(problem.start[problem.zeros].max())
+    offset = position - problem.robot.home_position
+    weighted = white.by_position * weight[:, None, None]
+    own = weighted.swapaxes(1, 2) @ white.by_position
+    diagonal = np.arange(3)
+    own[:, diagonal, diagonal] += hold[:, None] / problem.known_sigma**2 + reach**-2
+    own[:, diagonal, diagonal] *= 1.0 + damping
+    pull = np.einsum("kij,ki->kj", weighted, white.residual)
+    pull += hold[:, None] * white.away / problem.known_sigma + offset / reach**2
+    cross = weighted.swapaxes(1, 2) @ white.by_shared
+    covariance: Array = np.asarray(np.linalg.inv(own), dtype=np.float64)
+    by_shared, step = -covariance @ cross, -np.einsum("kij,kj->ki", covariance, pull)
+    moved = shared - problem.start
+    flat = white.by_shared.reshape(-1, problem.size)
+    heavy = np.repeat(weight, white.residual.shape[1])
+    information = (flat * heavy[:, None]).T @ flat + problem.prior
+    information[np.diag_indices(problem.size)] *= 1.0 + damping
+    gradient = flat.T @ (heavy * white.residual.ravel()) + problem.prior @ moved
+    tied = cross.reshape(-1, problem.size)
+    return Equations(
+        information=information + tied.T @ by_shared.reshape(-1, problem.size),
+        gradient=gradient + tied.T @ step.ravel(),
+        by_shared=by_shared,
+        step=step,
+        position_covariance=covariance,
+        cost=float(loss @ trust.lengths + drift @ trust.known + moved @ problem.prior @ moved)
+        + float((offset**2).sum()) / reach**2,
+        lengths=weight,
+        known=hold,
+    )
+
+
+def fit(problem: Problem, shared: Array, position: Array, trust: Trust, *, steps: int = 100) -> Fit:
+    """Find the best values downhill of a start (Levenberg-Marquardt).
+
+    Args:
+        problem: The samples.
+        shared: Where to start, shape (m,).
+        position: Where to start [m], shape (N, 3).
+        trust: Which data count.
+        steps: At most.
+    """
+    damping, cost, converged = 1e-3, equations(problem, shared, position, trust).cost, False
+    for _ in range(steps):
+        while damping < GIVE_UP:
+            system = equations(problem, shared, position, trust, damping)
+            change = -_solve(system.information, system.gradient)
+            moved = position + system.step + system.by_shared @ change
+            new = equations(problem, shared + change, moved, trust).cost
+            if new <= cost:
+                break
+            damping *= 5.0
+        else:
+            break
+        gain, damping = cost - new, max(damping / 10.0, 1e-12)
+        shared, position, cost = shared + change, moved, new
+        converged = gain <= SETTLED * (cost + 1.0)
+        if converged:
+            break
+    return Fit(shared=shared, position=position, cost=cost, converged=converged)
+
+
+def free_lengths(problem: Problem) -> int:
+    """Lengths of a sample beyond those that its position takes."""
+    return max(problem.robot.n - 3, 1)
+
+
+def _weights(square: Array, free: int, robust: bool) -> tuple[Array, Array]:
+    """Weights and losses of squared whitened residuals, shapes (N,)."""
+    if not robust:
+        return np.ones(len(square)), square
+    wide = free * SOFT**2
+    return 1.0 / (1.0 + square / wide), wide * np.log1p(square / wide)
+
+
+def _solve(matrix: Array, vector: Array) -> Array:
+    """Solve a positive definite system whose unknowns have very different scales."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    found: Array = scale * np.linalg.solve(matrix * np.outer(scale, scale), vector * scale)
+    return found

@@ -1,0 +1,158 @@
+"""A start in the right basin, from what is known roughly.
+
+The distances from an exit point to the known positions leave a few places for it: two where the
+known positions lie in a plane, mirrored. The cables' places are combined, every position is looked
+up on a grid in the workspace, and a robust fit of everything says which combination is right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.self_calibration.problem import Problem
+from calibration.self_calibration.solver import Fit, Trust, fit
+from carosac_toolkit.arrays import Array
+
+DIRECTIONS = 24  # from which the places of one exit point are looked for
+ROUGH = 0.01  # [m] of a length, with drums as they are known before
+LINE = 5e-3  # [m] of line, before the residuals are known
+PLACES = 3  # of one exit point that are kept
+UNLIKELY = 200.0  # squared standard deviations worse than the best place: not kept
+COMBINED = 32  # combinations that are tried
+FINALISTS = 4
+NEAR = 0.02  # of the length of a cable: exit points that close are the same
+GRID = 6  # points along each side of the workspace
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Place:
+    """A place that an exit point may have.
+
+    Attributes:
+        exit_point: In W [m], shape (3,).
+        zero: Length at the reference [m].
+        cost: Sum of squares, in standard deviations.
+    """
+
+    exit_point: Array
+    zero: float
+    cost: float
+
+
+def starts(problem: Problem) -> list[Fit]:
+    """Fit from every plausible start; the best first.
+
+    Args:
+        problem: The samples.
+
+    Returns:
+        Robust fits that ended at different places, `FINALISTS` at most.
+    """
+    choices = [_places(problem, i) for i in range(problem.robot.n)]
+    combined: list[tuple[Place, ...]] = [()]
+    for places in choices:  # the cheapest of all combinations, cable by cable
+        longer = [(*chosen, place) for chosen in combined for place in places]
+        combined = sorted(longer, key=lambda chosen: sum(p.cost for p in chosen))[:COMBINED]
+    angles = problem.angles
+    trust = Trust(
+        line_sigma=LINE,
+        lengths=np.ones(len(angles.samples), dtype=np.bool_),
+        known=angles.is_known,
+        robust=True,
+    )
+    first = []
+    for chosen in combined:
+        shared = problem.start.copy()
+        for i, place in enumerate(chosen):
+            shared[problem.exits[i]] = place.exit_point
+            shared[problem.zeros[i]] = place.zero
+        first.append(fit(problem, shared, _positions(problem, shared), trust, steps=12))
+    last = [fit(problem, f.shared, f.position, trust) for f in _different(problem, first)]
+    return _different(problem, last)
+
+
+def _different(problem: Problem, fits: list[Fit]) -> list[Fit]:
+    """The best of those that are at the same place, the best first."""
+    kept: list[Fit] = []
+    near = NEAR * float(problem.start[problem.zeros].max())
+    for found in sorted(fits, key=lambda one: one.cost):
+        here = found.shared[problem.exits]
+        if all(np.abs(here - other.shared[problem.exits]).max() > near for other in kept):
+            kept.append(found)
+    return kept[:FINALISTS]
+
+
+def _places(problem: Problem, cable: int) -> list[Place]:
+    """Where one exit point may be, by its lengths to the known positions."""
+    angles, robot = problem.angles, problem.robot
+    known = angles.is_known
+    anchor = robot.home_rotation @ robot.anchor_points[cable]
+    points = angles.known_position[known] + anchor
+    zero = float(problem.start[problem.zeros[cable]])
+    change = problem.wound(problem.start)[known, cable] - zero  # since the reference [m]
+    before = robot.exit_points[cable]
+    guesses = robot.home_position + anchor + zero * _sphere(DIRECTIONS)
+    unknown = np.column_stack([np.vstack([before, guesses]), np.full(DIRECTIONS + 1, zero)])
+    rows = [*problem.exits[cable], problem.zeros[cable]]
+    prior = np.linalg.inv(np.linalg.inv(problem.prior)[np.ix_(rows, rows)])
+    found = [_trilaterated(u, points, change, np.array([*before, zero]), prior) for u in unknown]
+    found.sort(key=lambda place: place.cost)
+    kept: list[Place] = []
+    for place in found:
+        near = NEAR * zero
+        new = all(np.linalg.norm(place.exit_point - k.exit_point) > near for k in kept)
+        if new and place.cost < found[0].cost + UNLIKELY:
+            kept.append(place)
+    return kept[:PLACES]
+
+
+def _trilaterated(
+    unknown: Array, points: Array, change: Array, before: Array, prior: Array
+) -> Place:
+    """Exit point and length at the reference downhill of a guess, robust (damped Gauss-Newton)."""
+    cost = np.inf
+    damping = 1e-3
+    trial = unknown
+    for _ in range(60):
+        ray = trial[:3] - points
+        distance = np.maximum(np.linalg.norm(ray, axis=1), 1e-9)
+        miss = (distance - trial[3] - change) / ROUGH
+        away = trial - before
+        new = float(9.0 * np.log1p(miss**2 / 9.0).sum() + away @ prior @ away)
+        if new < cost:
+            settled = cost - new < 1e-6
+            unknown, cost, damping = trial, new, max(damping / 5.0, 1e-9)
+            if settled:
+                break
+            slope = np.column_stack([ray / distance[:, None], -np.ones(len(points))]) / ROUGH
+            weight = 1.0 / (1.0 + miss**2 / 9.0)
+            matrix = (slope.T * weight) @ slope + prior
+            vector = (slope.T * weight) @ miss + prior @ away
+        else:
+            damping *= 5.0
+            if damping > 1e9:
+                break
+        trial = unknown - np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), vector)
+    return Place(exit_point=unknown[:3], zero=float(unknown[3]), cost=cost)
+
+
+def _positions(problem: Problem, shared: Array) -> Array:
+    """Known positions as they are, the others from a grid in the workspace, shape (N, 3)."""
+    robot, angles = problem.robot, problem.angles
+    corners = np.stack([robot.workspace_min, robot.workspace_max])
+    sides = [np.linspace(low, high, GRID) for low, high in corners.T]
+    grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    straight, _ = problem.straight(shared, grid)
+    best = ((problem.wound(shared)[:, None] - straight) ** 2).sum(axis=2).argmin(axis=1)
+    return np.where(angles.is_known[:, None], angles.known_position, grid[best])
+
+
+def _sphere(count: int) -> Array:
+    """Directions spread evenly (Fibonacci), shape (count, 3)."""
+    k = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * k / count
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * k
+    side = np.sqrt(1.0 - z**2)
+    return np.stack([side * np.cos(turn), side * np.sin(turn), z], axis=1)

@@ -1,0 +1,184 @@
+"""Surveys drawn from the full measurement model: a hall, set-ups, references, noise, blunders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calibration.tachymeter.model import predict
+from calibration.tachymeter.observations import Instrument, Reference, Shot, Sighting, Survey
+from calibration.tachymeter.sightings import Pulley, elevation, sighted_point
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.robot import Robot
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurveyPlan:
+    """How a survey is drawn.
+
+    Attributes:
+        setups: Number of set-ups.
+        faces: Shots to each target from each set-up: 2 is once in each face.
+        references: Number of reference points with known coordinates.
+        ties: Number of reference points without.
+        reference_sigma: Of the known coordinates, per axis [m]; drawn too.
+        exit_sigma: By how much the robot file is off, per axis [m].
+        instrument: Its accuracy; noise is drawn from it.
+        blunders: Share of shots in which one reading is grossly wrong.
+        blunder_angle: Its size if it is a direction or zenith angle [rad].
+        blunder_distance: Its size if it is a distance [m].
+        sighting: What is sighted of a cable that has a pulley.
+        swivel_sigma: By how much pulleys stand off their cables' direction [rad]; drawn too.
+    """
+
+    setups: int = 2
+    faces: int = 2
+    references: int = 6
+    ties: int = 0
+    reference_sigma: float = 0.5e-3
+    exit_sigma: float = 0.05
+    instrument: Instrument = field(default_factory=Instrument)
+    blunders: float = 0.0
+    blunder_angle: float = 0.02
+    blunder_distance: float = 0.5
+    sighting: Sighting = field(default_factory=lambda: Sighting("axle"))
+    swivel_sigma: float = np.deg2rad(2.0)
+
+    def __post_init__(self) -> None:
+        """Refuse shares that are none."""
+        if not 0.0 <= self.blunders < 1.0:
+            raise InvalidField("blunders", self.blunders, "0 <= blunders < 1")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DrawnSurvey:
+    """A drawn survey and the truth behind it.
+
+    Attributes:
+        robot: The robot as its file has it: its exit points are off.
+        truth: The robot as it stands.
+        survey: What the engineer brings home.
+        stations: Set-ups by name, (6,) as in `model.predict`.
+        wrong: Blunders as (shot from 0, 0 for Hz, 1 for V, 2 for distance; error), in order.
+    """
+
+    robot: Robot
+    truth: Robot
+    survey: Survey
+    stations: dict[str, Array]
+    wrong: tuple[tuple[int, int, float], ...]
+
+
+def draw_survey(
+    robot: Robot, rng: np.random.Generator, plan: SurveyPlan | None = None
+) -> DrawnSurvey:
+    """Draw a survey of a robot.
+
+    The hall is the box of its exit points; set-ups stand in it at eye height, references are spread
+    over floor and walls.
+
+    Args:
+        robot: What the robot file says; the truth is drawn around it.
+        rng: All randomness.
+        plan: How it is drawn; None for the defaults.
+
+    Returns:
+        The survey with its truth.
+    """
+    plan = plan or SurveyPlan()
+    offset = rng.normal(0.0, plan.exit_sigma, (robot.n, 3))
+    truth = replace(robot, exit_points=robot.exit_points + offset)
+    low, high = truth.exit_points.min(axis=0), truth.exit_points.max(axis=0)
+    stations = {chr(65 + i): _draw_station(low, high, i, rng, plan) for i in range(plan.setups)}
+    places, references = _draw_references(low, high, rng, plan)
+    towards = truth.home_position + truth.anchor_points @ truth.home_rotation.T
+    swivel = rng.normal(0.0, plan.swivel_sigma, robot.n)
+    shots: list[Shot] = []
+    for name, station in stations.items():
+        for _ in range(plan.faces):
+            for i, cable in enumerate(robot.cable_names):
+                sighting = plan.sighting if robot.pulley_radius[i] > 0.0 else Sighting()
+                point = truth.exit_points[i]
+                if sighting.on_pulley:
+                    pulley = Pulley(
+                        cable=cable, radius=float(robot.pulley_radius[i]),
+                        axis=robot.swivel_axis[i], towards=towards[i],
+                    )  # fmt: skip
+                    side = float(np.sign(elevation(point, pulley, station[:3])))
+                    turn = float(swivel[i])
+                    point = sighted_point(point, sighting, pulley, turn, side).point
+                shots.append(_shoot(name, station, cable, point, sighting))
+            for reference, place in places.items():
+                shots.append(_shoot(name, station, reference, place, Sighting()))
+    noisy, wrong = _spoil(shots, rng, plan)
+    survey = Survey(
+        shots=tuple(noisy), references=references, instrument=plan.instrument,
+        towards={
+            cable: towards[i] for i, cable in enumerate(robot.cable_names)
+            if robot.pulley_radius[i] > 0.0
+        },
+        swivel_sigma=plan.swivel_sigma or np.deg2rad(2.0),
+    )  # fmt: skip
+    return DrawnSurvey(robot=robot, truth=truth, survey=survey, stations=stations, wrong=wrong)
+
+
+def _draw_station(
+    low: Array, high: Array, index: int, rng: np.random.Generator, plan: SurveyPlan
+) -> Array:
+    """A set-up in the hall, each in its own part of the longer side."""
+    size = high - low
+    longer = int(np.argmax(size[:2]))
+    share = rng.uniform(0.25, 0.75, 2)
+    share[longer] = (index + rng.uniform(0.25, 0.75)) / plan.setups
+    place = low[:2] + share * size[:2]
+    tilt = rng.normal(0.0, plan.instrument.compensator, 2)
+    return np.array([*place, rng.uniform(1.4, 1.7), rng.uniform(-np.pi, np.pi), *tilt])
+
+
+def _draw_references(
+    low: Array, high: Array, rng: np.random.Generator, plan: SurveyPlan
+) -> tuple[dict[str, Array], dict[str, Reference]]:
+    """Places of the reference points, and what is known of them."""
+    places, references = {}, {}
+    around = 0.5 * (low + high)[:2]
+    for i in range(plan.references + plan.ties):
+        angle = 2.0 * np.pi * (i + rng.uniform(0.2, 0.8)) / (plan.references + plan.ties)
+        ring = 0.5 * (high - low)[:2] * np.array([np.cos(angle), np.sin(angle)])
+        place = np.array([*(around + ring), rng.uniform(0.2, 4.0)])
+        known = i < plan.references
+        name = f"R{i + 1}" if known else f"T{i + 1 - plan.references}"
+        places[name] = place
+        sigma = np.full(3, plan.reference_sigma)
+        told = place + rng.normal(0.0, plan.reference_sigma, 3)
+        references[name] = Reference(name, told, sigma) if known else Reference(name)
+    return places, references
+
+
+def _shoot(setup: str, station: Array, target: str, point: Array, sighting: Sighting) -> Shot:
+    """A perfect shot."""
+    hz, v, distance = predict(station, point[None]).reading[0]
+    return Shot(setup=setup, target=target, hz=hz, v=v, distance=distance, sighting=sighting)
+
+
+def _spoil(
+    shots: list[Shot], rng: np.random.Generator, plan: SurveyPlan
+) -> tuple[list[Shot], tuple[tuple[int, int, float], ...]]:
+    """Add noise, and blunders to some shots."""
+    reading = np.array([[s.hz, s.v, s.distance] for s in shots])
+    error = rng.normal(0.0, 1.0, reading.shape) * plan.instrument.sigma(reading)
+    wrong = []
+    for i in sorted(rng.choice(len(shots), round(plan.blunders * len(shots)), replace=False)):
+        column = int(rng.integers(3))
+        size = plan.blunder_distance if column == 2 else plan.blunder_angle
+        gross = float(size * rng.choice([-1.0, 1.0]))
+        error[i, column] += gross
+        wrong.append((int(i), column, gross))
+    noisy = reading + error
+    noisy[:, 0] %= 2.0 * np.pi
+    spoilt = [
+        replace(shot, hz=float(h), v=float(v), distance=float(d))
+        for shot, (h, v, d) in zip(shots, noisy, strict=True)
+    ]
+    return spoilt, tuple(wrong)

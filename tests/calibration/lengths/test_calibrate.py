@@ -1,0 +1,186 @@
+"""Calibration from synthetic lengths and poses with the whole measurement model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from calibration.lengths import LengthCalibration, MixUp, Settings, calibrate, suggest_poses
+from calibration.lengths.synthetic import SceneSettings, draw_scene
+from calibration.observability import Unobservable
+from carosac_toolkit.encoders import unstrained_lengths
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.recording import Recording, load_recording
+from tests.calibration.lengths.scenes import exit_error, scene, with_pulleys
+
+
+@pytest.fixture(scope="module")
+def calibrated() -> LengthCalibration:
+    made = scene("carosac", 1)
+    return calibrate(made.recording, with_pulleys("carosac"))
+
+
+def test_exit_points_come_out_far_better_than_they_were(calibrated: LengthCalibration) -> None:
+    made = scene("carosac", 1)
+    assert np.median(exit_error(made, with_pulleys("carosac"))) > 0.03
+    assert exit_error(made, calibrated.robot).max() < 0.015
+    assert np.median(exit_error(made, calibrated.robot)) < 0.006
+
+
+def test_delay_and_noise_come_out(calibrated: LengthCalibration) -> None:
+    made = scene("carosac", 1)
+    row = calibrated.estimate.index("length_delay")
+    error = calibrated.estimate.value[row] - made.truth["length_delay"]
+    assert abs(error) < 4.0 * calibrated.estimate.sigma[row] < 1e-3
+    assert calibrated.length_noise == pytest.approx(2e-3, rel=0.1)
+
+
+def test_every_blunder_is_found_and_hardly_anything_else(calibrated: LengthCalibration) -> None:
+    made = scene("carosac", 1)
+    truth = made.outlier[calibrated.sample]
+    assert calibrated.outlier[truth].all()
+    assert (calibrated.outlier & ~truth).mean() < 0.005
+
+
+def test_tachymeter_holds_the_exit_points_and_the_rest_follows() -> None:
+    made = scene("carosac", 2, exit_sigma=1e-3)
+    found = calibrate(made.recording, with_pulleys("carosac", exit_sigma=1e-3))
+    assert np.median(exit_error(made, found.robot)) < 2e-3
+    for axis in "xy":
+        row = found.estimate.index(f"pose_tilt.{axis}")
+        error = found.estimate.value[row] - made.truth[f"pose_tilt.{axis}"]
+        assert abs(error) < 4.0 * found.estimate.sigma[row] < 1e-3
+    offset = found.robot.length_offset
+    assert offset is not None
+    truth = [made.truth[f"length_offset[{c}]"] for c in found.robot.cable_names]
+    assert offset == pytest.approx(truth, abs=5e-3)
+
+
+@pytest.mark.parametrize("name", ["carosac", "cogiro"])
+def test_covariance_is_consistent(name: str) -> None:
+    """The squared error of all parameters, in the metric of the covariance, is chi-squared."""
+    total, count = 0.0, 0
+    for seed in range(4):
+        made = scene(name, 10 + seed)
+        found = calibrate(made.recording, with_pulleys(name)).estimate
+        error = found.value - np.array([made.truth[each] for each in found.names])
+        total += float(error @ np.linalg.solve(found.covariance, error))
+        count += len(error)
+    low, high = chi2.ppf([0.001, 0.999], count)
+    assert low < total < high
+
+
+def test_calibrated_robot_turns_readings_into_lengths() -> None:
+    made = scene("cogiro", 3, outliers=0.0)
+    found = calibrate(made.recording, with_pulleys("cogiro"))
+    lengths = unstrained_lengths(found.robot, made.recording.unstrained_length)
+    truth = unstrained_lengths(made.plant, made.recording.unstrained_length)
+    radial = np.abs(lengths - truth).mean()  # what the exit points are off along the cables
+    assert radial < 0.02
+
+
+def test_relative_readings_only_lose_their_zero() -> None:
+    made = scene("carosac", 1, relative=True)
+    found = calibrate(made.recording, with_pulleys("carosac"))
+    assert np.median(exit_error(made, found.robot)) < 0.006
+    assert np.isinf(found.estimate.prior_sigma[found.estimate.index("length_offset[front_left]")])
+
+
+def test_parameters_with_a_prior_of_zero_are_held() -> None:
+    made = scene("carosac", 1)
+    settings = Settings(anchor_prior=0.0, scale_prior=0.0)
+    found = calibrate(made.recording, with_pulleys("carosac"), settings=settings)
+    assert not any(name.startswith(("anchor", "length_scale")) for name in found.estimate.names)
+    assert (found.robot.anchor_points == with_pulleys("carosac").anchor_points).all()
+
+
+def test_offset_and_radial_error_are_called_one_unknown(calibrated: LengthCalibration) -> None:
+    assert any("almost one unknown" in line for line in calibrated.sentences)
+
+
+@pytest.mark.parametrize(
+    ("spread", "shape"),
+    [((0.01, 0.01, 0.01), "in one point"), ((1.0, 0.01, 0.01), "on one line")],
+)
+def test_poses_without_extent_are_refused(spread: tuple[float, float, float], shape: str) -> None:
+    robot = with_pulleys("cogiro")
+    settings = SceneSettings(samples=60, spread=spread, turn=0.01)
+    made = draw_scene(robot, np.random.default_rng(0), settings=settings)
+    with pytest.raises(Unobservable, match=f"60 poses are {shape}"):
+        calibrate(made.recording, robot)
+
+
+def test_few_poses_are_refused_unless_a_tachymeter_knows_the_exit_points() -> None:
+    made = scene("carosac", 2, exit_sigma=1e-3)
+    short = made.recording.slice(100, 112)
+    with pytest.raises(Unobservable, match="tachymeter"):
+        calibrate(short, with_pulleys("carosac"))
+    found = calibrate(short, with_pulleys("carosac", exit_sigma=1e-3))
+    assert exit_error(made, found.robot).max() < 5e-3
+
+
+def swapped(recording: Recording) -> Recording:
+    return replace(recording, unstrained_length=recording.unstrained_length[:, [1, 0, 2, 3]])
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_swapped_cables_are_named(relative: bool) -> None:
+    made = scene("carosac", 1, relative=relative)
+    with pytest.raises(MixUp, match="reading 1 moves as cable 'front_right', reading 2 moves as"):
+        calibrate(swapped(made.recording), with_pulleys("carosac"))
+
+
+def test_millimetres_are_named() -> None:
+    recording = scene("carosac", 1).recording
+    wrong = replace(recording, unstrained_length=recording.unstrained_length * 1e3)
+    with pytest.raises(MixUp, match="are they in mm"):
+        calibrate(wrong, with_pulleys("carosac"))
+
+
+def test_recording_without_poses_is_refused() -> None:
+    recording = replace(scene("carosac", 1).recording, poses=None)
+    with pytest.raises(InvalidField, match="poses"):
+        calibrate(recording, with_pulleys("carosac"))
+
+
+def test_another_robot_is_refused() -> None:
+    with pytest.raises(InvalidField, match="cables"):
+        calibrate(scene("carosac", 1).recording, with_pulleys("cogiro"))
+
+
+def test_suggested_poses_teach_more_than_those_of_chance() -> None:
+    robot = with_pulleys("cogiro")
+    found = suggest_poses(robot, 6, rng=np.random.default_rng(0))
+    assert (np.diff(found.sigma) < 0.0).all()
+    other = suggest_poses(robot, 1, rng=np.random.default_rng(0))
+    assert other.position[0] == pytest.approx(found.position[0])
+    assert (found.position >= robot.workspace_min - 1e-9).all()
+    assert (found.position <= robot.workspace_max + 1e-9).all()
+
+
+def test_a_suggested_pose_is_worth_what_was_predicted(calibrated: LengthCalibration) -> None:
+    found = suggest_poses(calibrated, 3, rng=np.random.default_rng(0))
+    assert found.sigma[0] == pytest.approx(
+        np.sqrt(np.mean(calibrated.estimate.sigma[calibrated.unknowns.exits] ** 2)), rel=1e-6
+    )
+    assert found.sigma[-1] < found.sigma[0]
+
+
+def test_no_poses_are_no_suggestion() -> None:
+    with pytest.raises(InvalidField, match="suggest-poses"):
+        suggest_poses(with_pulleys("cogiro"), 0, rng=np.random.default_rng(0))
+
+
+def test_real_recording_has_the_known_delay(real_data) -> None:  # type: ignore[no-untyped-def]
+    import carosac_toolkit as ct
+
+    recording = load_recording(real_data / "scampi_run_part.csv")
+    found = calibrate(recording, ct.load_robot("scampi"))
+    assert found.estimate.value[found.estimate.index("length_delay")] == pytest.approx(
+        0.033, abs=3e-3
+    )
+    assert found.residual_rms < 2e-3
+    assert found.residual_rms < 0.4 * found.residual_rms_before

@@ -1,0 +1,131 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.self_calibration import holds_motor_angles, load_motor_angles, write_motor_angles
+from carosac_toolkit.errors import InvalidField, InvalidFile, MissingFile
+
+GOOD = """# a comment
+sample,motor_a_deg,motor_b_deg,known_x_mm,known_y_mm,known_z_mm
+0,0,-0.5,-1.5,2,0
+first,180,-90,,,
+2,1e3,7.25,1,2,3
+"""
+
+
+def loaded(tmp_path, text):
+    path = tmp_path / "angles.csv"
+    path.write_text(text)
+    return load_motor_angles(path)
+
+
+def faults(tmp_path, text):
+    with pytest.raises(InvalidFile) as caught:
+        loaded(tmp_path, text)
+    return caught.value.faults
+
+
+def test_degrees_and_millimetres_become_radians_and_metres(tmp_path):
+    angles = loaded(tmp_path, GOOD)
+    assert angles.samples == ("0", "first", "2") and angles.cables == ("a", "b")
+    assert angles.motor_angle[1] == pytest.approx([np.pi, -np.pi / 2], rel=1e-15)
+    assert angles.is_known.tolist() == [True, False, True]
+    assert angles.known_position[0] == pytest.approx([-1.5e-3, 2e-3, 0.0])
+    assert angles.known_sigma is None
+
+
+def test_radians_metres_numbers_and_own_sigmas_are_read(tmp_path):
+    text = (
+        "known_z_m,motor_angle_02_rad,motor_angle_01_rad,sample,known_x_m,known_y_m,"
+        "known_sigma_x_mm,known_sigma_y_mm,known_sigma_z_mm\n"
+        "1.5,2,1,s,0.5,-0.5,1,2,3\n,4,3,t,,,,,\n"
+    )
+    angles = loaded(tmp_path, text).in_order_of(["left", "right"])
+    assert angles.motor_angle.tolist() == [[1.0, 2.0], [3.0, 4.0]]
+    assert angles.known_position[0] == pytest.approx([0.5, -0.5, 1.5])
+    assert angles.known_sigma[0] == pytest.approx([1e-3, 2e-3, 3e-3])
+
+
+def test_what_is_written_reads_back_the_same(tmp_path):
+    angles = loaded(tmp_path, GOOD)
+    for spread in (None, np.full((3, 3), 2e-3)):
+        one = replace(angles, known_sigma=spread)
+        write_motor_angles(one, tmp_path / "again.csv")
+        again = load_motor_angles(tmp_path / "again.csv")
+        assert again.samples == one.samples and again.cables == one.cables
+        assert np.array_equal(again.motor_angle, one.motor_angle)
+        assert np.array_equal(again.known_position, one.known_position)
+        assert np.array_equal(again.is_known, one.is_known)
+        if spread is not None:
+            assert np.array_equal(again.known_sigma[one.is_known], spread[one.is_known])
+
+
+def test_a_file_of_motor_angles_is_told_from_others(tmp_path):
+    path = tmp_path / "file.csv"
+    path.write_text(GOOD)
+    assert holds_motor_angles(path)
+    path.write_text("time_s,length_01_m\n0,1\n")
+    assert not holds_motor_angles(path)
+    path.write_bytes(b"\xff\xfe\x00motor_a_deg")
+    assert not holds_motor_angles(path)
+    assert not holds_motor_angles(tmp_path / "none.csv")
+
+
+def test_all_faults_of_a_file_come_at_once_with_their_lines(tmp_path):
+    text = GOOD.replace("180", "18O").replace("1,2,3\n", "1,,3\n") + "2,1,1,,,\n3,4\n,1,1,,,\n"
+    assert faults(tmp_path, text) == (
+        "line 4: a: got '18O'; allowed: a number",
+        "line 5: known_y_mm: blank; allowed: all three coordinates of a known position, or none",
+        "line 7: got 2 cells; allowed: 6, as in the header (is the file cut?)",
+        "line 6: sample: got '2', as on line 5; allowed: a new name",
+        "line 8: sample: got ''; allowed: a new name",
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("sample,", "name,", "column sample: missing"),
+        ("known_z_mm", "known_z_inch", "column 'known_z_inch': unknown; allowed: sample, motor_"),
+        ("motor_b_deg", "motor_a_rad", "motor a: two columns"),
+        (",known_z_mm", ",known_y_m", "column known_y_m: the same coordinate comes twice"),
+        (",known_z_mm", ",known_sigma_x_mm", "column known_sigma_y_mm, known_sigma_z_mm: missing"),
+        ("motor_a_deg,motor_b_deg", "known_sigma_x_m,known_sigma_y_m", "no motor angles"),
+        ("1e3,", "inf,", "line 5: a: got 'inf'"),
+    ],
+)
+def test_each_fault_is_named(tmp_path, old, new, message):
+    assert any(fault.startswith(message) for fault in faults(tmp_path, GOOD.replace(old, new, 1)))
+
+
+def test_empty_missing_and_binary_files_are_refused(tmp_path):
+    assert faults(tmp_path, "sample,motor_a_deg\n")[0].startswith("no samples; allowed: a header")
+    with pytest.raises(MissingFile, match="no such file"):
+        load_motor_angles(tmp_path / "none.csv")
+    path = tmp_path / "binary.csv"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InvalidFile, match="this is no text file"):
+        load_motor_angles(path)
+
+
+def test_a_sigma_that_is_none_is_refused(tmp_path):
+    text = (
+        "sample,motor_a_deg,known_x_m,known_y_m,known_z_m,"
+        "known_sigma_x_m,known_sigma_y_m,known_sigma_z_m\n0,0,1,1,1,0,1,1\n"
+    )
+    assert faults(tmp_path, text) == ("line 2: known_sigma_x_m: got <= 0; allowed: > 0",)
+
+
+def test_motors_are_matched_with_cables_by_name_or_number(tmp_path):
+    angles = loaded(tmp_path, GOOD)
+    assert angles.in_order_of(["b", "a"]).motor_angle[2] == pytest.approx(np.radians([7.25, 1e3]))
+    with pytest.raises(InvalidField, match=r"motors: got \['a', 'b'\]; allowed: the robot's"):
+        angles.in_order_of(["left", "right"])
+
+
+def test_known_positions_can_be_left_out(tmp_path):
+    angles = loaded(tmp_path, GOOD)
+    assert angles.without_known(["2"]).is_known.tolist() == [True, False, False]
+    with pytest.raises(InvalidField, match="sample: got 'x'; allowed: one of"):
+        angles.without_known(["x"])

@@ -1,0 +1,41 @@
+"""Encoder data of a real Hangprinter v4, with the bounds that its calibration is held to."""
+
+import numpy as np
+import pytest
+
+import carosac_toolkit as ct
+from calibration.self_calibration import calibrate, load_motor_angles
+
+PUBLISHED = np.array(
+    [
+        [16.83, -1584.86, -113.17],
+        [1290.18, 1229.19, -157.45],
+        [-1409.88, 742.61, -151.80],
+        [21.85, -0.16, 2343.67],
+    ]
+)  # [mm], from nine known positions
+
+
+@pytest.fixture(scope="module")
+def angles(real_data):
+    path = real_data / "hangprinter_hp4.csv"
+    if not path.is_file():
+        pytest.skip(f"no {path}")
+    return load_motor_angles(path)
+
+
+def test_lengths_fit_and_anchors_agree_with_the_published_ones(angles):
+    result = calibrate(angles, ct.load_robot("hangprinter"))
+    assert result.residual_rms < 0.6e-3
+    anchors = 1e3 * result.estimate.value[:12].reshape(4, 3)
+    assert np.linalg.norm(anchors - PUBLISHED, axis=1).max() < 20.0
+    assert result.blunders == () and result.warnings == ()
+    assert result.residual.mean(axis=0) == pytest.approx(0.0, abs=2e-4)
+
+
+@pytest.mark.parametrize("sample", ["3", "8"])
+def test_a_known_position_is_predicted_without_itself(angles, sample):
+    result = calibrate(angles.without_known([sample]), ct.load_robot("hangprinter"))
+    row = angles.index(sample)
+    error = np.linalg.norm(result.position[row] - angles.known_position[row])
+    assert error < 4e-3
