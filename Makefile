@@ -56,6 +56,10 @@ bars: $(STAMP)  ## run the slow acceptance measurements; figures go to benchmark
 	$(BIN)/python -m benchmarks.limits_bar
 	$(BIN)/python -m benchmarks.studies
 	$(BIN)/python -m benchmarks.simulator_bars
+	$(BIN)/python -m benchmarks.calibration_tachymeter
+	$(BIN)/python -m benchmarks.calibration_lengths
+	$(BIN)/python -m benchmarks.calibration_hangprinter
+	$(BIN)/python -m benchmarks.calibration_identify
 
 docs: $(STAMP)  ## build the documentation into docs/_build
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build

@@ -8,7 +8,12 @@ from importlib.resources import files
 from pathlib import Path
 
 PACKAGES = ("carosac_toolkit", "baselines", "sim_warp", "learned", "calibration")
-DATA = ("py.typed", "robots/carosac.yaml", "recordings/data/synthetic.parquet")
+ROBOTS = ("carosac", "cogiro", "hangprinter", "ipanema1", "scampi")
+DATA = (
+    "py.typed",
+    "recordings/data/synthetic.parquet",
+    *(f"robots/{name}.yaml" for name in ROBOTS),
+)
 
 
 def main() -> None:
@@ -24,7 +29,7 @@ def main() -> None:
     import carosac_toolkit as ct
     from carosac_toolkit.recordings.bundled import list_recordings
 
-    assert set(ct.list_robots()) == {"carosac", "cogiro", "ipanema1", "scampi"}
+    assert ct.list_robots() == ROBOTS
     for robot in ct.list_robots():
         ct.load_robot(robot)
     assert list_recordings()

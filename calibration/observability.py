@@ -11,10 +11,12 @@ import numpy as np
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import CarosacError
 
-BLIND = 1e-9  # of the largest eigenvalue of the scaled information: smaller ones count as none
+BLIND = 1e-9  # of the largest eigenvalue of the scaled information: smaller ones may be none
+ROUNDING = 1e-14  # of the largest one: smaller ones are none
 WEAK = 0.5  # share of its prior variance that a combination of parameters keeps: the rest is data
 PARTS = 0.35  # of the largest entry of a combination: smaller entries are not named
-NAMED = 6  # parameters of a combination that are named
+NAMED = 4  # parameters of a combination that are named
+SAID = 6  # combinations of a kind that are named
 
 
 class Unobservable(CarosacError):
@@ -28,10 +30,11 @@ class Observability:
     Attributes:
         parameters: k.
         rank: Combinations that the data say something about.
-        condition: Largest over smallest of the scaled information's singular values; infinite
-            where the rank is below k.
+        condition: Largest over smallest singular value of the scaled Jacobian, the square root of
+            that of the information; infinite where the rank is below k.
         blind: Combinations that the data say nothing about, in words.
-        weak: Combinations that are known from before rather than from the data, in words.
+        weak: Combinations that are known from before rather than from the data, in words, the
+            least known one first.
     """
 
     parameters: int
@@ -46,8 +49,8 @@ class Observability:
             f"the data determine {self.rank} of {self.parameters} combinations of the parameters"
             + (f", condition {self.condition:.3g}" if np.isfinite(self.condition) else "")
         ]
-        lines += [f"the data say nothing about {words}" for words in self.blind]
-        lines += [f"known from before rather than from the data: {words}" for words in self.weak]
+        lines += _some("the data say nothing about", self.blind)
+        lines += _some("known from before rather than from the data:", self.weak)
         return lines
 
     def data(self) -> dict[str, Any]:
@@ -72,12 +75,13 @@ def judge(names: Sequence[str], information: Array, scale: Array) -> Observabili
 
     Returns:
         Rank, condition and the combinations that are not, or hardly, determined. A combination is
-        weak where it keeps more than half of the variance that `scale` gives it.
+        weak where it keeps more than half of the variance that `scale` gives it, and blind where,
+        beyond that, nothing is left of it beside the best known one.
     """
     scaled = information * np.outer(scale, scale)
     values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
     most = max(float(values[-1]), np.finfo(float).tiny)
-    blind = values <= BLIND * most
+    blind = values <= min(BLIND * most, max(1.0, ROUNDING * most))
     weak = ~blind & (1.0 / (1.0 + np.maximum(values, 0.0)) > WEAK)
     full = not blind.any()
     return Observability(
@@ -87,6 +91,14 @@ def judge(names: Sequence[str], information: Array, scale: Array) -> Observabili
         blind=tuple(_words(names, vectors[:, i]) for i in np.flatnonzero(blind)),
         weak=tuple(_words(names, vectors[:, i]) for i in np.flatnonzero(weak)),
     )
+
+
+def _some(start: str, combinations: Sequence[str]) -> list[str]:
+    """A sentence for each of the first combinations, and how many more there are."""
+    said = [f"{start} {words}" for words in combinations[:SAID]]
+    if len(combinations) > SAID:
+        said[-1] += f"; and {len(combinations) - SAID} more such combinations"
+    return said
 
 
 def _words(names: Sequence[str], direction: Array) -> str:

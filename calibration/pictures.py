@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 BEFORE, AFTER = "#9aa3ad", "#1f6f8b"
 OUTLIER = "#c0392b"
 QUANTILE_95 = 2.4477  # radius of the 95 % ellipse of two dimensions, in standard deviations
+SMALLEST, LARGEST = 1.4, 6.0  # reach of a panel, in radii of the ellipse after the calibration
 _PLANES = ((0, 1), (0, 2), (1, 2))
 
 
@@ -30,6 +31,9 @@ def draw_exit_points(
 ) -> Figure:
     """Draw each exit point before and after, with its 95 % ellipse in three planes.
 
+    A panel is as large as the ellipse after the calibration needs it; where the point was farther
+    away before, an arrow comes in from the edge.
+
     Args:
         cable_names: n names.
         before: In W [m], shape (n, 3).
@@ -38,29 +42,60 @@ def draw_exit_points(
         after_covariance: [m^2], shape (n, 3, 3).
     """
     n = len(cable_names)
-    figure = new_figure(9.5, 1.0 + 2.7 * n)
+    figure = new_figure(10.5, 1.4 + 3.3 * n)
     grid = figure.subplots(n, 3, squeeze=False)
     for i, name in enumerate(cable_names):
+        known = before_covariance is not None and np.isfinite(before_covariance[i]).all()
         for axes, plane in zip(grid[i], _PLANES, strict=True):
-            rows = list(plane)
-            start = (before[i] - after[i])[rows] * 1e3
-            if before_covariance is not None:
-                block = before_covariance[i][np.ix_(rows, rows)]
-                _ellipse(axes, start, block, BEFORE, "--")
-            block = after_covariance[i][np.ix_(rows, rows)]
-            _ellipse(axes, np.zeros(2), block, AFTER, "-")
-            axes.plot(*start, "o", color=BEFORE, ms=5, label="before")
-            axes.plot(0.0, 0.0, "o", color=AFTER, ms=5, label="after")
-            axes.annotate(
-                "", (0.0, 0.0), tuple(start), arrowprops={"arrowstyle": "->", "color": "#707880"}
-            )
-            axes.set(xlabel=f"{'xyz'[plane[0]]} [mm]", ylabel=f"{'xyz'[plane[1]]} [mm]")
-            axes.set_aspect("equal", adjustable="datalim")
-            axes.grid(alpha=0.25)
-        grid[i][0].set_title(name, loc="left", fontsize=10, fontweight="bold")
-    grid[0][2].legend(fontsize=8)
+            part = np.ix_(plane, plane)
+            prior = before_covariance[i][part] if known and before_covariance is not None else None
+            moved = (before[i] - after[i])[list(plane)] * 1e3
+            _draw_point(axes, moved, prior, after_covariance[i][part])
+            axes.set_xlabel(f"{'xyz'[plane[0]]} [mm]", fontsize=10)
+            axes.set_ylabel(f"{'xyz'[plane[1]]} [mm]", fontsize=10)
+        distance = 1e3 * float(np.linalg.norm(after[i] - before[i]))
+        grid[i][0].set_title(
+            f"{name}, moved by {distance:.3g} mm", loc="left", fontsize=11, fontweight="bold"
+        )
+    marks = {label: mark for axes in grid.flat for mark, label in _legend(axes)}
+    figure.legend(marks.values(), marks.keys(), loc="outside lower center", ncols=4, fontsize=10)
     figure.suptitle("Exit points relative to the calibrated ones, with 95 % ellipses")
     return figure
+
+
+def _draw_point(axes: Any, moved: Array, prior: Array | None, posterior: Array) -> None:
+    """Draw one exit point in one plane; what is far away is cut at the edge of the panel.
+
+    Args:
+        axes: The panel.
+        moved: Where the point was before, from where it is [mm], shape (2,).
+        prior: Covariance before [m^2], shape (2, 2); None: nothing was known.
+        posterior: Covariance after [m^2], shape (2, 2).
+    """
+    size = max(QUANTILE_95 * 1e3 * float(np.sqrt(np.diag(posterior).max())), 1e-6)
+    furthest = float(np.abs(moved).max())
+    reach = float(np.clip(1.2 * furthest, SMALLEST * size, LARGEST * size))
+    if prior is not None:
+        _ellipse(axes, moved, prior, BEFORE, "--", "known before")
+    _ellipse(axes, np.zeros(2), posterior, AFTER, "-", "known after")
+    axes.plot(0.0, 0.0, "o", color=AFTER, ms=5, label="after")
+    start = moved
+    if furthest < reach:
+        axes.plot(*moved, "o", color=BEFORE, ms=6, label="before")
+    else:
+        start = moved * reach / furthest
+    if furthest > 0.05 * reach:
+        arrow = {"arrowstyle": "->", "color": "#707880", "shrinkA": 0.0, "shrinkB": 3.0}
+        axes.annotate("", (0.0, 0.0), tuple(start), arrowprops=arrow)
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
+    axes.set_aspect("equal", adjustable="box")
+    axes.tick_params(labelsize=9)
+    axes.grid(alpha=0.25)
+
+
+def _legend(axes: Any) -> list[tuple[Any, str]]:
+    """Marks of a panel with their labels."""
+    return list(zip(*axes.get_legend_handles_labels(), strict=True))
 
 
 def draw_residuals(
@@ -130,11 +165,13 @@ def draw_learnt(estimate: Estimate) -> Figure:
     return figure
 
 
-def _ellipse(axes: Any, center: Array, covariance: Array, color: str, style: str) -> None:
+def _ellipse(
+    axes: Any, center: Array, covariance: Array, color: str, style: str, label: str
+) -> None:
     """Draw the 95 % ellipse of a covariance [m^2] at a centre [mm]."""
     values, vectors = np.linalg.eigh(covariance)
     turn = np.linspace(0.0, 2.0 * np.pi, 73)
     unit = np.stack([np.cos(turn), np.sin(turn)])
     reach = QUANTILE_95 * 1e3 * np.sqrt(np.maximum(values, 0.0))
     x, y = center[:, None] + vectors @ (reach[:, None] * unit)
-    axes.plot(x, y, style, color=color, lw=1.2)
+    axes.plot(x, y, style, color=color, lw=1.6, label=label)

@@ -27,7 +27,7 @@ from carosac_toolkit.text_tables import Rows, fit
 PARAMETER_HEADER = (
     "parameter", "unit", "before", "known to", "after", "1 sigma", "moved by", "in sigmas before",
 )  # fmt: skip
-PARAMETER_GROUPS = (2, 6)
+PARAMETER_GROUPS = (2, 2, 2, 2)
 _SHOWN = {"m": ("mm", 1e3), "s": ("ms", 1e3), "rad": ("mrad", 1e3)}  # of what is small
 _LARGE = ("exit_points", "anchor_points", "drum_radius", "center_of_mass", "run_length")
 

@@ -13,7 +13,7 @@ from carosac_toolkit.cli.common import check_writable, replacing
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.parameters import values_of, with_values
 from carosac_toolkit.robot import Robot
-from carosac_toolkit.robot_file import robot_text
+from carosac_toolkit.robot_file import parse_robot, robot_path, robot_text
 
 
 def prior_covariance(robot: Robot, names: tuple[str, ...], sigma: Array) -> Array:
@@ -84,10 +84,10 @@ def check_output(option: str, output: Path | None, robot: str) -> None:
         robot: Bundled name or path of the old one.
     """
     check_writable(option, output, (".yaml", ".yml"))
-    if output is not None and Path(robot).exists() and output.exists():
-        if output.samefile(robot):
-            allowed = "a new file: the robot file that was calibrated is never overwritten"
-            raise InvalidField(option, f"'{output}'", allowed)
+    original = robot_path(robot)
+    if output is not None and output.exists() and original.exists() and output.samefile(original):
+        allowed = "a new file: the robot file that was calibrated is never overwritten"
+        raise InvalidField(option, f"'{output}'", allowed)
 
 
 def write_robot(
@@ -108,7 +108,6 @@ def write_robot(
     Raises:
         InvalidField: The output is the old file, or a value is one that no robot can have.
     """
-    from carosac_toolkit.robot_file import parse_robot
     from carosac_toolkit.robot_writer import robot_document
 
     check_output("output", output, source)

@@ -50,6 +50,7 @@ def calibrated(recording: Recording, robot: Robot) -> Recording:
 
     Returns:
         The same run; lengths, rates and commands are material, poses and exit points are in W.
+        Relative lengths stay relative without an offset in the robot.
     """
     if not is_calibrated(robot) and robot.pose_rotation is None:
         return recording
@@ -57,7 +58,7 @@ def calibrated(recording: Recording, robot: Robot) -> Recording:
     scale = 1.0 if robot.length_scale is None else robot.length_scale
     rate, command = recording.length_rate, recording.command
     metadata = recording.metadata
-    if is_calibrated(robot):
+    if robot.length_offset is not None and robot.length_offset.any():  # 0: nobody looked for it
         metadata = replace(metadata, length_kind="unstrained")
     return replace(
         recording,

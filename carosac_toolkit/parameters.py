@@ -11,7 +11,7 @@ name                       unit    what it is
 ``axial_stiffness[C]``     N       also ``linear_density``, ``axial_damping``, ``run_length``;
                                    without ``[C]`` one number for all cables
 ``length_delay``           s       by how much readings lead poses
-``pose_tilt.x``            rad     of the frame of measured poses against W, about x; also y
+``pose_tilt.x``            rad     of the frame of measured poses against W, about x of W; also y
 ``mass``                   kg      also ``drag``, ``angular_drag``
 ``center_of_mass.x``       m       in P; also y, z
 ``inertia.xx``             kg m^2  also yy, zz, xy, xz, yz
@@ -49,8 +49,12 @@ _NAME = re.compile(r"(?P<field>\w+)(?:\[(?P<cable>.+)\])?(?:\.(?P<axis>[xyz]{1,2
 
 
 def unit_of(name: str) -> str:
-    """SI unit of a parameter, as in robot files."""
-    return _UNITS[_NAME.fullmatch(name)["field"]]  # type: ignore[index]
+    """SI unit of a parameter, as in robot files.
+
+    Raises:
+        InvalidField: The name is of no parameter.
+    """
+    return _UNITS[_field(name)["field"]]
 
 
 def check_names(cable_names: Sequence[str], names: Sequence[str]) -> None:
@@ -100,7 +104,8 @@ def with_values(robot: Robot, names: Sequence[str], values: Array) -> Robot:
         if field == "inertia":
             array[where[::-1]] = value
     if "pose_tilt" in changed:
-        changed["pose_rotation"] = _turned(changed.pop("pose_tilt"))
+        about_z = _turned(_tilt(robot)).T @ _pose_rotation(robot)
+        changed["pose_rotation"] = _turned(changed.pop("pose_tilt")) @ about_z
     if changed.keys() & _UNCALIBRATED.keys():  # all of the length sensors, or nothing
         for field, usual in _UNCALIBRATED.items():
             known = getattr(robot, field)
@@ -111,11 +116,8 @@ def with_values(robot: Robot, names: Sequence[str], values: Array) -> Robot:
 
 def _split(cable_names: Sequence[str], name: str) -> tuple[str, tuple[Any, ...]]:
     """Field of a parameter, and its index in that field (empty for a single number)."""
-    match = _NAME.fullmatch(name)
-    field = match["field"] if match else ""
-    if match is None or field not in _UNITS:
-        raise InvalidField("parameter", repr(name), f"a name such as {', '.join(_UNITS)}")
-    cable, axis = match["cable"], match["axis"]
+    match = _field(name)
+    field, cable, axis = match["field"], match["cable"], match["axis"]
     if cable is not None and cable not in cable_names:
         raise InvalidField("parameter", repr(name), f"a cable of {list(cable_names)}")
     number = None if cable is None else list(cable_names).index(cable)
@@ -135,6 +137,14 @@ def _split(cable_names: Sequence[str], name: str) -> tuple[str, tuple[Any, ...]]
     if index is None or (field == "pose_tilt" and axis == "z"):
         raise InvalidField("parameter", repr(name), "a name as carosac_toolkit.parameters lists")
     return field, index
+
+
+def _field(name: str) -> re.Match[str]:
+    """A name in its parts."""
+    match = _NAME.fullmatch(name)
+    if match is None or match["field"] not in _UNITS:
+        raise InvalidField("parameter", repr(name), f"a name such as {', '.join(_UNITS)}")
+    return match
 
 
 def _get(robot: Robot, name: str) -> float:
@@ -162,15 +172,20 @@ def _array(robot: Robot, field: str) -> Array:
     return np.full(robot.n, _UNCALIBRATED[field])
 
 
+def _pose_rotation(robot: Robot) -> Array:
+    """From the frame of measured poses to W, (3, 3)."""
+    return np.eye(3) if robot.pose_rotation is None else robot.pose_rotation
+
+
 def _tilt(robot: Robot) -> Array:
-    """Rotation vector of the frame of measured poses, without its turn about z: (2,) [rad]."""
-    if robot.pose_rotation is None:
-        return np.zeros(2)
-    turn = robot.pose_rotation
-    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    sine = 0.5 * float(np.linalg.norm(axis))
-    angle = float(np.arctan2(sine, 0.5 * (np.trace(turn) - 1.0)))
-    found: Array = 0.5 * axis[:2] * (angle / sine if sine > 0.0 else 1.0)
+    """Rotation vector in W that tilts the z axis of the frame of measured poses: (2,) [rad].
+
+    The rotation of the frame is a turn about z followed by this tilt.
+    """
+    up = _pose_rotation(robot)[:, 2]
+    sine = float(np.hypot(up[0], up[1]))
+    angle = float(np.arctan2(sine, up[2]))
+    found: Array = np.array([-up[1], up[0]]) * (angle / sine if sine > 0.0 else 1.0)
     return found
 
 

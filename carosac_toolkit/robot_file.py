@@ -57,15 +57,7 @@ def load_robot(name_or_path: str | Path) -> Robot:
 
 def robot_text(name_or_path: str | Path) -> str:
     """Read the YAML text of a robot, unchecked; arguments and errors as `load_robot`."""
-    text = str(name_or_path)
-    if isinstance(name_or_path, str) and not _looks_like_path(text):
-        names = list_robots()
-        if text not in names:
-            allowed = f"one of {list(names)}, or a path to a .yaml file"
-            raise InvalidField("robot", f"'{text}'", allowed + did_you_mean(text, list(names)))
-        resource = files("carosac_toolkit") / "robots" / f"{text}.yaml"
-        return resource.read_text(encoding="utf-8")
-    path = Path(name_or_path)
+    path = robot_path(name_or_path)
     if not path.exists():
         bundled = f"bundled robots are {', '.join(list_robots())}"
         raise MissingFile(path, bundled + did_you_mean(path.stem, list(list_robots())))
@@ -75,6 +67,22 @@ def robot_text(name_or_path: str | Path) -> str:
         raise InvalidFile(path, [f"not UTF-8 text (byte {error.start})"]) from error
     except OSError as error:
         raise InvalidFile(path, [f"cannot be read: {error.strerror}"]) from error
+
+
+def robot_path(name_or_path: str | Path) -> Path:
+    """Where the file of a robot is, or would be; arguments as `load_robot`.
+
+    Raises:
+        InvalidField: No bundled robot has this name.
+    """
+    text = str(name_or_path)
+    if not isinstance(name_or_path, str) or _looks_like_path(text):
+        return Path(name_or_path)
+    names = list_robots()
+    if text not in names:
+        allowed = f"one of {list(names)}, or a path to a .yaml file"
+        raise InvalidField("robot", f"'{text}'", allowed + did_you_mean(text, list(names)))
+    return Path(str(files("carosac_toolkit") / "robots" / f"{text}.yaml"))
 
 
 def parse_robot(text: str, *, source: str = "robot") -> Robot:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from carosac_toolkit import robot_findings
 from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.parameters import unit_of, values_of, with_values
 from carosac_toolkit.robot import Robot
 
 if TYPE_CHECKING:
@@ -18,6 +20,40 @@ if TYPE_CHECKING:
     from carosac_toolkit.robot_schema import RobotFile
 
 SHAPE_SAMPLES = 101
+
+
+class CalibratedParameter(NamedTuple):
+    """A parameter that a calibration estimated.
+
+    Attributes:
+        name: As in `carosac_toolkit.parameters`.
+        value: Of the robot; NaN where one number was estimated for cables that now differ.
+        sigma: One standard deviation.
+        unit: Of both.
+    """
+
+    name: str
+    value: float
+    sigma: float
+    unit: str
+
+
+class Sensors(NamedTuple):
+    """What the robot file says of its sensors.
+
+    Attributes:
+        offset: What length sensors read at unstrained length 0 [m], (n,); None: not calibrated.
+        scale: What they read more per unstrained length, (n,); None: not calibrated.
+        delay: By how much their readings lead poses [s]; None: not calibrated.
+        tilt: Of the frame of measured poses about x and y of W [rad], (2,); None: it is W.
+        turn: Of that frame about z, before the tilt [rad].
+    """
+
+    offset: Array | None
+    scale: Array | None
+    delay: float | None
+    tilt: Array | None
+    turn: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,6 +122,33 @@ class RobotReport:
         """Angle between the z axes of platform and world at home [rad]."""
         return float(np.arccos(np.clip(self.equilibrium.rotation[0, 2, 2], -1.0, 1.0)))
 
+    @cached_property
+    def calibration(self) -> tuple[CalibratedParameter, ...]:
+        """Every parameter that a calibration estimated, as the robot file has it."""
+        robot = self.robot
+        if robot.calibrated is None or robot.calibration_covariance is None:
+            return ()
+        sigma = np.sqrt(np.maximum(np.diag(robot.calibration_covariance), 0.0))
+        return tuple(
+            CalibratedParameter(name, _value(robot, name), float(each), unit_of(name))
+            for name, each in zip(robot.calibrated, sigma, strict=True)
+        )
+
+    @property
+    def sensors(self) -> Sensors | None:
+        """What the robot file says of its sensors; None where it says nothing."""
+        robot = self.robot
+        known = (robot.length_offset, robot.length_scale, robot.length_delay, robot.pose_rotation)
+        if all(value is None for value in known):
+            return None
+        tilt, turn = None, 0.0
+        if robot.pose_rotation is not None:
+            tilt = values_of(robot, ("pose_tilt.x", "pose_tilt.y"))
+            rest = with_values(robot, ("pose_tilt.x", "pose_tilt.y"), np.zeros(2)).pose_rotation
+            assert rest is not None
+            turn = float(np.arctan2(rest[1, 0], rest[0, 0]))
+        return Sensors(robot.length_offset, robot.length_scale, robot.length_delay, tilt, turn)
+
     def data(self) -> dict[str, Any]:
         """All numbers under names with units, ready for JSON; NaN is unknown."""
         robot = self.robot
@@ -113,6 +176,11 @@ class RobotReport:
             "workspace_max_m": robot.workspace_max,
             "cables": self._cable_data(),
             "home": self._home_data(),
+            "sensors": self._sensor_data(),
+            "calibration": {
+                found.name: {"value": found.value, "sigma": found.sigma, "unit": found.unit}
+                for found in self.calibration
+            },
             "problems": self.problems,
             "warnings": self.warnings,
             "provenance": dict(robot.provenance),
@@ -144,6 +212,19 @@ class RobotReport:
             {"name": name, **{key: value[i] for key, value in per_cable.items()}}
             for i, name in enumerate(robot.cable_names)
         ]
+
+    def _sensor_data(self) -> dict[str, Any] | None:
+        """What the robot file says of its sensors."""
+        sensors = self.sensors
+        if sensors is None:
+            return None
+        return {
+            "length_offset_m": sensors.offset,
+            "length_scale": sensors.scale,
+            "length_delay_s": sensors.delay,
+            "pose_tilt_rad": sensors.tilt,
+            "pose_turn_rad": None if sensors.tilt is None else sensors.turn,
+        }
 
     def _home_data(self) -> dict[str, Any]:
         """How it hangs at home; null where there is no equilibrium to speak of."""
@@ -199,6 +280,14 @@ def report_robot(robot: Robot, file: RobotFile | None = None) -> RobotReport:
         wrap=wrap,
         file=file,
     )
+
+
+def _value(robot: Robot, name: str) -> float:
+    """Value of a parameter; NaN where the cables that share it differ."""
+    try:
+        return float(values_of(robot, [name])[0])
+    except InvalidField:
+        return np.nan
 
 
 def _wrap(robot: Robot, equilibrium: Equilibrium) -> Array:

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import copy
 import io
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,13 +20,17 @@ from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.parameters import unit_of
 from carosac_toolkit.recordings.quaternions import from_matrix
 from carosac_toolkit.robot import RigidBody, Robot, combine_bodies
+from carosac_toolkit.robot_differences import SAME, differing, same
 from carosac_toolkit.robot_file import parse_file, parse_robot
 from carosac_toolkit.robot_schema import RobotFile
 
 _DIGITS = 12  # significant ones of what is written
-_SAME = 1e-9  # relative difference that rounding to them leaves
 _IN_CABLE = ("linear_density", "axial_stiffness", "axial_damping")
 _IN_DRUM = {"drum_radius": "radius", "drum_buildup": "buildup"}
+_SENSOR_PATHS = {
+    "length_offset": "sensors.lengths.cables", "length_scale": "sensors.lengths.cables",
+    "length_delay": "sensors.lengths.delay",
+}  # fmt: skip
 _TEXTS = ("name", "description", "licence")
 _WRITABLE = (
     *_TEXTS, *_IN_CABLE, *_IN_DRUM, "exit_points", "exit_covariance", "anchor_points", "run_length",
@@ -52,9 +55,7 @@ def robot_document(text: str, robot: Robot, *, provenance: str) -> str:
         InvalidField: The robot differs in something that is not calibrated, such as its cables.
     """
     old, file = parse_file(text)
-    changed = [
-        f.name for f in fields(Robot) if not _same(getattr(old, f.name), getattr(robot, f.name))
-    ]
+    changed = differing(old, robot)
     for name in changed:
         if name not in _WRITABLE:
             raise InvalidField(name, "another value", "the value of the old robot file")
@@ -67,10 +68,9 @@ def robot_document(text: str, robot: Robot, *, provenance: str) -> str:
     stream = io.StringIO()
     yaml.dump(writer.document, stream)
     written = stream.getvalue()
-    back = parse_robot(written, source="new robot file")
-    for f in fields(Robot):
-        if f.name != "provenance" and not _same(getattr(back, f.name), getattr(robot, f.name)):
-            raise CarosacError(f"new robot file: {f.name} does not come back as it was written")
+    for name in differing(parse_robot(written, source="new robot file"), robot):
+        if name != "provenance":
+            raise CarosacError(f"new robot file: {name} does not come back as it was written")
     return written
 
 
@@ -89,6 +89,9 @@ class _Writer:
     def write(self, changed: set[str]) -> None:
         """Put all that changed into the document."""
         robot = self._robot
+        kinds = self._file.cable_types.values()
+        if "linear_density" in changed and any(kind.material_density for kind in kinds):
+            changed |= {"axial_stiffness"}  # the old file has it from the density
         for name in changed.intersection(_TEXTS):
             self.document[name] = getattr(robot, name)
         if changed & {"exit_points", "exit_covariance"}:
@@ -101,37 +104,100 @@ class _Writer:
             if name in changed:
                 self._in_parts("winch", "winches", name, ("drum", key), getattr(robot, name))
         if "run_length" in changed:
-            for chain, value in zip(self.document["chains"], robot.run_length, strict=True):
-                chain["run_length"] = _quantity("run_length", value)
-            self._from("chains")
+            self._run_length()
         self._body(changed)
         self._sensors(changed)
         if "calibrated" in changed or "calibration_covariance" in changed:
             self._calibration()
 
-    def _from(self, path: str) -> None:
-        """Say where a number comes from."""
-        self.document["provenance"][path] = self._source
+    def _from(self, path: str, but: Sequence[str] = ()) -> None:
+        """Say where a number comes from.
+
+        Args:
+            path: Of the number, or the start of the path of several.
+            but: Paths below it whose numbers are those of the old file.
+        """
+        sources = self.document["provenance"]
+        kept = {other: self._source_of(other) for other in but}
+        for known in [p for p in sources if _covers(path, p)]:
+            del sources[known]
+        sources[path] = self._source
+        sources.update({other: source for other, source in kept.items() if source is not None})
+
+    def _source_of(self, path: str) -> str | None:
+        """Where a number of the old file comes from; None where that is said of its parts."""
+        sources = self.document["provenance"]
+        covering = [p for p in sources if _covers(p, path)]
+        return str(sources[max(covering, key=len)]) if covering else None
 
     def _exit_points(self) -> None:
         """Positions and covariances."""
-        points = self.document["frame"]["exit_points"]
-        robot = self._robot
-        for i, chain in enumerate(self._file.chains):
-            point = points[chain.exit_point]
+        robot, points = self._robot, self.document["frame"]["exit_points"]
+        known = [robot.exit_points]
+        if robot.exit_covariance is not None:
+            known.append(robot.exit_covariance.reshape(robot.n, 9))
+        self._own_points("exit_point", points, np.hstack(known))
+        used = set()
+        for i, chain in enumerate(self.document["chains"]):
+            used.add(name := _key(points, chain["exit_point"]))
+            point = points[name]
             point["position"] = _flow(robot.exit_points[i])
             if robot.exit_covariance is None:
                 continue
             point.pop("sigma", None)
             point["covariance"] = _matrix(robot.exit_covariance[i])
             point.fa.set_block_style()
-        self._from("frame.exit_points")
+        path = "frame.exit_points"
+        spare = [f"{path}.{name}" for name in points if name not in used]
+        pulleys = [f"{path}.{name}.pulley" for name in used if "pulley" in points[name]]
+        self._from(path, but=[*spare, *pulleys])
 
     def _anchor_points(self) -> None:
-        points = self.document["platform"]["anchor_points"]
-        for chain, point in zip(self._file.chains, self._robot.anchor_points, strict=True):
-            points[chain.anchor_point] = _flow(point)
-        self._from("platform.anchor_points")
+        robot, points = self._robot, self.document["platform"]["anchor_points"]
+        self._own_points("anchor_point", points, robot.anchor_points)
+        used = set()
+        for i, chain in enumerate(self.document["chains"]):
+            used.add(name := _key(points, chain["anchor_point"]))
+            points[name] = _flow(robot.anchor_points[i])
+        path = "platform.anchor_points"
+        self._from(path, but=[f"{path}.{name}" for name in points if name not in used])
+
+    def _own_points(self, key: str, points: CommentedMap, values: Array) -> None:
+        """Give chains that share a point, and no longer its numbers, points of their own.
+
+        Args:
+            key: Under which a chain names the point.
+            points: By name.
+            values: What is written of the point, for each chain, shape (n, k).
+        """
+        for name, rows in self._users(key).items():
+            if len(rows) == 1 or not np.ptp(values[rows], axis=0).any():
+                continue
+            shared = points.pop(_key(points, name))
+            for i in rows:
+                own = self._own_name(points, name, i)
+                points[own] = copy.deepcopy(shared)
+                self.document["chains"][i][key] = own
+
+    def _users(self, key: str) -> dict[str, list[int]]:
+        """Chains by the part that they name."""
+        users: dict[str, list[int]] = {}
+        for i, chain in enumerate(self.document["chains"]):
+            users.setdefault(str(chain[key]), []).append(i)
+        return users
+
+    def _own_name(self, section: CommentedMap, name: str, row: int) -> str:
+        """A new name for the part of one chain."""
+        own = f"{name}_{self._file.chains[row].name}"
+        while own in section:
+            own += "_"
+        return own
+
+    def _run_length(self) -> None:
+        """Of each chain."""
+        for i, value in enumerate(self._robot.run_length):
+            self.document["chains"][i]["run_length"] = _quantity("run_length", value)
+            self._from(f"chains[{i}].run_length")
 
     def _in_parts(
         self, key: str, section: str, field: str, path: tuple[str, ...], values: Array
@@ -145,19 +211,16 @@ class _Writer:
             path: In the part.
             values: One for each chain.
         """
-        users: dict[str, list[int]] = {}
-        for i, chain in enumerate(self.document["chains"]):
-            users.setdefault(str(chain[key]), []).append(i)
-        for name, rows in users.items():
-            if np.ptp(values[rows]) <= _SAME * np.abs(values[rows]).max():
-                self._set(section, name, field, path, values[rows[0]])
+        parts = self.document[section]
+        for name, rows in self._users(key).items():
+            if np.ptp(values[rows]) <= SAME * np.abs(values[rows]).max():
+                self._set(section, _key(parts, name), field, path, values[rows[0]])
                 continue
-            part = self.document[section].pop(name)
+            part = parts.pop(_key(parts, name))
             for i in rows:
-                chain = self.document["chains"][i]
-                own = f"{name}_{chain['name']}"
-                self.document[section][own] = copy.deepcopy(part)
-                chain[key] = own
+                own = self._own_name(parts, name, i)
+                parts[own] = copy.deepcopy(part)
+                self.document["chains"][i][key] = own
                 self._copy_provenance(f"{section}.{name}", f"{section}.{own}")
                 self._set(section, own, field, path, values[i])
             self._drop_provenance(f"{section}.{name}")
@@ -176,29 +239,32 @@ class _Writer:
 
     def _copy_provenance(self, old: str, new: str) -> None:
         sources = self.document["provenance"]
-        for path in [p for p in sources if p == old or p.startswith(old + ".")]:
+        for path in [p for p in sources if _covers(old, p)]:
             sources[new + path[len(old) :]] = sources[path]
 
     def _drop_provenance(self, path: str) -> None:
         sources = self.document["provenance"]
-        for known in [p for p in sources if p == path or p.startswith(path + ".")]:
+        for known in [p for p in sources if _covers(path, p)]:
             del sources[known]
 
     def _body(self, changed: set[str]) -> None:
         """Mass, centre and inertia of the platform without its payloads, and its drag."""
         platform, robot = self.document["platform"], self._robot
         if changed & {"mass", "center_of_mass", "inertia"}:
-            body = _bare(robot, self._file)
-            platform["mass"] = _quantity("mass", body.mass)
-            platform["center_of_mass"] = _flow(body.center_of_mass)
-            platform["inertia"] = _matrix(body.inertia)
-            for name in ("mass", "center_of_mass", "inertia"):
-                if name in changed:
-                    self._from(f"platform.{name}")
+            body, old = _bare(robot, self._file), self._file.platform
+            if not same(body.mass, old.mass):
+                platform["mass"] = _quantity("mass", body.mass)
+                self._from("platform.mass")
+            if not same(body.center_of_mass, old.center_of_mass):
+                platform["center_of_mass"] = _flow(body.center_of_mass)
+                self._from("platform.center_of_mass")
+            if not same(body.inertia, old.inertia):
+                platform["inertia"] = _matrix(body.inertia)
+                self._from("platform.inertia")
         for name, key in (("drag", "linear"), ("angular_drag", "angular")):
             if name in changed:
                 platform["air_drag"][key] = _quantity(name, getattr(robot, name))
-                self._from("platform.air_drag")
+                self._from(f"platform.air_drag.{key}")
 
     def _sensors(self, changed: set[str]) -> None:
         """What the sensors read."""
@@ -211,6 +277,7 @@ class _Writer:
             self.document.insert(at, "sensors", CommentedMap())
         sensors = self.document["sensors"]
         if lengths:
+            known = "lengths" in sensors
             offset = np.zeros(robot.n) if robot.length_offset is None else robot.length_offset
             scale = np.ones(robot.n) if robot.length_scale is None else robot.length_scale
             cables = CommentedMap()
@@ -219,10 +286,12 @@ class _Writer:
                 cables[name].fa.set_flow_style()
             delay = _quantity("length_delay", robot.length_delay or 0.0)
             sensors["lengths"] = CommentedMap(delay=delay, cables=cables)
+            for path in {_SENSOR_PATHS[name] for name in lengths} if known else {"sensors.lengths"}:
+                self._from(path)
         if "pose_rotation" in changed and robot.pose_rotation is not None:
             turn = _flow(from_matrix(robot.pose_rotation[None])[0])
             sensors["poses"] = CommentedMap(quaternion_wxyz=turn)
-        self._from("sensors")
+            self._from("sensors.poses")
 
     def _calibration(self) -> None:
         """What is known of all that was estimated."""
@@ -238,17 +307,14 @@ class _Writer:
         self._from("calibration")
 
 
-def _same(a: Any, b: Any) -> bool:
-    """Whether two fields are the same but for rounding."""
-    if a is None or b is None:
-        return a is b
-    if isinstance(a, str | tuple | Mapping):
-        return bool(a == b)
-    first, second = np.asarray(a), np.asarray(b)
-    if first.shape != second.shape:
-        return False
-    size = max(float(np.abs(first).max(initial=0.0)), float(np.abs(second).max(initial=0.0)))
-    return bool(np.abs(first - second).max(initial=0.0) <= _SAME * size)
+def _covers(path: str, other: str) -> bool:
+    """Whether one path is another, or the start of it."""
+    return other == path or other.startswith((f"{path}.", f"{path}["))
+
+
+def _key(mapping: CommentedMap, name: object) -> Any:
+    """Key of a mapping by its text; a name may look like a number."""
+    return next(key for key in mapping if str(key) == str(name))
 
 
 def _bare(robot: Robot, file: RobotFile) -> RigidBody:

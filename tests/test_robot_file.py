@@ -6,7 +6,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
-from carosac_toolkit.errors import MissingFile
+from carosac_toolkit.errors import InvalidFile, MissingFile
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot_differences import differing
 from carosac_toolkit.robot_file import parse_robot, robot_text
 
 FAULTY = """\
@@ -286,3 +288,84 @@ def test_a_robot_loads_without_the_heavy_packages():
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
     assert done.stdout.strip() == "[]"
+
+
+SENSORS = """sensors:
+  lengths:
+    delay: 33.1 ms
+    cables:
+      front_left: {offset: 12 mm, scale: 1.001}
+      front_right: {offset: -5 mm, scale: 1}
+      rear_right: {offset: 0, scale: 1}
+      rear_left: {offset: 0, scale: 0.999}
+  poses: {quaternion_wxyz: [0.8, 0, 0, 0.6]}
+
+calibration:
+  parameters: [mass, "exit_points[front_left].x"]
+  covariance:
+    - [0.04]
+    - [1e-5, 4e-6]
+
+provenance:
+  sensors: a run with motion capture
+  calibration: the same
+"""
+
+
+def calibrated_text(old="", new=""):
+    """The bundled robot with what a calibration writes, and one thing changed."""
+    assert old in SENSORS
+    return robot_text("carosac").replace("provenance:\n", SENSORS.replace(old, new, 1))
+
+
+def test_what_a_calibration_found_reaches_the_robot(tmp_path):
+    robot = parse_robot(calibrated_text())
+    assert robot.length_offset == pytest.approx([0.012, -0.005, 0.0, 0.0])
+    assert robot.length_scale == pytest.approx([1.001, 1.0, 1.0, 0.999])
+    assert robot.length_delay == pytest.approx(0.0331)
+    assert robot.pose_rotation[:2, 0] == pytest.approx([0.28, 0.96])  # z by twice atan(0.6 / 0.8)
+    assert robot.calibrated == ("mass", "exit_points[front_left].x")
+    assert robot.calibration_covariance == pytest.approx(np.array([[0.04, 1e-5], [1e-5, 4e-6]]))
+    robot.to_npz(tmp_path / "robot.npz")
+    assert differing(Robot.from_npz(tmp_path / "robot.npz"), robot) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("      rear_left: {", "      rear_lift: {", "cables.rear_lift: no such chain; allowed: "),
+        ("      rear_left: {offset: 0, scale: 0.999}\n", "",
+         "sensors.lengths.cables: rear_left missing; allowed: all chains"),
+        ("scale: 1}", "scale: 0}", "cables.front_right.scale: got 0; allowed: .*> 0"),
+        ("offset: 12 mm", "offset: 12 ms", "cables.front_left.offset: got '12 ms'; allowed: .* m"),
+        ("delay: 33.1 ms", "delay: 33.1 mm", "sensors.lengths.delay: got '33.1 mm'"),
+        ("[0.8, 0, 0, 0.6]", "[0.8, 0, 0, 0.7]", "sensors.poses.quaternion_wxyz: got"),
+        ("    - [1e-5, 4e-6]\n", "", r"rows of \[1\] numbers; allowed: .*rows of 1 to 2 numbers"),
+        ("[1e-5, 4e-6]", "[1e-2, 4e-6]", "calibration_covariance: .*positive semidefinite"),
+        ("[mass,", "[weight,", "parameter: got 'weight'; allowed: a name such as exit_points"),
+        ("[mass,", '["exit_points[front_left].x",', r"parameters\[1\]: .* each parameter once"),
+        ("[front_left].x", "[front_lift].x", "allowed: a cable of .*front_left"),
+        ("  sensors: a run with motion capture\n", "", "sensors: no provenance"),
+        ("  calibration: the same\n", "", "calibration.*: no provenance"),
+    ],
+)  # fmt: skip
+def test_faults_of_a_calibration_are_named(old, new, message):
+    with pytest.raises(InvalidFile, match=message):
+        parse_robot(calibrated_text(old, new))
+
+
+def test_drums_have_a_gear_all_or_none_and_pay_out_the_longest_cable_through_their_tackle():
+    text = robot_text("hangprinter")
+    robot = parse_robot(text)
+    assert robot.drum_gear.tolist() == [12.75] * 4
+    assert robot.drum_advantage.tolist() == [2.0, 2.0, 2.0, 4.0]
+    drum = "radius: 79.1999 mm, buildup: 0.06875 mm"
+    with pytest.raises(InvalidFile, match=r"winches.d.drum: gear missing; allowed: a gear in all"):
+        parse_robot(text.replace(f"{drum}, gear: 12.75", drum))
+    with pytest.raises(InvalidFile, match=r"winches.d.drum.gear: got 0; allowed: .*> 0"):
+        parse_robot(text.replace(f"{drum}, gear: 12.75", f"{drum}, gear: 0"))
+    message = r"winches.d.drum.buildup: .* below radius\^2 / \(advantage \* length_max\)"
+    with pytest.raises(InvalidFile, match=message):  # 4 of 5 m are 20 m of line, 1.4 m^2 of squares
+        parse_robot(text.replace(drum, drum.replace("0.06875", "0.4")))
+    plain = parse_robot(text.replace(", advantage: 4", ""))
+    assert plain.drum_advantage.tolist() == [2.0, 2.0, 2.0, 1.0]

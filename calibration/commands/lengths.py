@@ -1,8 +1,9 @@
-"""Calibrate exit points, anchor points, encoders and delay from cable lengths and measured poses.
+"""Calibrate points, encoders and delay from cable lengths and poses.
 
-Blunders are left out and named. Set-ups that cannot tell the exit points are refused with the
-reason, as are swapped cables and wrong units. A file of motor angles (CSV, columns motor_A_deg and
-the like) needs no poses: they are unknowns there, and so are the drums.
+The points are exit and anchor points, the poses measured ones, such as by motion capture. Blunders
+are left out and named. Set-ups that cannot tell the exit points are refused with the reason, as are
+swapped cables and wrong units. A file of motor angles (CSV, columns motor_A_deg and the like) needs
+no poses: they are unknowns there, and so are the drums.
 
 Exit status 1 means that the result should not be used before a warning has been looked into.
 """

@@ -1,7 +1,8 @@
-"""Measure exit points with a total station: from GSI or CSV files to a robot file with covariances.
+"""Measure exit points with a total station, from GSI or CSV files.
 
-Levelled set-ups of unknown place and heading are joined through the points they share and placed in
-the robot's frame by reference points with known coordinates. Blunders are left out and named.
+The robot file that comes of it has their covariances. Levelled set-ups of unknown place and heading
+are joined through the points they share and placed in the robot's frame by reference points with
+known coordinates. Blunders are left out and named.
 
 Exit status 1 means that the residuals are larger than the stated accuracy explains.
 """

@@ -8,20 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.identification.measured import MeasuredPoses
+from calibration.identification.noise import Noise, look_at
+from calibration.identification.open_loop import LengthPath, OpenLoop, simulate
+from calibration.identification.settings import IdentificationSettings
+from calibration.identification.unknowns import Unknowns
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.recording import Recording
 from carosac_toolkit.robot import Robot
-from calibration.identification.measured import MeasuredPoses
-from calibration.identification.noise import Noise, coloured, white
-from calibration.identification.open_loop import LengthPath, OpenLoop, simulate
-from calibration.identification.settings import IdentificationSettings
-from calibration.identification.unknowns import Unknowns
 
 STEP = 0.005  # of the coordinates, for differences
-SETTLED = 0.1  # of a posterior sigma: a smaller step ends the search
-COARSE = 4  # steps in which the noise is taken for white
-ADAPT = 12  # steps after which the noise is no longer estimated anew
+SETTLED = 0.1  # what a step must promise to lower the cost by, which is in squared sigmas
+SHARES = (0.15, 0.4, 1.0)  # of the poses, from the first: later ones would be out of phase at first
+STEPS = 4  # for each share but the last
+ADAPT = 6  # steps after which the noise is no longer estimated anew
 STRETCH = 5.0  # [s]
 LONGEST_STEP = 2.0  # prior sigmas that a coordinate may move in one step
 DAMPING = 1e-3  # of the Hessian's diagonal, to begin with
@@ -79,29 +80,19 @@ class Fitter:
         """Search.
 
         Args:
-            report: Called after each step with its number and the RMS errors [m] and [rad].
+            report: Called before each step with the number of poses that it looks at, and their
+                RMS errors [m] and [rad].
 
         Raises:
             CarosacError: The robot's simulation fails where the search stands.
         """
         at = np.zeros(len(self._unknowns.names))
-        damping, settled = DAMPING, False
-        for count in range(1, self._settings.iterations + 1):
-            errors, jacobian = self._linearised(at)
-            if count <= ADAPT:
-                noise = white(errors) if count <= COARSE else coloured(errors)
-            report(count, *_rms(errors))
-            information, gradient = self._normal(at, errors, jacobian, noise)
-            hessian = information + self._precision
-            settled = count > ADAPT and self._size(at, hessian, gradient) <= SETTLED
-            if settled:
-                break
-            before = at
-            at, damping = self._search(at, hessian, gradient, noise.cost(errors), noise, damping)
-            if at is before and count > ADAPT:
-                break
+        whole = self._poses
+        for share in SHARES:
+            self._poses = whole.rows(np.arange(round(share * len(whole.time))))
+            at, count, settled = self._settle(at, STEPS if share < 1.0 else None, report)
         errors, jacobian = self._linearised(at)
-        noise = coloured(errors)
+        noise = look_at(errors)
         information, _ = self._normal(at, errors, jacobian, noise)
         excess = self._excess(errors, jacobian, noise, information)
         return Fit(
@@ -113,12 +104,29 @@ class Fitter:
             converged=settled,
         )
 
-    def _excess(
-        self, errors: Array, jacobian: Array, noise: Noise, information: Array
-    ) -> float:
+    def _settle(self, at: Array, steps: int | None, report: Report) -> tuple[Array, int, bool]:
+        """Search from somewhere, for some steps or to the end.
+
+        Returns:
+            Where it ended, after how many steps, and whether it settled.
+        """
+        damping, settled = DAMPING, False
+        for count in range(1, (steps or self._settings.iterations) + 1):
+            errors, jacobian = self._linearised(at)
+            if count <= ADAPT:
+                noise = look_at(errors)
+            report(len(errors), *_rms(errors))
+            information, gradient = self._normal(at, errors, jacobian, noise)
+            hessian = information + self._precision
+            settled = self._promise(at, hessian, gradient) <= SETTLED
+            if settled and count > ADAPT:
+                break
+            at, damping = self._search(at, hessian, gradient, noise.cost(errors), noise, damping)
+        return at, count, settled
+
+    def _excess(self, errors: Array, jacobian: Array, noise: Noise, information: Array) -> float:
         """By how much scores of whole stretches of time vary more than independent ones, >= 1."""
-        new, slope = noise.innovations(errors), noise.innovations(jacobian)
-        scores = np.einsum("nci,nc->ni", slope, noise.shares(new) * new)
+        scores = np.einsum("nci,nc->ni", jacobian, noise.weights(errors) * errors)
         length = max(1, int(np.searchsorted(self._poses.time, self._poses.time[0] + STRETCH)))
         edges = np.arange(0, len(scores), length)
         sums = np.add.reduceat(scores, edges, axis=0)
@@ -145,8 +153,9 @@ class Fitter:
         """Errors (K, 6) and their Jacobian (K, 6, k)."""
         motion, good = self._simulated(np.vstack([at, at + STEP * np.eye(len(at))]))
         if not good.all():
-            name = "" if not good[0] else f" beside {self._unknowns.names[int(np.argmin(good)) - 1]}"
-            raise CarosacError(f"identification: no finite motion of the robot{name}")
+            row = int(np.argmin(good))
+            beside = f" with another {self._unknowns.names[row - 1]}" if row else ""
+            raise CarosacError(f"identification: no finite motion of the robot{beside}")
         errors = [
             self._poses.errors(motion.position[:, k], motion.rotation[:, k])
             for k in range(len(at) + 1)
@@ -157,10 +166,10 @@ class Fitter:
         self, at: Array, errors: Array, jacobian: Array, noise: Noise
     ) -> tuple[Array, Array]:
         """Information of the data (k, k), and gradient with the prior (k,)."""
-        new, slope = noise.innovations(errors), noise.innovations(jacobian)
-        weighted = slope * noise.shares(new)[:, :, None]
-        information = np.einsum("nci,ncj->ij", weighted, slope)
-        return information, np.einsum("nci,nc->i", weighted, new) + self._precision @ at
+        weights = noise.weights(errors)
+        information = np.einsum("nci,nc,ncj->ij", jacobian, weights, jacobian)
+        pull = np.einsum("nci,nc->i", jacobian, weights * errors)
+        return information, pull + self._precision @ at
 
     def _search(
         self,
@@ -192,11 +201,11 @@ class Fitter:
         found: NDArray[np.bool_] = ~((at <= self._unknowns.lower + 1e-9) & (gradient > 0.0))
         return found
 
-    def _size(self, at: Array, hessian: Array, gradient: Array) -> float:
-        """Largest part of a Gauss-Newton step, in posterior sigmas."""
+    def _promise(self, at: Array, hessian: Array, gradient: Array) -> float:
+        """By how much a whole Gauss-Newton step would lower the cost."""
         free = self._free(at, gradient)
         inverse = np.linalg.inv(hessian[np.ix_(free, free)])
-        return float(np.abs(inverse @ gradient[free] / np.sqrt(np.diag(inverse))).max())
+        return float(gradient[free] @ inverse @ gradient[free])
 
     def _stepped(self, at: Array, hessian: Array, gradient: Array, damping: float) -> Array:
         """Where a damped step leads; coordinates that would leave their bound stay on it."""

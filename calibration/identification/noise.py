@@ -1,10 +1,10 @@
-"""What the errors of an open-loop simulation look like, and how they are made independent.
+"""How far errors of an open-loop simulation may be trusted to be errors of its parameters.
 
-They are not white: wind, and all that the model leaves out, make the platform swing, so that an
-error lasts for many samples and shows in several axes at once. The six errors of a pose are
-therefore taken for a vector autoregressive process, estimated from the errors themselves, and are
-fitted in terms of what is new in each sample: generalised least squares (Ljung, System
-Identification, 2nd ed. 1999, chapter 7).
+They are not white: wind, and all that the model leaves out, make the platform swing, and an error
+lasts for many samples. Each sample then counts for less than one: of N errors with autocorrelation
+rho, as of their derivatives, about N / (1 + 2 sum rho^2) are independent (Bartlett, Journal of the
+Royal Statistical Society B 8, 1946). A noise model that predicts one error from those before would
+use the data better, but explains a mistuned mode of the robot as noise just as well.
 """
 
 from __future__ import annotations
@@ -15,82 +15,55 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array
 
-ORDER = 6  # of the process
-SAMPLES = 100  # for each order: fewer hardly determine its 36 numbers
-FLOOR = np.repeat([2e-4, 2e-4], 3)  # least sigma of what is new: positions [m], rotations [rad]
-UNEXPLAINED = 1e-4  # share of the variance that is taken for white whatever the errors look like
-HEAVY = 3.0  # sigmas beyond which what is new counts for less
+# Least sigma, positions [m] and rotations [rad]: noise of readings, what smoothing takes away, and
+# cables without inertia make an error of this size whatever the parameters are.
+FLOOR = np.repeat([2e-3, 3e-3], 3)
+LONGEST = 0.5  # of the samples: the longest lag that is looked at
+TOGETHER = 6.0  # axes that count as one, as one swing shows in all of them
+HEAVY = 3.0  # sigmas beyond which an error counts for less
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Noise:
-    """A vector autoregressive process of order p of the six errors of a pose.
+    """What the six errors of a pose look like.
 
     Attributes:
-        weights: Of the errors before, newest first, shape (p, 6, 6).
-        whitener: From what is new to unit variance, lower triangular, shape (6, 6).
-        start: The same for the errors themselves, for the first p samples, shape (6, 6).
+        sigma: Positions [m], then rotations [rad], shape (6,).
+        repeats: Samples for which one error of each counts, shape (6,).
     """
 
-    weights: Array
-    whitener: Array
-    start: Array
+    sigma: Array
+    repeats: Array
 
-    def innovations(self, errors: Array) -> Array:
-        """What is new in each sample, of unit variance.
-
-        Args:
-            errors: shape (K, 6) or (K, 6, k).
-
-        Returns:
-            The same shape.
-        """
-        columns = errors.reshape(len(errors), 6, -1)
-        new = np.array(columns)
-        for lag, weights in enumerate(self.weights, start=1):
-            new[lag:] -= np.einsum("ij,njk->nik", weights, columns[:-lag])
-        scaled = np.einsum("ij,njk->nik", self.whitener, new)
-        order = len(self.weights)
-        scaled[:order] = np.einsum("ij,njk->nik", self.start, columns[:order])
-        return scaled.reshape(errors.shape)
-
-    def shares(self, innovations: Array) -> Array:
-        """Weights of innovations (K, 6): less where they are large."""
-        found: Array = 1.0 / np.sqrt(1.0 + (innovations / HEAVY) ** 2)
+    def weights(self, errors: Array) -> Array:
+        """Inverse variance of errors (K, 6), less where they are large; same shape."""
+        shares = 1.0 / np.sqrt(1.0 + (errors / (HEAVY * self.sigma)) ** 2)
+        found: Array = shares / (self.sigma**2 * self.repeats)
         return found
 
     def cost(self, errors: Array) -> float:
-        """Whose derivative the weighted innovations are, up to a factor 1/2."""
-        new = self.innovations(errors)
-        return float((2.0 * HEAVY**2 * (np.sqrt(1.0 + (new / HEAVY) ** 2) - 1.0)).sum())
+        """Whose derivative the weighted errors are, up to a factor 1/2."""
+        size = errors / (HEAVY * self.sigma)
+        heavy = 2.0 * HEAVY**2 * (np.sqrt(1.0 + size**2) - 1.0)
+        return float((heavy / self.repeats).sum())
 
 
-def white(errors: Array) -> Noise:
-    """Independent noise of the size of errors, shape (K, 6)."""
-    sigma = np.maximum(np.sqrt((errors**2).mean(axis=0)), FLOOR)
-    scale = np.diag(1.0 / sigma)
-    return Noise(weights=np.empty((0, 6, 6)), whitener=scale, start=scale)
-
-
-def coloured(errors: Array) -> Noise:
-    """Estimate the process from errors, shape (K, 6), by regression on the errors before."""
-    sigma = np.maximum(np.sqrt((errors**2).mean(axis=0)), FLOOR)
-    unit = errors / sigma
-    count = len(unit)
-    order = min(ORDER, count // SAMPLES)
-    if order == 0:
-        return white(errors)
-    past = np.hstack([unit[order - lag : count - lag] for lag in range(1, order + 1)])
-    now = unit[order:]
-    normal = past.T @ past + UNEXPLAINED * len(now) * np.eye(past.shape[1])
-    found = np.linalg.solve(normal, past.T @ now)  # (6 p, 6)
-    left = now - past @ found
-    spread = left.T @ left / (len(now) - len(past.T)) + np.diag((FLOOR / sigma) ** 2)
-    all_of_it = unit.T @ unit / count + np.diag((FLOOR / sigma) ** 2)
-    weights = found.T.reshape(6, order, 6).swapaxes(0, 1)  # (p, 6, 6), of unit errors
-    scale = np.diag(1.0 / sigma)
+def look_at(errors: Array) -> Noise:
+    """Estimate the noise from errors, shape (K, 6)."""
+    typical = np.median(np.abs(errors), axis=0) / 0.6745  # of a normal variable
+    rms = np.sqrt((errors**2).mean(axis=0))
     return Noise(
-        weights=weights * sigma[None, :, None] / sigma[None, None, :],
-        whitener=np.linalg.inv(np.linalg.cholesky(spread)) @ scale,
-        start=np.linalg.inv(np.linalg.cholesky(all_of_it)) @ scale,
+        sigma=np.maximum(FLOOR, np.minimum(rms, 1.5 * typical)),
+        repeats=TOGETHER * np.array([_repeats(part) for part in errors.T]),
     )
+
+
+def _repeats(errors: Array) -> float:
+    """Samples for which one of some errors (K,) counts; rather too many in a short record."""
+    count = len(errors)
+    longest = max(1, int(LONGEST * count))
+    spectrum = np.fft.rfft(errors, 2 * count)
+    power = np.fft.irfft(np.abs(spectrum) ** 2)[:longest]
+    correlation = power / power[0]
+    chance = 1.0 / count  # square of what white noise shows
+    return 1.0 + 2.0 * float(np.maximum(correlation[1:] ** 2 - chance, 0.0).sum())

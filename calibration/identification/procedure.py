@@ -3,15 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.encoders import calibrated
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.physics import statics
-from carosac_toolkit.recording import Recording
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.validation.phases import find_phases
-from carosac_toolkit.validation.scores import PoseScores, score_poses
 from calibration.identification.fit import Fit, Fitter, Report
 from calibration.identification.measured import MeasuredPoses, poses_of
 from calibration.identification.open_loop import LengthPath, simulate
@@ -20,9 +13,18 @@ from calibration.identification.settings import IdentificationSettings
 from calibration.identification.unknowns import Unknowns, choose_unknowns
 from calibration.observability import Observability, Unobservable, judge
 from calibration.robot_update import updated
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.encoders import calibrated
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.physics import statics
+from carosac_toolkit.recording import Recording
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.validation.phases import find_phases
+from carosac_toolkit.validation.scores import PoseScores, score_poses
 
 Range = tuple[int, int]
 FEWEST = 5.0  # seconds of motion, below which no dynamics are identified
+ELSEWHERE = 0.5  # [m]
 STILL = 0.01  # [m]: a platform that moves by less does not show its dynamics
 
 
@@ -33,7 +35,7 @@ def identify(
     *,
     train: Range,
     test: Range | None = None,
-    report: Report = lambda step, position, rotation: None,
+    report: Report = lambda poses, position, rotation: None,
 ) -> Identification:
     """Fit the simulator, open loop through recorded lengths, to measured poses.
 
@@ -46,7 +48,8 @@ def identify(
         settings: None takes the defaults.
         train: Length samples start <= i < stop whose poses are fitted.
         test: Samples that are scored only; None: none.
-        report: Called after each step with its number and the RMS errors [m] and [rad].
+        report: Called before each step with the number of poses that it looks at, from the first,
+            and their RMS errors [m] and [rad].
 
     Raises:
         InvalidField: A range outside the recording, ranges that overlap, or too little in them.
@@ -57,14 +60,16 @@ def identify(
     poses = _check(recording, robot, train, test)
     fitted = poses.within(*train).thinned(chosen.rate)
     unknowns = choose_unknowns(robot, chosen)
+    path = LengthPath(recording)
+    before = _motion(robot, recording, path, poses, chosen)
+    _check_start(before)
     fit = Fitter(unknowns, recording, fitted, chosen).run(report)
     estimate = unknowns.estimate(fit.coordinates, fit.covariance)
     identified = updated(robot, estimate)
-    path = LengthPath(recording)
-    before = _motion(robot, recording, path, poses, chosen)
     after = _motion(identified, recording, path, poses, chosen)
     return Identification(
         robot=identified,
+        first_speed=_first_speed(poses),
         estimate=estimate,
         observability=_observability(unknowns, fit),
         train=_part(poses, before, after, train),
@@ -125,6 +130,27 @@ def _motion(
     return poses.errors(motion.position[:, 0], motion.rotation[:, 0])
 
 
+def _check_start(errors: Array) -> None:
+    """Refuse a robot that hangs somewhere else than where it was measured."""
+    away = float(np.linalg.norm(errors[0, :3]))
+    if away > ELSEWHERE:
+        got = f"lengths that hang the robot {away:.2f} m from the first measured pose"
+        allowed = (
+            f"lengths and poses of this robot, which rests at sample 0, within {ELSEWHERE:g} m; "
+            "'carosac calibrate lengths' finds offsets, swapped cables and wrong units"
+        )
+        raise InvalidField("recording", got, allowed)
+
+
+def _first_speed(poses: MeasuredPoses) -> float:
+    """Speed of the platform in the first half second [m/s]."""
+    rows = poses.time - poses.time[0] <= 0.5
+    if rows.sum() < 2:
+        rows[:2] = True
+    reach = poses.position[rows][-1] - poses.position[rows][0]
+    return float(np.linalg.norm(reach) / (poses.time[rows][-1] - poses.time[rows][0]))
+
+
 def _part(poses: MeasuredPoses, before: Array, after: Array, span: Range) -> Part:
     """Scores of a range of samples."""
     rows = (poses.index >= span[0]) & (poses.index < span[1])
@@ -157,7 +183,7 @@ def _rests(
     return RestErrors(before=np.array(found[0]), after=np.array(found[1]), starts=np.array(first))
 
 
-def _rows(poses: MeasuredPoses, start: int, stop: int) -> Array:
+def _rows(poses: MeasuredPoses, start: int, stop: int) -> NDArray[np.int64]:
     """Rows of the poses of some length samples."""
     return np.flatnonzero((poses.index >= start) & (poses.index < stop))
 

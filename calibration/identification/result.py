@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.validation.scores import PoseScores
 from calibration.estimate import Estimate
 from calibration.identification.measured import MeasuredPoses
 from calibration.observability import Observability
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.validation.scores import PoseScores
 
 AGAINST_PRIOR = 2.0  # sigmas: a parameter that moved further contradicts what was known
+RESTING = 0.05  # [m/s]: a platform that is faster does not rest
 TAUGHT = 0.7  # of its prior sigma: a parameter that keeps more was hardly learnt
 
 
@@ -85,6 +86,7 @@ class Identification:
         converged: Whether it ended by itself.
         excess: By how much the data count for less than independent innovations would.
         fitted_samples: Poses that were fitted.
+        first_speed: Of the platform where the simulation begins at rest [m/s].
     """
 
     robot: Robot
@@ -101,6 +103,7 @@ class Identification:
     converged: bool
     excess: float
     fitted_samples: int
+    first_speed: float
 
     def data(self) -> dict[str, Any]:
         """All numbers under names with units, ready for JSON."""
@@ -142,6 +145,11 @@ class Identification:
         found = []
         if not self.converged:
             found.append(f"the search had not settled after {self.iterations} steps")
+        if self.first_speed > RESTING:
+            found.append(
+                f"the platform moves at the first sample, by {self.first_speed:.2g} m/s, where the "
+                "simulation begins at rest: cut the recording so that it begins in a rest"
+            )
         test = self.test
         if test is not None and test.after.rmse[3] > test.before.rmse[3]:
             found.append("the identified robot is worse than before on the samples kept back")

@@ -40,13 +40,13 @@ class IdentificationSettings:
     length_offset: float = 0.05
     length_scale: float = 0.002
     length_delay: float = 0.05
-    center_of_mass: float = 0.03
+    center_of_mass: float = 0.02
     mass: float = 0.05
-    inertia: float = 0.5
+    inertia: float = 0.3
     linear_density: float = 0.05
     axial_stiffness: float = 0.7
     axial_damping: float = 1.0
-    run_length: float = 10.0
+    run_length: float = 2.0
     drag: float = 1.0
     angular_drag: float = 1.0
     rate: float = 10.0
@@ -57,8 +57,6 @@ class IdentificationSettings:
         """Refuse what is no standard deviation."""
         for field in fields(self):
             value = getattr(self, field.name)
-            lowest = (
-                "> 0" if field.name in ("rate", "iterations", "time_step") else ">= 0"
-            )
+            lowest = "> 0" if field.name in ("rate", "iterations", "time_step") else ">= 0"
             if not (np.isfinite(value) and (value > 0.0 or (value == 0.0 and lowest == ">= 0"))):
                 raise InvalidField(field.name, value, f"{field.name} {lowest}, finite")

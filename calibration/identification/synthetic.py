@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -45,9 +45,9 @@ class RunSettings:
     speed: float = 0.8
     acceleration: float = 0.4
     rest: float = 2.5
-    rate: float = 20.0
+    rate: float = 100.0
     length_delay: float = 0.02
-    sensors: SensorSettings = SensorSettings()
+    sensors: SensorSettings = field(default_factory=SensorSettings)
     cables: str = "particles"
 
 
@@ -98,15 +98,13 @@ def simulate_run(robot: Robot, seed: int, settings: RunSettings | None = None) -
             lengths.append(truth.unstrained_length[0])
             positions.append(truth.position[0])
             rotations.append(truth.rotation[0])
-    time = PERIOD * stride * np.arange(len(lengths))
+    time: Array = PERIOD * stride * np.arange(len(lengths), dtype=np.float64)
     return _record(
         chosen, plant, rng, time, np.array(lengths), np.array(positions), np.array(rotations)
     )
 
 
-def _commands(
-    robot: Robot, settings: RunSettings, rng: np.random.Generator
-) -> tuple[Array, Array]:
+def _commands(robot: Robot, settings: RunSettings, rng: np.random.Generator) -> tuple[Array, Array]:
     """Where a path of moves and rests begins, (3,), and lengths along it, shape (K, n)."""
     middle = 0.5 * (robot.workspace_min + robot.workspace_max)
     points = middle + INNER * (draw_points(robot, rng, count=settings.moves) - middle)

@@ -1,9 +1,9 @@
 """Coordinates in which a robot is identified: each starts at 0 and has a prior sigma of about 1.
 
-What must stay positive is a factor exp(sigma u). The inertia is varied through the second moments of
-the mass, S = 1/2 tr(I) 1 - I, as S -> D S D with D diagonal and positive: whatever the coordinates
-are, a real body can have it. Stiffness and run length are varied at a constant stiffness of the
-whole cable at home: EA = k (L + run), where data often know k alone.
+What must stay positive is a factor exp(sigma u). The inertia is varied through the second moments
+of the mass, S = 1/2 tr(I) 1 - I, as S -> D S D with D diagonal and positive: whatever the
+coordinates are, a real body can have it. Stiffness and run length are varied at a constant
+stiffness of the whole cable at home: EA = k (L + run), where data often know k alone.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.estimate import Estimate
+from calibration.identification.settings import IdentificationSettings
+from calibration.robot_update import prior_covariance
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.parameters import values_of, with_values
 from carosac_toolkit.robot import Robot
-from calibration.estimate import Estimate
-from calibration.identification.settings import IdentificationSettings
-from calibration.robot_update import prior_covariance
 
 STEP = 1e-6  # of the coordinates, for the derivatives of parameters
 _SPREADS = ("inertia.xx", "inertia.yy", "inertia.zz")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carosac_toolkit.arrays import Array
+from carosac_toolkit.cli.calibration_tables import describe_calibration
 from carosac_toolkit.cli.common import format_table
 from carosac_toolkit.robot_report import RobotReport
 
@@ -45,6 +46,7 @@ def describe(report: RobotReport) -> Iterator[str]:
         text = table(report)
         if text:
             yield f"\n{text}"
+    yield from describe_calibration(report)
     yield ""
     yield from _home(report)
     yield ""

@@ -15,7 +15,7 @@ from types import ModuleType
 from carosac_toolkit import __version__
 from carosac_toolkit.errors import CarosacError, InvalidField
 
-_USAGE = """usage: carosac COMMAND [options]
+_USAGE = """usage: carosac {group}COMMAND [options]
 
 Estimation and control of cable-driven parallel robots whose cables sag.
 
@@ -55,13 +55,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _dispatch(words: list[str]) -> int:
     """Answer what concerns no single command, or run the command."""
     if not words or words[0] in ("-h", "--help"):
-        print(_USAGE.format(commands=_summaries()))
-        return 0 if words else 2
+        return _help(bool(words))
     if words[0] == "--version":
         print(f"carosac {__version__}")
         return 0
     name, rest = _command(words)
+    if name.endswith("."):
+        return _help(bool(rest), name)
     return _run(name, rest)
+
+
+def _help(asked: bool, group: str = "") -> int:
+    """List the commands; without being asked for it, it is the answer to bad input."""
+    print(_USAGE.format(group=group.replace(".", " "), commands=_summaries(group)))
+    return 0 if asked else 2
 
 
 def _commands() -> dict[str, EntryPoint]:
@@ -72,7 +79,8 @@ def _commands() -> dict[str, EntryPoint]:
 def _command(words: list[str]) -> tuple[str, list[str]]:
     """Name of the command that words ask for, and the words after it.
 
-    The entry point ``calibrate.lengths`` is the command ``carosac calibrate lengths``.
+    The entry point ``calibrate.lengths`` is the command ``carosac calibrate lengths``. A group of
+    commands without one of them, or with a call for help, is its name with the dot at its end.
     """
     group = f"{words[0]}."
     members = [name.removeprefix(group) for name in _commands() if name.startswith(group)]
@@ -81,8 +89,7 @@ def _command(words: list[str]) -> tuple[str, list[str]]:
     if len(words) > 1 and words[1] in members:
         return group + words[1], words[2:]
     if len(words) == 1 or words[1] in ("-h", "--help"):
-        print(_USAGE.format(commands=_summaries(group)))
-        raise SystemExit(0 if len(words) > 1 else 2)
+        return group, words[1:]
     close = get_close_matches(words[1], members, n=1)
     hint = f"; did you mean '{close[0]}'?" if close else ""
     raise InvalidField(f"command after '{words[0]}'", repr(words[1]), f"{', '.join(members)}{hint}")

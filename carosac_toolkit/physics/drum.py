@@ -53,9 +53,11 @@ class Drums:
         line = self.advantage * unstrained_length
         left = self.radius**2 - self.buildup * line  # squared radius [m^2]
         if (left <= 0.0).any():
-            most = float((self.radius**2 / (self.advantage * self.buildup)).min())
+            *_, i = np.unravel_index(int(np.argmin(left)), left.shape)  # the cable
+            asked = float(np.broadcast_to(unstrained_length, left.shape)[..., i].max())
+            most = self.radius[i] ** 2 / (self.advantage[i] * self.buildup[i])
             allowed = f"less than the drum holds, {most:.6g} m"
-            raise InvalidField("unstrained_length", f"{unstrained_length.max():.6g} m", allowed)
+            raise InvalidField(f"unstrained_length[{i}]", f"{asked:.6g} m", allowed)
         found: Array = self.gear * 2.0 * line / (self.radius + np.sqrt(left))
         return found
 

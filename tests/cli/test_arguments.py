@@ -16,7 +16,7 @@ from carosac_toolkit.cli.main import main
          "did you mean '--seed'?"),
         (["check", "x", "--robot", "y"], "option: got '--robot'; allowed: --help, --json, --seed, "
          "--picture"),
-        (["chek"], "command: got 'chek'; allowed: check, compare, robots, "),
+        (["chek"], "command: got 'chek'; allowed: calibrate lengths, "),
         (["chek"], "did you mean 'check'?"),
         (["robot:s"], "command: got 'robot:s'"),
     ],

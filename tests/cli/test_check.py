@@ -1,10 +1,14 @@
 import json
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from carosac_toolkit.cli.main import main
-from carosac_toolkit.robot_file import list_robots, robot_text
+from carosac_toolkit.robot_file import list_robots, parse_robot, robot_text
+from carosac_toolkit.robot_writer import robot_document
 
 
 @pytest.mark.parametrize("name", list_robots())
@@ -88,3 +92,86 @@ def test_warnings_are_shown_and_leave_the_answer_as_it_is(tmp_path, capsys):
     assert capsys.readouterr().err.endswith(
         "carosac: warning: frame.exit_points.spare is used by no chain\n"
     )
+
+
+def calibrated(path, names, **changes):
+    """Write the bundled robot as a calibration would, every parameter known to its square."""
+    text = robot_text("carosac")
+    sigma = [0.5e-3 if name != "mass" else 0.2 for name in names]
+    robot = replace(
+        parse_robot(text),
+        **changes,
+        calibrated=names or None,
+        calibration_covariance=np.diag(np.square(sigma)) if names else None,
+    )
+    path.write_text(robot_document(text, robot, provenance="a survey"))
+    return ["check", str(path), "--json", str(path.with_suffix(".json"))]
+
+
+NAMES = (
+    "exit_points[rear_left].x", "exit_points[rear_left].y", "exit_points[rear_left].z",
+    "anchor_points[front_left].z", "length_offset[front_left]", "length_offset[rear_left]",
+    "length_scale[front_left]", "length_delay", "pose_tilt.x", "mass", "center_of_mass.z",
+)  # fmt: skip
+SENSORS = {
+    "length_offset": [0.0123, 0.0, 0.0, -0.1],
+    "length_scale": [1.002, 1.0, 1.0, 1.0],
+    "length_delay": 0.0331,
+    "pose_rotation": Rotation.from_euler("zx", [30.0, 0.2], degrees=True).as_matrix().T,
+}
+
+
+def test_what_was_calibrated_is_shown_with_its_sigma(tmp_path, capsys):
+    pose = Rotation.from_rotvec([2e-3, 0.0, 0.0]) * Rotation.from_rotvec([0.0, 0.0, 0.5])
+    changes = SENSORS | {"pose_rotation": pose.as_matrix()}
+    assert main(calibrated(tmp_path / "x.yaml", NAMES, **changes)) == 0
+    out = capsys.readouterr().out
+    assert "calibrated  11 parameters" in out
+    assert "rear_left        -1796.74 +- 0.50  4833.46 +- 0.50  8370.07 +- 0.50" in out
+    assert "front_left         -11.00 +- 0.50" in out
+    assert "front_left   12.30 +- 0.50    1.00200 +- 0.00050" in out
+    assert "rear_left    -100.00 +- 0.50  -" in out
+    for line in (
+        "length_delay      33.10 +- 0.50 ms", "pose_tilt.x       2.00 +- 0.50 mrad",
+        "mass              23.66 +- 0.20 kg", "center_of_mass.z  -120.00 +- 0.50 mm",
+        "lengths     read as scale * unstrained length + offset, before poses by 33.1 ms",
+        "poses       in a frame turned by 28.65 deg about z, 2.00 mrad about x and",
+        "calibration: a survey",
+    ):  # fmt: skip
+        assert line in out
+    data = json.loads((tmp_path / "x.json").read_text())
+    assert list(data["calibration"]) == list(NAMES)
+    assert data["calibration"]["length_delay"] == {
+        "value": 0.0331, "sigma": pytest.approx(5e-4), "unit": "s",
+    }  # fmt: skip
+    assert data["sensors"]["length_offset_m"] == SENSORS["length_offset"]
+    assert data["sensors"]["length_delay_s"] == 0.0331
+    assert data["sensors"]["pose_tilt_rad"] == pytest.approx([2e-3, 0.0], abs=1e-12)
+    assert data["sensors"]["pose_turn_rad"] == pytest.approx(0.5)
+
+
+def test_sensors_without_a_covariance_are_shown_by_their_numbers(tmp_path, capsys):
+    assert main(calibrated(tmp_path / "x.yaml", (), **SENSORS)) == 0
+    out = capsys.readouterr().out
+    assert "calibrated  no\n" in out
+    assert "front_left          12.3  1.002" in out and "rear_left           -100      1" in out
+    data = json.loads((tmp_path / "x.json").read_text())
+    assert data["calibration"] == {}
+
+
+def test_one_number_for_cables_that_came_to_differ_has_no_value(tmp_path, capsys):
+    words = calibrated(
+        tmp_path / "x.yaml", ("axial_stiffness",), axial_stiffness=[8e5, 9e5, 9e5, 9e5]
+    )
+    assert main(words) == 0
+    assert "one number for cables that differ, +- 5e-07 kN" in capsys.readouterr().out
+    data = json.loads((tmp_path / "x.json").read_text())
+    assert data["calibration"]["axial_stiffness"]["value"] is None
+
+
+def test_a_robot_that_was_not_calibrated_says_nothing_of_it(tmp_path, capsys):
+    assert main(["check", "carosac", "--json", str(tmp_path / "x.json")]) == 0
+    out = capsys.readouterr().out
+    assert "calibrated" not in out and "\nposes" not in out
+    data = json.loads((tmp_path / "x.json").read_text())
+    assert data["calibration"] == {} and data["sensors"] is None

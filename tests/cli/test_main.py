@@ -26,8 +26,11 @@ def test_help_lists_the_commands_and_imports_nothing_heavy():
     done = run_python(program)
     assert done.returncode == 0, done.stderr
     assert "heavy: []" in done.stdout
-    assert "  check     Check a robot file" in done.stdout
-    assert "  robots    List the robots" in done.stdout
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert ["check", "Check", "a"] in [line[:3] for line in lines]
+    assert ["robots", "List", "the"] in [line[:3] for line in lines]
+    assert ["calibrate", "tachymeter", "Measure"] in [line[:3] for line in lines]
+    assert ["identify", "Fit", "the"] in [line[:3] for line in lines]
 
 
 def test_help_takes_under_half_a_second_of_processor_time():
@@ -63,6 +66,11 @@ def test_no_command_shows_the_help_and_is_bad_input(capsys):
         (["robots", "--json", "/no/such/folder/x.json"], "--json: got"),
         (["check", "carosac", "--picture", "/no/such/folder/x.png"], "--picture: got"),
         (["check", "carosac", "--picture", "x.gif"], "ending in .png"),
+        (["calibrate", "lenths"], "command after 'calibrate': got 'lenths'; allowed: lengths, "),
+        (["calibrate", "lenths"], "did you mean 'lengths'"),
+        (["calibrate", "--json", "x.json"], "command after 'calibrate': got '--json'"),
+        (["calibrat", "lengths"], "did you mean 'calibrate lengths'"),
+        (["identfy"], "did you mean 'identify'"),
     ],
 )
 def test_bad_input_is_one_message_and_status_two(capsys, words, message):
@@ -73,13 +81,29 @@ def test_bad_input_is_one_message_and_status_two(capsys, words, message):
     assert captured.out == ""
 
 
-@pytest.mark.parametrize("command", ["robots", "check"])
+@pytest.mark.parametrize(("words", "status"), [([], 2), (["--help"], 0), (["-h"], 0)])
+def test_a_group_of_commands_lists_its_own(capsys, words, status):
+    assert main(["calibrate", *words]) == status
+    out = capsys.readouterr().out
+    assert out.startswith("usage: carosac calibrate COMMAND")
+    assert "  calibrate lengths     " in out and "  calibrate tachymeter  " in out
+    assert "  check" not in out
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "calibrate lengths", "calibrate tachymeter", "check", "compare", "identify", "robots",
+        "validate",
+    ],
+)  # fmt: skip
 def test_every_command_has_help_and_the_common_options(capsys, command):
     with pytest.raises(SystemExit) as stopped:
-        main([command, "--help"])
+        main([*command.split(), "--help"])
     assert not stopped.value.code
     text = capsys.readouterr().out
     assert "--json FILE" in text and "--seed INT" in text
+    assert f"usage: carosac {command} " in text
 
 
 def test_bad_robot_file_leaves_no_output(tmp_path, capsys):
@@ -105,6 +129,7 @@ def test_json_holds_the_numbers_that_are_printed(tmp_path, capsys):
     assert [robot["name"] for robot in data["robots"]] == [
         "carosac",
         "cogiro",
+        "hangprinter",
         "ipanema1",
         "scampi",
     ]

@@ -249,3 +249,18 @@ def test_cables_without_waves_follow_it_as_well(real_data, cables):
     measured_at = recording.pose_at(recording.time)
     error = (found.position - measured_at.pose.position)[measured_at.valid]
     assert np.sqrt((error**2).sum(axis=1).mean()) < 0.029
+
+
+def test_the_delay_is_that_of_the_robot_unless_the_settings_say_another(ramps):
+    def after(settings, **known):
+        robot = replace(ROBOT, **known)
+        return positions(
+            play(SimulatorEstimator.build(robot, SimulatorSettings(**settings)), ramps)
+        )
+
+    late = {"length_delay": 2.0 * PERIOD}
+    assert np.array_equal(after({}, **late), after({"delay": 2.0 * PERIOD}))
+    assert np.array_equal(after({"delay": 0.0}, **late), after({}))
+    assert np.array_equal(after({}, length_delay=0.0), after({}))
+    with pytest.raises(InvalidField, match=r"delay: got -0.02 s; allowed: delay >= 0"):
+        after({}, length_delay=-PERIOD)

@@ -1,0 +1,145 @@
+"""Fit the simulated dynamics to a recording with poses: a robot that moves as measured.
+
+The simulator runs open loop through the recorded lengths; centre of mass, inertia, damping,
+stiffness, delay, and geometry within what the robot file knows of it, are fitted to the poses of
+the samples of --train. Samples of --test are scored only. Prints what was learnt and what the data
+cannot tell, and writes a report and, with --output, a new robot file.
+
+Exit status 1 means that the search did not settle, or that the new robot is worse than the old one
+on the samples kept back.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from calibration.identification import Identification, identify
+from calibration.identification.report import write_identification
+from calibration.report import print_parameters, print_sentences
+from calibration.robot_update import check_output, write_robot
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.recording import Recording, load_recording
+from carosac_toolkit.recordings.bundled import find_recording
+from carosac_toolkit.recordings.robot import FoundRobot, find_robot
+from carosac_toolkit.report_page import check_folder
+
+Range = tuple[int, int]
+_SHARE = 2.0 / 3.0  # of the samples that are fitted, where nothing else is asked for
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(CommonOptions):
+    """Options of ``carosac identify``."""
+
+    recording: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING")]
+    """A bundled recording such as `synthetic`, or a .parquet, .csv or .mat file, with poses."""
+    robot: str | None = None
+    """Where the search starts, a bundled robot or a YAML file, best one that was calibrated; by
+    default the one that the recording names, or else the bundled one with its exit points."""
+    train: Annotated[str | None, tyro.conf.arg(metavar="START:STOP")] = None
+    """Length samples START <= i < STOP whose poses are fitted; by default the first two thirds. The
+    simulation always begins at sample 0, where the platform must be at rest."""
+    test: Annotated[str | None, tyro.conf.arg(metavar="START:STOP")] = None
+    """Samples that are scored only; by default all after those of --train."""
+    output: OutputFile = None
+    """Write the identified robot to this YAML file; never over the old one."""
+    report: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder for pictures and report.html; by default one in carosac-results/identify."""
+
+
+def run(options: Options) -> CommandResult:
+    """Identify a robot."""
+    path = find_recording(options.recording)
+    recording = load_recording(path)
+    found = find_robot(recording, path, options.robot)
+    check_output("--output", options.output, found.name)
+    folder = options.report or _default_folder(path, found)
+    check_folder("--report", folder)
+    train, test = _ranges(options, recording)
+    print(
+        f"{options.recording}: fitting samples {train[0]}:{train[1]} with robot "
+        f"{found.robot.name}; RMS errors before each step:"
+    )
+    result = identify(recording, found.robot, train=train, test=test, report=_step)
+    print()
+    _print(result)
+    words = _words(options, found, train, test)
+    files = write_identification(
+        folder, result, recording, _provenance(options, recording, found), words
+    )
+    print(f"\nreport: {files[-1]} and {len(files) - 1} pictures beside it")
+    if options.output is not None:
+        name = Path(options.recording).name
+        source = f"carosac identify, samples {train[0]}:{train[1]} of {name}"
+        write_robot(found.name, result.estimate, options.output, provenance=source)
+        print(f"robot:  {options.output}")
+    sys.stdout.flush()
+    for line in result.warnings():
+        print(f"carosac: warning: {line}", file=sys.stderr)
+    data = {"recording": options.recording, "robot": found.name, **result.data()}
+    return CommandResult(data, status=1 if result.warnings() else 0)
+
+
+def _step(poses: int, position: float, rotation: float) -> None:
+    """Say how far the search is."""
+    print(
+        f"  first {poses} poses: {position * 1e3:7.2f} mm, {rotation * 1e3:7.2f} mrad", flush=True
+    )
+
+
+def _print(result: Identification) -> None:
+    """Print what was found."""
+    print_parameters(result.estimate)
+    print()
+    print_sentences([*result.sentences(), *result.observability.sentences()])
+
+
+def _ranges(options: Options, recording: Recording) -> tuple[Range, Range | None]:
+    """The samples that are fitted, and those that are scored."""
+    count = len(recording.time)
+    train = (0, round(_SHARE * count)) if options.train is None else _range("train", options.train)
+    if options.test is not None:
+        return train, _range("test", options.test)
+    return train, (train[1], count) if train[1] < count else None
+
+
+def _range(name: str, text: str) -> Range:
+    """Read START:STOP."""
+    match = re.fullmatch(r"\s*(\d+)\s*:\s*(\d+)\s*", text)
+    if match is None:
+        raise InvalidField(f"--{name}", repr(text), "START:STOP, such as 0:400")
+    return int(match[1]), int(match[2])
+
+
+def _default_folder(path: Path, found: FoundRobot) -> Path:
+    """Where a report goes that was not sent anywhere."""
+    name = re.sub(r"[^\w.-]+", "_", f"{path.stem}-{found.robot.name}")
+    return Path("carosac-results") / "identify" / name
+
+
+def _provenance(options: Options, recording: Recording, found: FoundRobot) -> dict[str, str]:
+    """What went in."""
+    metadata = recording.metadata
+    return {
+        "recording": options.recording,
+        "description": metadata.description,
+        "source": metadata.source,
+        "licence": metadata.licence,
+        "cite": metadata.citation,
+        "robot before": f"{found.name}: {found.robot.description}",
+    }
+
+
+def _words(options: Options, found: FoundRobot, train: Range, test: Range | None) -> list[str]:
+    """The command that repeats this."""
+    words = ["carosac", "identify", options.recording, "--robot", found.name]
+    words += ["--train", f"{train[0]}:{train[1]}"]
+    words += [] if test is None else ["--test", f"{test[0]}:{test[1]}"]
+    return words + ([] if options.output is None else ["--output", str(options.output)])

@@ -1,0 +1,64 @@
+"""Pictures of an identification."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calibration.identification.result import Identification
+from calibration.pictures import AFTER, BEFORE
+from carosac_toolkit.pictures.drawing import COLORS, REST, new_figure
+from carosac_toolkit.recording import Recording
+from carosac_toolkit.validation.phases import find_phases
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def draw_motion(result: Identification, recording: Recording) -> Figure:
+    """Draw the position errors over time, before and after, and the angle after."""
+    figure = new_figure(12.0, 8.5)
+    rows = figure.subplots(4, 1, sharex=True)
+    time = result.measured.time
+    rests = find_phases(recording.time, recording.unstrained_length).rests
+    limit = recording.time[min(result.train.stop, len(recording.time) - 1)]
+    for i, axes in enumerate(rows):
+        for first, end in rests:
+            axes.axvspan(recording.time[first], recording.time[end - 1], color=REST, lw=0)
+        if i < 3:
+            before = (result.before - result.measured.position)[:, i] * 1e3
+            axes.plot(time, before, color=BEFORE, lw=0.9, label="before")
+            axes.plot(time, result.errors[:, i] * 1e3, color=AFTER, lw=1.1, label="after")
+            axes.set_ylabel(f"error in {'xyz'[i]} [mm]")
+        else:
+            angle = np.degrees(np.linalg.norm(result.errors[:, 3:], axis=1))
+            axes.plot(time, angle, color=AFTER, lw=1.0)
+            axes.set_ylabel("angle after [deg]")
+        if result.test is not None:
+            axes.axvline(limit, color=COLORS[0], lw=1.5)
+        axes.grid(alpha=0.25)
+    if result.test is not None:
+        rows[0].annotate(
+            "kept back from here on", (limit, 0.97), xycoords=("data", "axes fraction"),
+            xytext=(6, 0), textcoords="offset points", va="top", fontsize=9, color=COLORS[0],
+        )  # fmt: skip
+    rows[0].legend(fontsize=9, loc="upper left", ncols=2)
+    rows[-1].set_xlabel("time [s]")
+    figure.suptitle(f"{result.robot.name}: open-loop simulation minus measured")
+    return figure
+
+
+def draw_rests(result: Identification) -> Figure:
+    """Draw the error of the equilibrium for each rest, before and after."""
+    figure = new_figure(10.0, 3.8)
+    axes = figure.subplots()
+    place = np.arange(len(result.rests.starts))
+    axes.bar(place - 0.2, result.rests.before * 1e3, 0.4, color=BEFORE, label="before")
+    axes.bar(place + 0.2, result.rests.after * 1e3, 0.4, color=AFTER, label="after")
+    axes.set_xticks(place, [str(start) for start in result.rests.starts], fontsize=8, rotation=60)
+    axes.set(xlabel="first sample of the rest", ylabel="distance [mm]")
+    axes.grid(alpha=0.25, axis="y")
+    axes.legend(fontsize=9)
+    figure.suptitle("Mean position at rest against the equilibrium of the lengths")
+    return figure

@@ -1,0 +1,81 @@
+"""The report of an identification: what moved as measured, and what was learnt."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from calibration.identification.pictures import draw_motion, draw_rests
+from calibration.identification.result import Identification, Part
+from calibration.pictures import draw_learnt
+from calibration.report import observability_html, parameters_html, write_report
+from carosac_toolkit.recording import Recording
+from carosac_toolkit.report_page import png, table
+from carosac_toolkit.text_tables import Rows
+
+SCORE_HEADER = (
+    "samples", "robot", "x [mm]", "y [mm]", "z [mm]", "norm [mm]", "largest [mm]", "angle [deg]",
+)  # fmt: skip
+
+
+def score_rows(result: Identification) -> Rows:
+    """RMS errors before and after, of both ranges."""
+    rows: Rows = []
+    parts: list[tuple[str, Part | None]] = [("fitted", result.train), ("kept back", result.test)]
+    for word, part in parts:
+        if part is None:
+            continue
+        for robot, scores in (("before", part.before), ("after", part.after)):
+            name = f"{part.start}:{part.stop} ({word})" if robot == "before" else ""
+            numbers = [f"{value * 1e3:.1f}" for value in (*scores.rmse, scores.max[3])]
+            rows.append((name, robot, *numbers, f"{np.degrees(scores.orientation_rmse):.2f}"))
+    return rows
+
+
+def write_identification(
+    folder: Path,
+    result: Identification,
+    recording: Recording,
+    provenance: Mapping[str, str],
+    words: Sequence[str],
+) -> list[Path]:
+    """Write report.html and its pictures.
+
+    Args:
+        folder: Made if need be; files of an earlier report in it are replaced.
+        result: What was found.
+        recording: What it was found from.
+        provenance: What went in.
+        words: The command that repeats this.
+
+    Returns:
+        The files, the report last.
+    """
+    images = {
+        "motion": (
+            png(draw_motion(result, recording)),
+            "Error of the open-loop simulation, before and after. Grey: the winches rest. White on "
+            "the right of the line: samples that were not fitted.",
+        ),
+        "rests": (
+            png(draw_rests(result)),
+            "Mean measured position of each rest against the equilibrium of its lengths.",
+        ),
+        "learnt": (png(draw_learnt(result.estimate)), "What the data taught about each parameter."),
+    }
+    scores = (
+        "<h2>Open-loop errors</h2><p>Root mean squares of simulated minus measured poses, in world "
+        "frame W; no pose is fed back.</p>" + table(SCORE_HEADER, score_rows(result), left=2)
+    )
+    return write_report(
+        folder,
+        f"Identification of {result.robot.name}",
+        [scores, parameters_html(result.estimate), observability_html(result.observability)],
+        said=result.sentences(),
+        warned=result.warnings(),
+        images=images,
+        provenance=provenance,
+        words=words,
+    )

@@ -1,0 +1,54 @@
+"""Errors that last count for fewer samples than there are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calibration.identification.noise import FLOOR, TOGETHER, look_at
+
+
+def autoregressive(rho: float, count: int, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    new = rng.standard_normal((count, 6)) * np.sqrt(1.0 - rho**2)
+    errors = np.zeros((count, 6))
+    for k in range(1, count):
+        errors[k] = rho * errors[k - 1] + new[k]
+    return errors
+
+
+def test_white_errors_all_count():
+    noise = look_at(0.01 * autoregressive(0.0, 4000, 0))
+    assert noise.repeats / TOGETHER == pytest.approx(np.ones(6), abs=0.6)
+    assert noise.sigma == pytest.approx(np.full(6, 0.01), rel=0.05)
+
+
+def test_errors_that_last_count_no_more_often_than_bartlett_says():
+    rho = 0.9
+    noise = look_at(0.01 * autoregressive(rho, 20000, 1))
+    expected = (1.0 + rho**2) / (1.0 - rho**2)  # 1 + 2 (rho^2 + rho^4 + ...)
+    assert (noise.repeats / TOGETHER > 0.9 * expected).all()
+    assert (noise.repeats / TOGETHER < 2.5 * expected).all()  # chance correlations count as well
+
+
+def test_no_simulation_is_better_than_its_floor():
+    assert look_at(1e-6 * autoregressive(0.0, 500, 2)).sigma == pytest.approx(FLOOR)
+
+
+def test_weighted_errors_are_half_the_derivative_of_the_cost():
+    errors = 0.01 * autoregressive(0.5, 50, 3)
+    errors[7, 2] = 0.3  # far out: counts for less
+    noise = look_at(errors)
+    step = 1e-7
+    for row, axis in ((3, 0), (7, 2), (20, 5)):
+        moved = errors.copy()
+        moved[row, axis] += step
+        slope = (noise.cost(moved) - noise.cost(errors)) / step
+        assert slope == pytest.approx(2.0 * (noise.weights(errors) * errors)[row, axis], rel=1e-4)
+
+
+def test_a_gross_error_hardly_pulls():
+    errors = 0.01 * autoregressive(0.0, 200, 4)
+    noise = look_at(errors)
+    errors[5, 0] = 1.0
+    assert (noise.weights(errors) * errors)[5, 0] < 4.0 / (noise.sigma[0] * noise.repeats[0])
