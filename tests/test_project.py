@@ -18,7 +18,8 @@ from tests.warm_kernels import kernel_modules
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (
-    "calibration", "calibration-lengths", "calibration-tachymeter", "calibration-without-poses",
+    "calibration", "calibration-identify", "calibration-lengths", "calibration-tachymeter",
+    "calibration-without-poses",
     "recordings", "robot-yaml", "statics", "trajectories",
 )  # fmt: skip
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))

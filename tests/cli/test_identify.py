@@ -1,0 +1,82 @@
+"""The command ``carosac identify``."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import carosac_toolkit as ct
+from calibration.identification.synthetic import RunSettings, simulate_run
+from carosac_toolkit.cli.main import main
+from carosac_toolkit.robot_file import robot_text
+
+
+@pytest.fixture(autouse=True)
+def in_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def run_file(tmp_path_factory):
+    """A short run of a simulated robot, as a file."""
+    settings = RunSettings(moves=4, rate=10.0, condition="none")
+    run = simulate_run(ct.load_robot("carosac"), 1, settings)
+    path = tmp_path_factory.mktemp("run") / "run.parquet"
+    run.recording.save(path)
+    return path
+
+
+def words(run_file, *more):
+    return ["identify", str(run_file), "--robot", "carosac", "--train", "0:80", *more]
+
+
+def test_the_contract_of_the_json_and_the_files(run_file, capsys):
+    files = ("--output", "new.yaml", "--json", "x.json", "--report", "report")
+    status = main(words(run_file, "--test", "80:100", *files))
+    printed = capsys.readouterr().out
+    data = json.loads(Path("x.json").read_text())
+    assert set(data["train"]["rmse_m"]) == set(data["test"]["rmse_m"]) == {"x", "y", "z", "norm"}
+    assert data["test"]["start"] == 80 and data["test"]["stop"] == 100
+    assert data["parameters"]["center_of_mass.x"]["unit"] == "m"
+    assert status in (0, 1) and status == (0 if data["converged"] else 1)
+    assert "samples 80:100 (kept back)" in printed
+    assert max(len(line) for line in printed.splitlines()) <= 80 + len(str(run_file))
+    robot = ct.load_robot("new.yaml")
+    assert robot.calibrated is not None and "length_delay" in robot.calibrated
+    assert "carosac identify, samples 0:80 of run.parquet" in Path("new.yaml").read_text()
+    found = {path.name for path in Path("report").iterdir()}
+    assert found == {"motion.png", "rests.png", "learnt.png", "report.html"}
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (("--train", "a:b"), "--train: got 'a:b'; allowed: START:STOP, such as 0:400"),
+        (("--train", "5:2"), "train: got 5:2; allowed: START:STOP with 0 <= START < STOP"),
+        (("--test", "70:90"), "test: got 70:90; allowed: samples outside of train = 0:80"),
+        (("--output", "nowhere/x.yaml"), "a file in an existing folder"),
+        (("--output", "x.txt"), "a file name ending in .yaml or .yml"),
+        (("--robot", "cogiro"), "8 cables"),
+    ],
+)
+def test_wrong_words_end_with_one_message_and_no_file(run_file, capsys, more, message):
+    assert main(words(run_file, *more)) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") <= 2
+    assert list(Path().iterdir()) == []
+
+
+def test_the_robot_file_is_never_overwritten(run_file, capsys):
+    Path("mine.yaml").write_text(robot_text("carosac"))
+    assert main(words(run_file, "--robot", "mine.yaml", "--output", "mine.yaml")) == 2
+    assert "mine.yaml" in capsys.readouterr().err
+    assert Path("mine.yaml").read_text() == robot_text("carosac")
+
+
+def test_a_recording_without_poses_is_refused(run_file, capsys):
+    replace(ct.load_recording(run_file), poses=None).save("blind.parquet")
+    assert main(words("blind.parquet")) == 2
+    assert "poses" in capsys.readouterr().err
