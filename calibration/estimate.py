@@ -35,6 +35,10 @@ class Estimate:
         """Freeze the arrays."""
         k = len(self.names)
         set_frozen(self, {"value": (k,), "covariance": (k, k), "start": (k,)})
+        variance = np.diag(self.covariance)
+        if (variance < 0.0).any():
+            name = self.names[int(np.argmin(variance))]
+            raise InvalidField(f"covariance of {name}", f"{variance.min():.3g}", ">= 0")
         prior = np.array(self.prior_sigma, dtype=np.float64)
         if prior.shape != (k,) or not (prior > 0.0).all():
             raise InvalidField("prior_sigma", f"{prior}", f"shape ({k},), > 0, inf for none")

@@ -11,7 +11,7 @@ from calibration.estimate import Estimate
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.cli.common import check_writable, replacing
 from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.parameters import values_of, with_values
+from carosac_toolkit.parameters import with_values
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import parse_robot, robot_path, robot_text
 
@@ -119,13 +119,6 @@ def write_robot(
     with replacing(output) as temporary:
         temporary.write_text(document, encoding="utf-8")
     return robot
-
-
-def change_in_sigmas(robot: Robot, estimate: Estimate) -> Array:
-    """By how many of its prior standard deviations each parameter changed, shape (k,)."""
-    moved = np.abs(estimate.value - values_of(robot, estimate.names))
-    found: Array = moved / estimate.prior_sigma
-    return found
 
 
 def _axes(cable: str) -> list[str]:

@@ -136,10 +136,12 @@ class _Writer:
         known = [robot.exit_points]
         if robot.exit_covariance is not None:
             known.append(robot.exit_covariance.reshape(robot.n, 9))
-        self._own_points("exit_point", points, np.hstack(known))
-        used = set()
+        path = "frame.exit_points"
+        self._own_points("exit_point", path, points, np.hstack(known))
+        used, kept = set(), list[str]()
         for i, chain in enumerate(self.document["chains"]):
             used.add(name := _key(points, chain["exit_point"]))
+            kept += [] if self._moved(i) else [f"{path}.{name}"]
             point = points[name]
             point["position"] = _flow(robot.exit_points[i])
             if robot.exit_covariance is None:
@@ -147,26 +149,38 @@ class _Writer:
             point.pop("sigma", None)
             point["covariance"] = _matrix(robot.exit_covariance[i])
             point.fa.set_block_style()
-        path = "frame.exit_points"
         spare = [f"{path}.{name}" for name in points if name not in used]
         pulleys = [f"{path}.{name}.pulley" for name in used if "pulley" in points[name]]
-        self._from(path, but=[*spare, *pulleys])
+        self._from(path, but=[*spare, *kept, *pulleys])
+
+    def _moved(self, i: int) -> bool:
+        """Whether anything is new about an exit point."""
+        old, new = self._old, self._robot
+        if not same(old.exit_points[i], new.exit_points[i]):
+            return True
+        if old.exit_covariance is None or new.exit_covariance is None:
+            return old.exit_covariance is not new.exit_covariance
+        return not same(old.exit_covariance[i], new.exit_covariance[i])
 
     def _anchor_points(self) -> None:
         robot, points = self._robot, self.document["platform"]["anchor_points"]
-        self._own_points("anchor_point", points, robot.anchor_points)
-        used = set()
+        path = "platform.anchor_points"
+        self._own_points("anchor_point", path, points, robot.anchor_points)
+        used, kept = set(), list[str]()
         for i, chain in enumerate(self.document["chains"]):
             used.add(name := _key(points, chain["anchor_point"]))
+            if same(self._old.anchor_points[i], robot.anchor_points[i]):
+                kept.append(f"{path}.{name}")
             points[name] = _flow(robot.anchor_points[i])
-        path = "platform.anchor_points"
-        self._from(path, but=[f"{path}.{name}" for name in points if name not in used])
+        spare = [f"{path}.{name}" for name in points if name not in used]
+        self._from(path, but=[*spare, *kept])
 
-    def _own_points(self, key: str, points: CommentedMap, values: Array) -> None:
+    def _own_points(self, key: str, path: str, points: CommentedMap, values: Array) -> None:
         """Give chains that share a point, and no longer its numbers, points of their own.
 
         Args:
             key: Under which a chain names the point.
+            path: Of the points in the file.
             points: By name.
             values: What is written of the point, for each chain, shape (n, k).
         """
@@ -177,6 +191,7 @@ class _Writer:
             for i in rows:
                 own = self._own_name(points, name, i)
                 points[own] = copy.deepcopy(shared)
+                self._copy_provenance(f"{path}.{name}", f"{path}.{own}")
                 self.document["chains"][i][key] = own
 
     def _users(self, key: str) -> dict[str, list[int]]:

@@ -49,6 +49,7 @@ from carosac_toolkit.report_page import check_folder
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.text_tables import fit
 
+WITHOUT_POSES = ("recording", "robot", "output", "report", "json", "seed")  # options that count
 SENTENCES = 8  # on what is hardly known, on the screen; the report has all
 
 
@@ -101,6 +102,7 @@ def run(options: Options) -> CommandResult:
     if holds_motor_angles(path):
         from calibration.self_calibration.command import run_motor_angles
 
+        _check_without_poses(options)
         return run_motor_angles(options, path)
     if not 0 <= options.suggest_poses <= COUNT_MAX:
         raise InvalidField("--suggest-poses", options.suggest_poses, f"0 to {COUNT_MAX}")
@@ -130,6 +132,15 @@ def run(options: Options) -> CommandResult:
     data = {"robot": found.name, **result.data()}
     data["suggested_poses"] = suggested.data() if suggested is not None else []
     return CommandResult(data, status=1 if result.warnings else 0)
+
+
+def _check_without_poses(options: Options) -> None:
+    """Refuse options that a file of motor angles leaves without effect."""
+    for name, default in vars(Options(recording="")).items():
+        value = getattr(options, name)
+        if name not in WITHOUT_POSES and value != default:
+            allowed = "not with a file of motor angles, where it has no effect"
+            raise InvalidField(f"--{name.replace('_', '-')}", value, allowed)
 
 
 def _settings(options: Options) -> Settings:

@@ -23,6 +23,7 @@ from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Pose
 
 SAMPLES_MAX = 2000  # used, evenly spread: more of the same run tell hardly more
+TILTED = 3e-3  # [rad]: a frame that is more level than that needs no mention
 FAR = 4.0  # prior standard deviations: a parameter that moved farther contradicts its prior
 
 
@@ -153,7 +154,10 @@ def _result(
         inflation=state.inflation,
         observability=observability,
         sentences=tuple(said),
-        warnings=tuple(_warnings(unknowns, estimate, state, outlier)),
+        warnings=(
+            *_warnings(unknowns, estimate, state, outlier),
+            *_tilted(unknowns, gravity),
+        ),
         skipped={
             "no measured pose": int(problem.without_pose.sum()),
             "no tensions that hold the pose": int((~kept & ~problem.without_pose).sum()),
@@ -198,6 +202,20 @@ def _gravity(unknowns: Unknowns, value: Array, covariance: Array) -> Gravity | N
     return Gravity(
         tilt=value[rows], sigma=np.sqrt(np.diag(covariance))[rows], before=unknowns.start[rows]
     )
+
+
+def _tilted(unknowns: Unknowns, gravity: Gravity | None) -> list[str]:
+    """Warn of a robot whose z is not up."""
+    if unknowns.anchored or gravity is None:
+        return []
+    tilt, sigma = float(np.hypot(*gravity.tilt)), float(gravity.sigma.max())
+    if tilt < max(TILTED, 3.0 * sigma):
+        return []
+    return [
+        f"The frame of the poses, in which the exit points now are, is tilted by {tilt * 1e3:.1f} "
+        "mrad against gravity, but statics takes z for up: level the frame of the motion capture, "
+        "or survey the exit points with a tachymeter first."
+    ]
 
 
 def _before(problem: Problem, n: int, relative: bool) -> Array:

@@ -39,7 +39,7 @@ def check_order(robot: Robot, reading: Array, pose: Pose, *, relative: bool) -> 
     """
     said = _changes(robot, reading, pose)
     if not said and not relative and robot.length_offset is None:
-        said = [line for line in find_mix_ups(robot, reading, pose) if "winch" not in line]
+        said = list(find_mix_ups(robot, reading, pose, zeros_known=False))
     if said:
         advice = "put that right in the recording or in the robot file, then calibrate again"
         raise MixUp("\n  ".join(["recording and robot do not fit:", *said, advice]))

@@ -89,7 +89,8 @@ def find_unknowns(robot: Robot, settings: Settings, *, relative: bool) -> Unknow
     Args:
         robot: Before the calibration; its covariances are priors.
         settings: Priors of what it knows no covariance of.
-        relative: Whether the readings are lengths up to an unknown constant.
+        relative: Whether the readings are lengths up to an unknown constant, which is another one
+            in each recording: what an earlier calibration knew of it counts for nothing.
     """
     names = all_names(robot.cable_names, center=robot.n < 6)
     sigma = np.array([_sigma(name, settings, relative) for name in names])
@@ -97,8 +98,9 @@ def find_unknowns(robot: Robot, settings: Settings, *, relative: bool) -> Unknow
     if not anchored and robot.n >= 6:  # nothing depends on it
         sigma[[names.index(f"pose_tilt.{axis}") for axis in "xy"]] = 0.0
     prior = prior_covariance(robot, names, sigma)
-    prior[sigma == 0.0] = 0.0
-    prior[:, sigma == 0.0] = 0.0
+    fresh = (sigma == 0.0) | (sigma == LOOSE)  # held, or of this recording alone
+    prior[fresh] = prior[:, fresh] = 0.0
+    prior[fresh, fresh] = sigma[fresh] ** 2
     free = np.flatnonzero(np.diag(prior) > 0.0)
     return Unknowns(
         robot=robot,
@@ -111,8 +113,15 @@ def find_unknowns(robot: Robot, settings: Settings, *, relative: bool) -> Unknow
 
 
 def is_anchored(robot: Robot) -> bool:
-    """Whether the exit points are known apart from the measured poses."""
-    return robot.exit_covariance is not None or robot.pose_rotation is not None
+    """Whether the exit points are known apart from the measured poses.
+
+    Points that an earlier calibration found from lengths alone are in the frame of those poses, and
+    so they are no anchor for others.
+    """
+    fields = {name.split("[")[0].split(".")[0] for name in robot.calibrated or ()}
+    surveyed = robot.exit_covariance is not None or "exit_points" in fields
+    from_poses = "length_offset" in fields and "pose_tilt" not in fields
+    return robot.pose_rotation is not None or (surveyed and not from_poses)
 
 
 def _sigma(name: str, settings: Settings, relative: bool) -> float:

@@ -193,7 +193,7 @@ def _result(robot: Robot, network: Network, found: Fit) -> TachymeterResult:
         blunders=_blunders(network, found),
         unchecked=_unchecked(network, found),
         residuals=_residuals(network, found),
-        observability=_observability(estimate),
+        observability=_observability(network, estimate, cables),
         chi2=found.chi2,
         freedom=found.freedom,
         converged=found.converged,
@@ -231,13 +231,14 @@ def _columns_of(network: Network, keys: Sequence[int]) -> list[int]:
     return [i for key in keys for i in range(by_key[key].start, by_key[key].stop)]
 
 
-def _observability(estimate: Estimate) -> Observability:
+def _observability(network: Network, estimate: Estimate, cables: Sequence[str]) -> Observability:
     """How well the survey alone determines the exit points."""
     names = [name for name in estimate.names if name.startswith("exit_points")]
-    part = estimate.select(names)
-    information = np.asarray(np.linalg.inv(part.covariance), dtype=np.float64)
-    known = np.isfinite(part.prior_sigma)
-    information = information - np.diag(np.where(known, 1.0 / np.square(part.prior_sigma), 0.0))
+    information = np.asarray(np.linalg.inv(estimate.select(names).covariance), dtype=np.float64)
+    for i, cable in enumerate(cables):
+        if cable in network.exit_prior:
+            block = slice(3 * i, 3 * i + 3)
+            information[block, block] -= np.linalg.inv(network.exit_prior[cable][1])
     return judge(names, information, np.full(len(names), PLAUSIBLE))
 
 

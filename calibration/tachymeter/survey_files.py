@@ -30,12 +30,16 @@ def read_survey(paths: Sequence[str], targets_path: str, robot: Robot) -> Survey
         The survey.
 
     Raises:
+        InvalidField: A file is given twice, or set-ups of two files are called alike.
         MissingFile, InvalidFile: A file is missing or has faults; all of a file in one message.
     """
+    _check_twice(paths)
     targets = read_targets(targets_path, robot)
     shots: list[Shot] = []
+    owners: dict[str, str] = {}
     for path in paths:
-        records = read_csv(path) if Path(path).suffix.lower() == ".csv" else read_gsi(path)
+        records = read_csv(path) if _is_csv(path) else read_gsi(path)
+        _check_setups(owners, path, records)
         shots += _shots(path, records, targets, robot)
     if not shots:
         raise InvalidFile(targets_path, ["ignore: every point of the observations is in it"])
@@ -47,6 +51,29 @@ def read_survey(paths: Sequence[str], targets_path: str, robot: Robot) -> Survey
         shots=tuple(shots), references=targets.references, instrument=targets.instrument,
         towards=towards, swivel_sigma=targets.swivel_sigma,
     )  # fmt: skip
+
+
+def _check_twice(paths: Sequence[str]) -> None:
+    """Refuse a file that would count twice."""
+    places: dict[Path, str] = {}
+    for path in paths:
+        place = Path(path).resolve()
+        if place in places:
+            raise InvalidField("FILE", f"'{path}'", f"each file once; '{places[place]}' is it too")
+        places[place] = path
+
+
+def _check_setups(owners: dict[str, str], path: str, records: list[Record]) -> None:
+    """Refuse set-ups of two files that are called alike, unless both are CSV."""
+    for name in {record.setup for record in records}:
+        other = owners.setdefault(name, path)
+        if other != path and not (_is_csv(path) and _is_csv(other)):
+            allowed = f"set-ups called otherwise than in '{other}', which has a '{name}' too"
+            raise InvalidField("FILE", f"'{path}'", f"{allowed}: rename the file")
+
+
+def _is_csv(path: str) -> bool:
+    return Path(path).suffix.lower() == ".csv"
 
 
 def _shots(path: str, records: list[Record], targets: Targets, robot: Robot) -> list[Shot]:

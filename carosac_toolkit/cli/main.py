@@ -60,8 +60,8 @@ def _dispatch(words: list[str]) -> int:
         print(f"carosac {__version__}")
         return 0
     name, rest = _command(words)
-    if name.endswith("."):
-        return _help(bool(rest), name)
+    if name is None:
+        return _help(bool(rest), f"{words[0]}.")
     return _run(name, rest)
 
 
@@ -76,11 +76,11 @@ def _commands() -> dict[str, EntryPoint]:
     return {entry.name: entry for entry in sorted(entry_points(group="carosac.commands"))}
 
 
-def _command(words: list[str]) -> tuple[str, list[str]]:
+def _command(words: list[str]) -> tuple[str | None, list[str]]:
     """Name of the command that words ask for, and the words after it.
 
     The entry point ``calibrate.lengths`` is the command ``carosac calibrate lengths``. A group of
-    commands without one of them, or with a call for help, is its name with the dot at its end.
+    commands without one of them, or with a call for help, has no name.
     """
     group = f"{words[0]}."
     members = [name.removeprefix(group) for name in _commands() if name.startswith(group)]
@@ -89,7 +89,7 @@ def _command(words: list[str]) -> tuple[str, list[str]]:
     if len(words) > 1 and words[1] in members:
         return group + words[1], words[2:]
     if len(words) == 1 or words[1] in ("-h", "--help"):
-        return group, words[1:]
+        return None, words[1:]
     close = get_close_matches(words[1], members, n=1)
     hint = f"; did you mean '{close[0]}'?" if close else ""
     raise InvalidField(f"command after '{words[0]}'", repr(words[1]), f"{', '.join(members)}{hint}")

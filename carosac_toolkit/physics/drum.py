@@ -15,7 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
@@ -39,7 +38,10 @@ class Drums:
     advantage: Array
 
     def length(self, motor_angle: Array) -> Array:
-        """Unstrained length at a motor angle counted from length 0 [rad]; shapes (..., n)."""
+        """Unstrained length at a motor angle counted from length 0 [rad]; shapes (..., n).
+
+        The law ends where the drum is empty, at an angle of 2 radius / buildup of the drum.
+        """
         angle = motor_angle / self.gear
         found: Array = angle * (self.radius - 0.25 * self.buildup * angle) / self.advantage
         return found
@@ -81,24 +83,3 @@ def drums_of(robot: Robot) -> Drums:
         gear=robot.drum_gear,
         advantage=advantage,
     )
-
-
-def length_change(
-    drums: Drums, length_at_zero: ArrayLike, motor_angle: Array
-) -> tuple[Array, Array]:
-    """Change of the lengths by motor angles counted from where the lengths are known.
-
-    Args:
-        drums: n drums.
-        length_at_zero: Unstrained lengths at motor angle 0 [m], shape (n,).
-        motor_angle: [rad], positive pays out, shape (..., n).
-
-    Returns:
-        Change of the unstrained length [m], and its derivative with respect to the drum's radius
-        at that length [1], both of the shape of `motor_angle`.
-    """
-    start = drums.motor_angle(np.asarray(length_at_zero, dtype=np.float64))
-    radius = drums.radius - 0.5 * drums.buildup * start / drums.gear  # where the angles are 0 [m]
-    angle = motor_angle / drums.gear
-    change: Array = angle * (radius - 0.25 * drums.buildup * angle) / drums.advantage
-    return change, angle / drums.advantage

@@ -48,13 +48,17 @@ class _Trial:
         return np.where(found.valid, found.length, np.nan)
 
 
-def find_mix_ups(robot: Robot, length: Array, pose: Pose) -> tuple[str, ...]:
+def find_mix_ups(
+    robot: Robot, length: Array, pose: Pose, *, zeros_known: bool = True
+) -> tuple[str, ...]:
     """Say what shows that lengths and poses do not belong together as they are.
 
     Args:
         robot: Robot description, n cables.
         length: Measured [m], shape (S, n), S >= 1.
         pose: Measured at the same times.
+        zeros_known: Whether lengths far from the distance are wrong. If not, their zeros may be
+            anywhere, and only other units and other orders are looked for.
 
     Returns:
         Sentences; none for a recording that is plausible.
@@ -69,6 +73,8 @@ def find_mix_ups(robot: Robot, length: Array, pose: Pose) -> tuple[str, ...]:
     said, trial = _units(trial)
     more, trial = _orders(trial)
     said += more
+    if not zeros_known:
+        return tuple(said)
     said += _differences(trial)
     return tuple(said or _winch_range(trial))
 

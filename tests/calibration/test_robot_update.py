@@ -9,7 +9,6 @@ import pytest
 import carosac_toolkit as ct
 from calibration.estimate import Estimate
 from calibration.robot_update import (
-    change_in_sigmas,
     check_output,
     prior_covariance,
     updated,
@@ -113,6 +112,17 @@ def test_the_new_file_is_the_updated_robot_and_the_old_one_stays(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["new.yaml", "old.yaml"]
 
 
+def test_points_that_nobody_measured_keep_their_source(tmp_path):
+    found = estimate([*POINTS[:3], "anchor_points[rear_left].x"], by=1e-3)
+    robot = write_robot("carosac", found, tmp_path / "x.yaml", provenance=SOURCE)
+    sources = ct.load_robot(tmp_path / "x.yaml").provenance
+    assert sources["frame.exit_points"] == sources["platform.anchor_points"] == SOURCE
+    for i, cable in enumerate(ROBOT.cable_names):
+        old = ROBOT.provenance["frame.exit_points"]
+        moved = np.any(robot.exit_points[i] != ROBOT.exit_points[i])
+        assert sources.get(f"frame.exit_points.{cable}", SOURCE) == (SOURCE if moved else old)
+
+
 def test_a_bundled_robot_keeps_its_name_unless_it_gets_another(tmp_path):
     robot = write_robot("carosac", estimate(["mass"]), tmp_path / "x.yaml", provenance=SOURCE)
     assert robot.name == ct.load_robot(tmp_path / "x.yaml").name == "carosac"
@@ -152,8 +162,3 @@ def test_a_value_that_no_robot_can_have_writes_nothing(tmp_path):
     with pytest.raises(InvalidField, match="mass: got"):
         write_robot("carosac", estimate(["mass"], by=-50.0), tmp_path / "x.yaml", provenance=SOURCE)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_change_is_counted_in_what_was_known_before():
-    found = estimate(["mass", "drag"], by=0.1)
-    assert change_in_sigmas(ROBOT, found) == pytest.approx([2.0, 2.0])

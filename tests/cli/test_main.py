@@ -71,6 +71,8 @@ def test_no_command_shows_the_help_and_is_bad_input(capsys):
         (["calibrate", "--json", "x.json"], "command after 'calibrate': got '--json'"),
         (["calibrat", "lengths"], "did you mean 'calibrate lengths'"),
         (["identfy"], "did you mean 'identify'"),
+        (["check."], "command: got 'check.'; allowed: "),
+        (["nothing."], "command: got 'nothing.'; allowed: "),
     ],
 )
 def test_bad_input_is_one_message_and_status_two(capsys, words, message):

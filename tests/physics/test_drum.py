@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 import carosac_toolkit as ct
 from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics.drum import Drums, drums_of, length_change
+from carosac_toolkit.physics.drum import Drums, drums_of
 from carosac_toolkit.physics.winch import Encoders, WinchSettings
 from tests.robots import simple_robot
 
@@ -51,29 +51,6 @@ def test_the_encoders_of_simulated_winches_obey_the_same_law():
     believed = drums_of(replace(robot, drum_buildup=[2e-5] * 4))
     assert reading == pytest.approx(believed.length(drums_of(robot).motor_angle(lengths)))
     assert np.abs(reading - lengths).max() > 1e-3
-
-
-def test_a_change_from_where_the_angle_is_zero_is_the_difference_of_two_lengths():
-    start = np.array([1.5, 0.7, 2.0])
-    angle = np.array([[-60.0, 5.0, 30.0], [80.0, -3.0, 200.0]])
-    change, _ = length_change(DRUMS, start, angle)
-    ends = DRUMS.length(DRUMS.motor_angle(start) + angle)
-    assert change == pytest.approx(ends - start, abs=1e-13)
-    assert length_change(DRUMS, start, np.zeros(3))[0].tolist() == [0.0, 0.0, 0.0]
-
-
-def test_the_derivative_is_that_by_the_radius_where_the_angle_is_zero():
-    start, step = np.array([1.5, 0.7, 2.0]), 1e-6
-    angle = np.array([[-60.0, 5.0, 30.0]])
-
-    def changes(by):
-        """With drums of another radius at the start, which then has all the line wound in."""
-        here = np.sqrt(DRUMS.radius**2 - DRUMS.advantage * DRUMS.buildup * start) + by
-        wound_in = np.sqrt(here**2 + DRUMS.advantage * DRUMS.buildup * start)
-        return length_change(replace(DRUMS, radius=wound_in), start, angle)[0]
-
-    numeric = (changes(step) - changes(-step)) / (2.0 * step)
-    assert length_change(DRUMS, start, angle)[1] == pytest.approx(numeric, rel=1e-7)
 
 
 def test_without_build_up_it_is_a_drum_of_constant_radius():

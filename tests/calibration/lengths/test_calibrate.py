@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+import carosac_toolkit as ct
 from calibration.lengths import LengthCalibration, MixUp, Settings, calibrate, suggest_poses
 from calibration.lengths.synthetic import SceneSettings, draw_scene
 from calibration.observability import Unobservable
@@ -122,6 +123,25 @@ def test_few_poses_are_refused_unless_a_tachymeter_knows_the_exit_points() -> No
     assert exit_error(made, found.robot).max() < 5e-3
 
 
+def test_a_zero_that_is_far_off_is_found_and_no_mix_up() -> None:
+    recording = scene("carosac", 1).recording
+    shift = np.array([2.5, 0.0, 0.0, -1.5])
+    far = replace(recording, unstrained_length=recording.unstrained_length + shift)
+    found = calibrate(far, with_pulleys("carosac"))
+    near = calibrate(recording, with_pulleys("carosac"))
+    assert found.robot.length_offset is not None and near.robot.length_offset is not None
+    assert found.robot.length_offset - near.robot.length_offset == pytest.approx(shift, abs=5e-3)
+
+
+def test_relative_readings_have_a_zero_of_their_own_in_each_recording() -> None:
+    first = scene("carosac", 1, relative=True).recording
+    robot = calibrate(first, with_pulleys("carosac")).robot
+    shift = np.array([0.5, -0.3, 0.2, 0.1])
+    again = calibrate(replace(first, unstrained_length=first.unstrained_length + shift), robot)
+    assert again.residual_rms < 3e-3
+    assert again.robot.length_offset == pytest.approx(robot.length_offset + shift, abs=0.05)
+
+
 def swapped(recording: Recording) -> Recording:
     return replace(recording, unstrained_length=recording.unstrained_length[:, [1, 0, 2, 3]])
 
@@ -184,3 +204,18 @@ def test_real_recording_has_the_known_delay(real_data) -> None:  # type: ignore[
     )
     assert found.residual_rms < 2e-3
     assert found.residual_rms < 0.4 * found.residual_rms_before
+
+
+def test_a_robot_in_the_frame_of_its_poses_stays_there_when_it_is_calibrated_again():
+    """The tilt of that frame turns gravity in both runs, not the exit points in the second."""
+    robot = ct.load_robot("carosac")
+    tilted = Settings(tilt_prior=0.02)
+    drawn = draw_scene(robot, np.random.default_rng(5), prior=tilted)
+    first = calibrate(drawn.recording, robot, settings=tilted)
+    again = calibrate(drawn.recording, first.robot, settings=tilted)
+    assert not first.anchored and not again.anchored
+    names = [f"exit_points[{c}].{a}" for c in robot.cable_names for a in "xyz"]
+    truth = np.array([drawn.truth[name] for name in names])
+    off = again.estimate.select(names).value - truth
+    assert np.abs(off).max() < 0.015
+    assert any("tilted by" in line for line in first.warnings)

@@ -8,6 +8,7 @@ import pytest
 import carosac_toolkit as ct
 from calibration.self_calibration.command import run_motor_angles
 from carosac_toolkit.cli.common import write_json
+from carosac_toolkit.cli.main import main
 from carosac_toolkit.errors import CarosacError, InvalidField
 from tests.calibration.self_calibration.scenes import csv_text, scene
 
@@ -89,3 +90,11 @@ def test_the_bundled_robot_is_described_by_what_was_measured_by_hand():
     assert distance == pytest.approx([1.597, 1.795, 1.5825, 2.355], abs=1e-4)
     at_home = robot.drum_radius**2 - robot.drum_advantage * robot.drum_buildup * distance
     assert np.sqrt(at_home) == pytest.approx(0.075, abs=1e-6)
+
+
+def test_options_without_effect_on_motor_angles_are_refused(angles_file, capsys):
+    words = ["calibrate", "lengths", str(angles_file)]
+    assert main([*words, "--suggest-poses", "3"]) == 2
+    error = capsys.readouterr().err
+    assert "--suggest-poses: got 3; allowed: not with a file of motor angles" in error
+    assert main([*words, "--exit-prior", "0.1"]) == 2

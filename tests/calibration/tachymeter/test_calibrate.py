@@ -112,6 +112,16 @@ def test_a_prior_of_the_exit_points_is_used_where_asked():
         calibrate(ROBOT, scene.survey, use_prior=True)
 
 
+def test_the_survey_alone_is_judged_whatever_was_known_before():
+    scene = drawn(7)
+    block = 1e-6 * np.eye(3) + 25e-6 * np.ones((3, 3))  # the axes were known together, not apart
+    known = replace(ROBOT, exit_covariance=np.tile(block, (4, 1, 1)),
+                    exit_points=scene.truth.exit_points)  # fmt: skip
+    free, held = calibrate(known, scene.survey), calibrate(known, scene.survey, use_prior=True)
+    assert held.observability.rank == 12
+    assert held.observability.condition == pytest.approx(free.observability.condition, rel=1e-3)
+
+
 def test_covariances_are_those_of_the_errors_reference_errors_included():
     nees, count = 0.0, 40
     for seed in range(count):

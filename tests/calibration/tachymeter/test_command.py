@@ -106,3 +106,17 @@ def test_what_the_docs_show_runs(tmp_path, monkeypatch):
     read_targets(write(tmp_path, "t.yaml", targets), load_robot("carosac"))
     (csv,) = (block for block in blocks("text") if "setup,target" in block)
     assert len(read_csv(write(tmp_path, "c.csv", csv))) == 2
+
+
+def test_what_would_count_twice_or_as_one_set_up_is_refused(site, tmp_path, capsys):
+    (tmp_path / "other").mkdir()
+    (tmp_path / "B.gsi").rename(tmp_path / "other" / "A.gsi")
+    targets = ["--robot", "carosac", "--targets", "targets.yaml"]
+    start = ["calibrate", "tachymeter", "A.gsi"]
+    assert main([*start, "other/A.gsi", *targets]) == 2
+    assert "set-ups called otherwise than in 'A.gsi', which has a 'A'" in capsys.readouterr().err
+    assert main([*start, "other/../A.gsi", *targets]) == 2
+    assert "FILE: got 'other/../A.gsi'; allowed: each file once" in capsys.readouterr().err
+    write(tmp_path, "s.csv", "setup,target,hz_gon,v_gon,slope_m\nA,R1,1,100,5\n")
+    assert main([*start, "s.csv", *targets]) == 2
+    assert "set-ups called otherwise than in 'A.gsi'" in capsys.readouterr().err
