@@ -46,7 +46,8 @@ class Observability:
     def sentences(self) -> list[str]:
         """What people should know before they trust the numbers."""
         lines = [
-            f"the data determine {self.rank} of {self.parameters} combinations of the parameters"
+            f"the data say something of {self.rank} of {self.parameters} combinations of the "
+            f"parameters, and more than was known before of {self.rank - len(self.weak)}"
             + (f", condition {self.condition:.3g}" if np.isfinite(self.condition) else "")
         ]
         lines += _some("the data say nothing about", self.blind)

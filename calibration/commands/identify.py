@@ -29,6 +29,7 @@ from carosac_toolkit.recording import Recording, load_recording
 from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.robot import FoundRobot, find_robot
 from carosac_toolkit.report_page import check_folder
+from carosac_toolkit.robot import Robot
 
 Range = tuple[int, int]
 _SHARE = 2.0 / 3.0  # of the samples that are fitted, where nothing else is asked for
@@ -63,11 +64,7 @@ def run(options: Options) -> CommandResult:
     folder = options.report or _default_folder(path, found)
     check_folder("--report", folder)
     train, test = _ranges(options, recording)
-    print(
-        f"{options.recording}: fitting samples {train[0]}:{train[1]} with robot "
-        f"{found.robot.name}; RMS errors before each step:"
-    )
-    result = identify(recording, found.robot, train=train, test=test, report=_step)
+    result = identify(recording, found.robot, train=train, test=test, report=_Steps(found.robot))
     print()
     _print(result)
     words = _words(options, found, train, test)
@@ -78,7 +75,10 @@ def run(options: Options) -> CommandResult:
     if options.output is not None:
         name = Path(options.recording).name
         source = f"carosac identify, samples {train[0]}:{train[1]} of {name}"
-        write_robot(found.name, result.estimate, options.output, provenance=source)
+        write_robot(
+            found.name, result.estimate, options.output,
+            provenance=source, name=options.output.stem,
+        )  # fmt: skip
         print(f"robot:  {options.output}")
     sys.stdout.flush()
     for line in result.warnings():
@@ -87,11 +87,23 @@ def run(options: Options) -> CommandResult:
     return CommandResult(data, status=1 if result.warnings() else 0)
 
 
-def _step(poses: int, position: float, rotation: float) -> None:
-    """Say how far the search is."""
-    print(
-        f"  first {poses} poses: {position * 1e3:7.2f} mm, {rotation * 1e3:7.2f} mrad", flush=True
-    )
+class _Steps:
+    """Says how far the search is."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._count = 0
+
+    def __call__(self, poses: int, position: float, rotation: float) -> None:
+        """Print the errors before a step."""
+        if self._count == 0:
+            print(f"fitting robot {self._robot.name}, RMS errors before each step:")
+        self._count += 1
+        print(
+            f"  {self._count:2d}, first {poses} poses: {position * 1e3:7.2f} mm, "
+            f"{rotation * 1e3:7.2f} mrad",
+            flush=True,
+        )
 
 
 def _print(result: Identification) -> None:
@@ -104,18 +116,20 @@ def _print(result: Identification) -> None:
 def _ranges(options: Options, recording: Recording) -> tuple[Range, Range | None]:
     """The samples that are fitted, and those that are scored."""
     count = len(recording.time)
-    train = (0, round(_SHARE * count)) if options.train is None else _range("train", options.train)
+    train = (0, round(_SHARE * count))
+    if options.train is not None:
+        train = _range("train", options.train, count)
     if options.test is not None:
-        return train, _range("test", options.test)
+        return train, _range("test", options.test, count)
     return train, (train[1], count) if train[1] < count else None
 
 
-def _range(name: str, text: str) -> Range:
-    """Read START:STOP."""
-    match = re.fullmatch(r"\s*(\d+)\s*:\s*(\d+)\s*", text)
+def _range(name: str, text: str, count: int) -> Range:
+    """Read START:STOP, either of which may be left out."""
+    match = re.fullmatch(r"\s*(\d*)\s*:\s*(\d*)\s*", text)
     if match is None:
         raise InvalidField(f"--{name}", repr(text), "START:STOP, such as 0:400")
-    return int(match[1]), int(match[2])
+    return int(match[1] or 0), int(match[2] or count)
 
 
 def _default_folder(path: Path, found: FoundRobot) -> Path:

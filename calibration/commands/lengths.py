@@ -198,7 +198,7 @@ def _write(
     """Write robot file and report."""
     if options.output is not None:
         write_robot(
-            robot, result.estimate, options.output,
+            robot, result.estimate, options.output, name=options.output.stem,
             provenance=(
                 f"cable lengths and poses of {Path(options.recording).name} "
                 f"({len(result.sample)} samples, residual {1e3 * result.residual_rms:.2f} mm RMS)"

@@ -100,7 +100,7 @@ def run(options: Options) -> CommandResult:
             words=_words(options),
         )
         print(f"report: {options.report / 'report.html'}")
-    sound = result.fits and result.converged
+    sound = result.fits and result.converged and not result.misplaced()
     return CommandResult({"robot": robot.name, **result.data()}, status=0 if sound else 1)
 
 

@@ -20,7 +20,9 @@ from carosac_toolkit.physics import statics
 from carosac_toolkit.recording import Recording
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.validation.phases import find_phases
+from carosac_toolkit.validation.plausibility import find_mix_ups
 from carosac_toolkit.validation.scores import PoseScores, score_poses
+from carosac_toolkit.values import Pose
 
 Range = tuple[int, int]
 FEWEST = 5.0  # seconds of motion, below which no dynamics are identified
@@ -97,11 +99,13 @@ def _check(recording: Recording, robot: Robot, train: Range, test: Range | None)
     if test is not None and max(train[0], test[0]) < min(train[1], test[1]):
         allowed = f"samples outside of train = {train[0]}:{train[1]}"
         raise InvalidField("test", f"{test[0]}:{test[1]}", allowed)
-    poses = poses_of(calibrated(recording, robot))
+    material = calibrated(recording, robot)
+    poses = poses_of(material)
     for name, span in (("train", train), ("test", test)):
         if span is not None and len(poses.within(*span).time) == 0:
             raise InvalidField(name, f"{span[0]}:{span[1]}", "samples with measured poses nearby")
     fitted = poses.within(*train)
+    _check_order(robot, material, poses)
     duration = float(fitted.time[-1] - fitted.time[0])
     if duration < FEWEST:
         allowed = f"at least {FEWEST:g} s with measured poses"
@@ -128,6 +132,15 @@ def _motion(
     if motion.failed.any():
         raise CarosacError(f"identification: no finite motion of robot {robot.name!r}")
     return poses.errors(motion.position[:, 0], motion.rotation[:, 0])
+
+
+def _check_order(robot: Robot, material: Recording, poses: MeasuredPoses) -> None:
+    """Refuse cables in another order, and other units."""
+    pose = Pose(position=poses.position, rotation=poses.rotation)
+    said = find_mix_ups(robot, material.unstrained_length[poses.index], pose, zeros_known=False)
+    if said:
+        allowed = "lengths and poses of this robot; see 'carosac calibrate lengths'"
+        raise InvalidField("recording", " ".join(said), allowed)
 
 
 def _check_start(errors: Array) -> None:

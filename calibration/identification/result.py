@@ -135,8 +135,7 @@ class Identification:
             )
         lines.append(
             f"{self.fitted_samples} poses were fitted; sigmas take into account that their errors "
-            f"last for many samples, and count the data {self.excess:.1f} times less for what even "
-            "that leaves unexplained"
+            f"last for many samples{self._excess()}"
         )
         return [*lines, *self._untaught(), *self._contradictions()]
 
@@ -163,13 +162,25 @@ class Identification:
             f"before: {part.before.rmse[3] * 1e3:.1f} mm"
         )
 
+    def _excess(self) -> str:
+        """What the noise model does not explain, or nothing."""
+        if self.excess < 1.05:
+            return ""
+        return f", and are {np.sqrt(self.excess):.2f} times larger for what that does not explain"
+
     def _untaught(self) -> list[str]:
         """Parameters that the data say little about."""
         kept = self.estimate.sigma / self.estimate.prior_sigma
-        names = [n for n, share in zip(self.estimate.names, kept, strict=True) if share > TAUGHT]
-        if not names:
+        fields = [name.split("[")[0].split(".")[0] for name in self.estimate.names]
+        words = []
+        for field in dict.fromkeys(fields):
+            rows = [k for k, other in enumerate(fields) if other == field]
+            known = int((kept[rows] > TAUGHT).sum())
+            if known:
+                words.append(field if len(rows) == 1 else f"{field} ({known} of {len(rows)})")
+        if not words:
             return []
-        return [f"the data hardly tell, so that what was known before decides: {', '.join(names)}"]
+        return [f"the data hardly tell, so that what was known before decides: {', '.join(words)}"]
 
     def _contradictions(self) -> list[str]:
         """Parameters that moved further than was thought possible."""

@@ -76,6 +76,7 @@ def calibrate(
     began = perf_counter()
     state, covariance, linear = fit(problem, unknowns.start)
     seconds = perf_counter() - began
+    _check_left(state, robot)
     return _result(problem, state, covariance, linear, chosen, seconds, relative)
 
 
@@ -95,6 +96,17 @@ def _check_samples(problem: Problem, robot: Robot) -> None:
         f"robot {robot.name} cannot rest at any of the measured poses: are frame, robot and "
         "orientation right?"
     )
+
+
+def _check_left(state: State, robot: Robot) -> None:
+    """Refuse a cable of which nothing is left."""
+    gone = (state.weight[:, : robot.n] == 0.0).all(axis=0)
+    if gone.any():
+        name = robot.cable_names[int(np.argmax(gone))]
+        raise Unobservable(
+            f"no reading of cable '{name}' fits the poses, whatever its offset: is it in another "
+            "unit than the others, or of another cable?"
+        )
 
 
 def _typical(problem: Problem) -> Array:
@@ -234,7 +246,10 @@ def _warnings(
     """What must not be overlooked."""
     said = []
     if state.rounds >= ROUNDS_MAX:
-        said.append(f"The fit did not settle within {ROUNDS_MAX} rounds of reweighting.")
+        said.append(
+            f"The fit did not settle within {ROUNDS_MAX} rounds of reweighting: often what was "
+            "known before, such as surveyed exit points, contradicts these lengths and poses."
+        )
     moved = np.abs(estimate.value - estimate.start) / estimate.prior_sigma
     far = np.flatnonzero(moved > FAR)
     if len(far):

@@ -270,6 +270,7 @@ def _inflation(problem: Problem, state: State, linear: Linear) -> float:
     """By how much the residuals' correlation in time spoils the information, >= 1."""
     n = problem.unknowns.robot.n
     kept = np.where(state.weight[:, :n] > 0.0, linear.residual[:, :n], np.nan)
+    kept = kept[:, np.isfinite(kept).any(axis=0)]
     kept = kept - np.nanmean(kept, axis=0)
     pairs = kept[1:] * kept[:-1]
     known = np.isfinite(pairs)

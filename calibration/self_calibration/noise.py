@@ -218,8 +218,9 @@ def _enough(share: float) -> float:
     """Refuse to tell the noise from hardly anything."""
     if share < ENOUGH:
         allowed = (
-            f"the noise of the line in the settings: the lengths are only {max(share, 0.0):.1f} "
-            f"more than what is estimated from them, and {ENOUGH:g} are needed to tell it"
+            f"{ENOUGH:g} more lengths that fit than numbers that are estimated from them; are the "
+            "known positions in the right unit, the motors in the right order and sense? If so, "
+            "give the noise of the line, line_sigma in the settings"
         )
-        raise InvalidField("line_sigma", "nothing", allowed)
+        raise InvalidField("motor angles", f"{max(share, 0.0):.1f} more", allowed)
     return share

@@ -18,6 +18,7 @@ from carosac_toolkit.robot import Robot
 
 PROBABILITY = 0.99  # of the band in which chi2 falls if all noise is as stated
 MANY = 0.1  # share of readings left out above which they are no blunders: the accuracy is wrong
+FAR = 0.5  # [m] from the robot file's exit point, beyond which something else was sighted
 _MEDIAN = 0.6745  # of the size of a standard normal number
 
 
@@ -137,6 +138,24 @@ class TachymeterResult:
     chi2: float
     freedom: int
     converged: bool
+
+    def misplaced(self) -> list[str]:
+        """Name exit points that are far from where the robot file has them."""
+        lines = []
+        before = {
+            name: self.robot.exit_points[self.robot.cable_names.index(name)] for name in self.cables
+        }
+        for name, point in zip(self.cables, self.exit_points, strict=True):
+            away = float(np.linalg.norm(point - before[name]))
+            if away <= FAR:
+                continue
+            others = {o: float(np.linalg.norm(point - p)) for o, p in before.items() if o != name}
+            near = min(others, key=lambda other: others[other], default=name)
+            hint = "is it the right robot, and the right known points?"
+            if others.get(near, np.inf) <= FAR:
+                hint = f"that is where the file has {near}: are these targets swapped?"
+            lines.append(f"{name} is {away:.2f} m from where the robot file has it; {hint}")
+        return lines
 
     @property
     def exit_points(self) -> Array:

@@ -131,7 +131,7 @@ def sentences(result: TachymeterResult) -> list[str]:
 
 def cautions(result: TachymeterResult) -> list[str]:
     """What must not be overlooked."""
-    lines = []
+    lines = result.misplaced()
     if result.freedom < 1:
         lines.append("nothing is measured twice, so nothing here is checked: sight more points")
     elif not result.fits:

@@ -20,7 +20,8 @@ def test_data_that_see_everything_leave_nothing_to_say():
     assert found.condition == pytest.approx(2.0 / 0.05)  # of the Jacobian in units of the scale
     assert found.blind == found.weak == ()
     assert found.sentences() == [
-        "the data determine 3 of 3 combinations of the parameters, condition 40"
+        "the data say something of 3 of 3 combinations of the parameters, and more than was known "
+        "before of 3, condition 40"
     ]
 
 
@@ -34,7 +35,10 @@ def test_a_sum_that_is_all_the_data_see_leaves_the_difference_blind():
     }  # fmt: skip
     assert len(found.blind) == 1 and found.weak == ()
     first, second = found.sentences()
-    assert first == "the data determine 2 of 3 combinations of the parameters"
+    assert first == (
+        "the data say something of 2 of 3 combinations of the parameters, and more than was known "
+        "before of 2"
+    )
     assert second == f"the data say nothing about {found.blind[0]}"
 
 

@@ -122,6 +122,13 @@ def test_a_robot_at_rest_does_not_show_its_dynamics(robot, run):
         identify(still, robot, FEW, train=(0, 200))
 
 
+def test_swapped_cables_are_refused_by_name(robot, run):
+    order = [1, 0, 2, 3]
+    swapped = replace(run.recording, unstrained_length=run.recording.unstrained_length[:, order])
+    with pytest.raises(InvalidField, match=r"swapped|order"):
+        identify(swapped, robot, FEW, train=(0, 200))
+
+
 def test_lengths_that_hang_the_robot_elsewhere_are_refused(robot, run):
     shifted = replace(run.recording, unstrained_length=run.recording.unstrained_length + 2.0)
     with pytest.raises(InvalidField, match=r"from the first measured pose"):

@@ -219,3 +219,12 @@ def test_a_robot_in_the_frame_of_its_poses_stays_there_when_it_is_calibrated_aga
     off = again.estimate.select(names).value - truth
     assert np.abs(off).max() < 0.015
     assert any("tilted by" in line for line in first.warnings)
+
+
+def test_a_cable_in_another_unit_is_refused_by_name():
+    robot = ct.load_robot("carosac")
+    recording = draw_scene(robot, np.random.default_rng(3)).recording
+    lengths = np.array(recording.unstrained_length)
+    lengths[:, 2] *= 1e3
+    with pytest.raises(Unobservable, match=r"cable 'rear_right'.*another unit"):
+        calibrate(replace(recording, unstrained_length=lengths), robot)

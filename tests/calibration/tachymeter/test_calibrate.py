@@ -256,3 +256,14 @@ def test_targets_and_sightings_must_fit_the_robot():
     survey = replace(drawn(17, robot).survey, towards={})
     with pytest.raises(InvalidField, match="platform_position"):
         calibrate(robot, survey)
+
+
+def test_swapped_targets_are_named():
+    scene = drawn(0)
+    names = list(ROBOT.cable_names)
+    names[0], names[1] = names[1], names[0]
+    result = calibrate(replace(ROBOT, cable_names=tuple(names)), scene.survey)
+    first, second = result.misplaced()
+    assert first.startswith(f"{names[0]} is ") and f"the file has {names[1]}" in first
+    assert second.startswith(f"{names[1]} is ") and f"the file has {names[0]}" in second
+    assert calibrate(ROBOT, scene.survey).misplaced() == []
