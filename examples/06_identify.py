@@ -1,8 +1,8 @@
 """Identify a swaying robot from half a minute of motion, and see what it was worth.
 
 A plant that differs from the bundled robot ``carosac`` by the condition `nominal-1` moves through
-drawn places, in wind, with noisy sensors. All that may be wrong about it is fitted on the first 70 %
-of the run; the rest was not fitted.
+drawn places, in wind, with noisy sensors. All that may be wrong about it is fitted on the first
+70 % of the run; the rest was not fitted.
 
 Writes 06_identify.png and prints the open-loop error on the rest, before and after.
 """
