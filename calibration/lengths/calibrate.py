@@ -165,11 +165,8 @@ def _result(
         plumb_noise=state.plumb_noise if problem.plumb else None,
         inflation=state.inflation,
         observability=observability,
-        sentences=tuple(said),
-        warnings=(
-            *_warnings(unknowns, estimate, state, outlier),
-            *_tilted(unknowns, gravity),
-        ),
+        sentences=(*said, *_tilted(unknowns, gravity)),
+        warnings=tuple(_warnings(unknowns, estimate, state, outlier)),
         skipped={
             "no measured pose": int(problem.without_pose.sum()),
             "no tensions that hold the pose": int((~kept & ~problem.without_pose).sum()),
@@ -217,7 +214,7 @@ def _gravity(unknowns: Unknowns, value: Array, covariance: Array) -> Gravity | N
 
 
 def _tilted(unknowns: Unknowns, gravity: Gravity | None) -> list[str]:
-    """Warn of a robot whose z is not up."""
+    """Say of a robot that its z is not up."""
     if unknowns.anchored or gravity is None:
         return []
     tilt, sigma = float(np.hypot(*gravity.tilt)), float(gravity.sigma.max())

@@ -218,7 +218,7 @@ def test_a_robot_in_the_frame_of_its_poses_stays_there_when_it_is_calibrated_aga
     truth = np.array([drawn.truth[name] for name in names])
     off = again.estimate.select(names).value - truth
     assert np.abs(off).max() < 0.015
-    assert any("tilted by" in line for line in first.warnings)
+    assert any("tilted by" in line for line in first.sentences)
 
 
 def test_a_cable_in_another_unit_is_refused_by_name():
