@@ -88,7 +88,7 @@ def _simulated(seeds: int) -> list[str]:
         seconds = perf_counter() - start
         poses = poses_of(run.recording)
         motion = simulate(
-            [run.plant], LengthPath(run.recording), 0.0, poses.time, time_step=settings.time_step
+            [run.plant], LengthPath(run.recording), poses.time, time_step=settings.time_step
         )
         errors = poses.errors(motion.position[:, 0], motion.rotation[:, 0])[poses.index >= cut]
         truth = float(np.sqrt((errors[:, :3] ** 2).sum(axis=1).mean()))

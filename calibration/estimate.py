@@ -57,6 +57,12 @@ class Estimate:
         return found
 
     @property
+    def moved(self) -> Array:
+        """How far each parameter moved, in prior sigmas, shape (k,); 0 without a prior."""
+        found: Array = np.abs(self.value - self.start) / self.prior_sigma
+        return found
+
+    @property
     def correlation(self) -> Array:
         """Correlation matrix, shape (k, k); 0 beside a parameter that is known exactly."""
         sigma = np.where(self.sigma > 0.0, self.sigma, 1.0)

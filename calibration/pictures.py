@@ -147,7 +147,7 @@ def draw_learnt(estimate: Estimate) -> Figure:
     known = np.isfinite(estimate.prior_sigma)
     names = [name for name, has in zip(estimate.names, known, strict=True) if has]
     left = (estimate.sigma / estimate.prior_sigma)[known]
-    moved = (np.abs(estimate.value - estimate.start) / estimate.prior_sigma)[known]
+    moved = estimate.moved[known]
     figure = new_figure(9.5, 1.4 + 0.22 * len(names))
     first, second = figure.subplots(1, 2, sharey=True)
     place = np.arange(len(names))

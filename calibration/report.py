@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -22,7 +20,7 @@ from carosac_toolkit.report_page import (
     warnings,
     write_files,
 )
-from carosac_toolkit.text_tables import Rows, fit
+from carosac_toolkit.text_tables import Rows, fit, terminal_width, wrapped
 
 PARAMETER_HEADER = (
     "parameter", "unit", "before", "known to", "after", "1 sigma", "moved by", "in sigmas before",
@@ -64,11 +62,6 @@ def _digits(sigma: float) -> int:
     return int(np.clip(1 - np.floor(np.log10(sigma)), 0, 9))
 
 
-def terminal_width() -> int:
-    """Columns that text may take."""
-    return max(80, shutil.get_terminal_size().columns)
-
-
 def print_parameters(estimate: Estimate) -> None:
     """Print the table of parameters within the width of the terminal."""
     print(fit(PARAMETER_HEADER, parameter_rows(estimate), PARAMETER_GROUPS, terminal_width()))
@@ -77,16 +70,7 @@ def print_parameters(estimate: Estimate) -> None:
 def print_sentences(lines: Sequence[str], start: str = "* ") -> None:
     """Print sentences, each with a mark in front, broken between words."""
     for line in lines:
-        print(
-            textwrap.fill(
-                line,
-                terminal_width(),
-                initial_indent=start,
-                subsequent_indent=" " * len(start),
-                break_long_words=False,
-                break_on_hyphens=False,
-            )
-        )
+        print(wrapped(line, terminal_width(), start))
 
 
 def parameters_html(estimate: Estimate) -> str:

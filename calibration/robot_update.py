@@ -11,7 +11,7 @@ from calibration.estimate import Estimate
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.cli.common import check_writable, replacing
 from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.parameters import with_values
+from carosac_toolkit.parameters import point_names, with_values
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import parse_robot, robot_path, robot_text
 
@@ -30,7 +30,11 @@ def prior_covariance(robot: Robot, names: tuple[str, ...], sigma: Array) -> Arra
     covariance = np.diag(np.square(sigma))
     if robot.exit_covariance is not None:
         for cable, block in zip(robot.cable_names, robot.exit_covariance, strict=True):
-            rows = [(names.index(n), a) for a, n in enumerate(_axes(cable)) if n in names]
+            rows = [
+                (names.index(n), a)
+                for a, n in enumerate(point_names("exit_points", [cable]))
+                if n in names
+            ]
             for i, a in rows:
                 for j, b in rows:
                     covariance[i, j] = block[a, b]
@@ -121,16 +125,11 @@ def write_robot(
     return robot
 
 
-def _axes(cable: str) -> list[str]:
-    """Names of the coordinates of an exit point."""
-    return [f"exit_points[{cable}].{axis}" for axis in "xyz"]
-
-
 def _exit_covariance(robot: Robot, names: list[str], covariance: Array) -> Array | None:
     """Blocks of the exit points; those of before where a point was not estimated."""
     blocks = []
     for i, cable in enumerate(robot.cable_names):
-        rows = [names.index(name) for name in _axes(cable) if name in names]
+        rows = [names.index(name) for name in point_names("exit_points", [cable]) if name in names]
         if len(rows) == 3:
             blocks.append(covariance[np.ix_(rows, rows)])
         elif robot.exit_covariance is not None and not rows:

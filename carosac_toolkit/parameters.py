@@ -57,6 +57,16 @@ def unit_of(name: str) -> str:
     return _UNITS[_field(name)["field"]]
 
 
+def field_of(name: str) -> str:
+    """Field that a parameter belongs to: ``exit_points`` for ``exit_points[C].x``."""
+    return name.split("[")[0].split(".")[0]
+
+
+def point_names(field: str, cables: Sequence[str]) -> list[str]:
+    """Names of the coordinates of a point of each cable, x, y, z of the first one first."""
+    return [f"{field}[{cable}].{axis}" for cable in cables for axis in "xyz"]
+
+
 def check_names(cable_names: Sequence[str], names: Sequence[str]) -> None:
     """Refuse what names no parameter of a robot with these cables, and names that come twice.
 

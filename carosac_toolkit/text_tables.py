@@ -2,8 +2,24 @@
 
 from __future__ import annotations
 
+import shutil
+import textwrap
+
 Rows = list[tuple[str, ...]]
 NAME_SHOWN = 28  # characters of a name
+
+
+def terminal_width() -> int:
+    """Columns that text may take."""
+    return max(80, shutil.get_terminal_size().columns)
+
+
+def wrapped(text: str, width: int, start: str = "") -> str:
+    """Break a sentence into lines, with a mark in front; paths and names stay whole."""
+    return textwrap.fill(
+        text, width, initial_indent=start, subsequent_indent=" " * len(start),
+        break_long_words=False, break_on_hyphens=False,
+    )  # fmt: skip
 
 
 def fit(

@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from calibration.report import print_sentences, terminal_width
+from calibration.report import print_sentences
 from calibration.robot_update import check_output, write_robot
 from calibration.tachymeter import TachymeterResult, calibrate
 from calibration.tachymeter.report import write_survey_report
@@ -35,7 +35,7 @@ from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile,
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.report_page import check_folder
 from carosac_toolkit.robot_file import load_robot
-from carosac_toolkit.text_tables import fit
+from carosac_toolkit.text_tables import fit, terminal_width
 
 
 @dataclass(frozen=True, kw_only=True)

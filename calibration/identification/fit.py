@@ -15,7 +15,6 @@ from calibration.identification.settings import IdentificationSettings
 from calibration.identification.unknowns import Unknowns
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.recording import Recording
 from carosac_toolkit.robot import Robot
 
 STEP = 0.005  # of the coordinates, for differences
@@ -57,7 +56,7 @@ class Fitter:
     def __init__(
         self,
         unknowns: Unknowns,
-        recording: Recording,
+        path: LengthPath,
         poses: MeasuredPoses,
         settings: IdentificationSettings,
     ) -> None:
@@ -65,13 +64,12 @@ class Fitter:
 
         Args:
             unknowns: k coordinates.
-            recording: Readings.
+            path: Readings.
             poses: Measured ones to be fitted.
             settings: How it is computed.
         """
         self._unknowns = unknowns
-        self._path = LengthPath(recording)
-        self._start = float(recording.time[0])
+        self._path = path
         self._poses = poses
         self._settings = settings
         self._precision = np.linalg.inv(unknowns.prior)
@@ -144,9 +142,7 @@ class Fitter:
             except InvalidField:
                 robots.append(self._unknowns.robot)
                 exists[k] = False
-        found = simulate(
-            robots, self._path, self._start, self._poses.time, time_step=self._settings.time_step
-        )
+        found = simulate(robots, self._path, self._poses.time, time_step=self._settings.time_step)
         return found, exists & ~found.failed
 
     def _linearised(self, at: Array) -> tuple[Array, Array]:

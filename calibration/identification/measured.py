@@ -77,10 +77,7 @@ def poses_of(recording: Recording) -> MeasuredPoses:
 
 def rotation_vectors(rotation: Array) -> Array:
     """Rotation vectors [rad], shape (K, 3), of rotations (K, 3, 3) below half a turn."""
-    skew = rotation - rotation.swapaxes(1, 2)
-    axis = 0.5 * np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
-    sine = np.linalg.norm(axis, axis=1)
-    angle = np.arctan2(sine, 0.5 * (np.trace(rotation, axis1=1, axis2=2) - 1.0))
-    small = sine < 1e-9
-    found: Array = axis * np.where(small, 1.0, angle / np.where(small, 1.0, sine))[:, None]
+    from scipy.spatial.transform import Rotation
+
+    found: Array = Rotation.from_matrix(rotation).as_rotvec()
     return found

@@ -25,13 +25,17 @@ SHORTEST = 1e-9  # [s]: less is rounding
 
 
 class LengthPath:
-    """Readings as a smooth function of time, held before the first and after the last."""
+    """Readings as a smooth function of time, held before the first and after the last.
+
+    Attributes:
+        first: When the first was taken [s].
+    """
 
     def __init__(self, recording: Recording) -> None:
         """Fit a smoothing spline to each cable; cross-validation finds how smooth it is."""
         from scipy.interpolate import make_interp_spline, make_smoothing_spline
 
-        self._first, self._last = float(recording.time[0]), float(recording.time[-1])
+        self.first, self._last = float(recording.time[0]), float(recording.time[-1])
         columns = recording.unstrained_length.T
         smooth = len(recording.time) >= 5  # fewer samples tell no noise from motion
         make = make_smoothing_spline if smooth else lambda t, y: make_interp_spline(t, y, k=1)
@@ -39,7 +43,7 @@ class LengthPath:
 
     def at(self, time: Array) -> Array:
         """Readings [m], shape (..., n), at times [s] of shape (...)."""
-        inside = np.clip(time, self._first, self._last)
+        inside = np.clip(time, self.first, self._last)
         return np.stack([spline(inside) for spline in self._splines], axis=-1)
 
 
@@ -59,7 +63,7 @@ class OpenLoop:
 
 
 def simulate(
-    robots: Sequence[Robot], path: LengthPath, start: float, time: Array, *, time_step: float
+    robots: Sequence[Robot], path: LengthPath, time: Array, *, time_step: float
 ) -> OpenLoop:
     """Let platforms hang at rest on the first lengths, and wind on as recorded.
 
@@ -68,15 +72,14 @@ def simulate(
     Args:
         robots: B robots.
         path: Readings.
-        start: When the readings begin [s].
-        time: When to look, increasing, not before `start`, shape (K,).
+        time: When to look, increasing, not before the first reading, shape (K,).
         time_step: Of the simulator, at most [s].
 
     Raises:
         CarosacError: The first robot cannot hang on the first lengths.
     """
     size, count = len(robots), len(time)
-    grid = np.arange(start, time[-1], GRID)
+    grid = np.arange(path.first, time[-1], GRID)
     when = np.unique(np.concatenate([grid, time]))
     when = when[np.concatenate([[True], np.diff(when) > SHORTEST])]
     delays = np.array([robot.length_delay or 0.0 for robot in robots])
@@ -94,7 +97,6 @@ def simulate(
         failed=~hangs,
     )
     rows = np.searchsorted(when, time - SHORTEST)
-    state = simulator.state.numpy()
     row = 0
     for k, end in enumerate(rows):
         while row < end:

@@ -63,12 +63,12 @@ def identify(
     fitted = poses.within(*train).thinned(chosen.rate)
     unknowns = choose_unknowns(robot, chosen)
     path = LengthPath(recording)
-    before = _motion(robot, recording, path, poses, chosen)
+    before = _motion(robot, path, poses, chosen)
     _check_start(before)
-    fit = Fitter(unknowns, recording, fitted, chosen).run(report)
+    fit = Fitter(unknowns, path, fitted, chosen).run(report)
     estimate = unknowns.estimate(fit.coordinates, fit.covariance)
     identified = updated(robot, estimate)
-    after = _motion(identified, recording, path, poses, chosen)
+    after = _motion(identified, path, poses, chosen)
     return Identification(
         robot=identified,
         first_speed=_first_speed(poses),
@@ -121,14 +121,12 @@ def _check(recording: Recording, robot: Robot, train: Range, test: Range | None)
 
 def _motion(
     robot: Robot,
-    recording: Recording,
     path: LengthPath,
     poses: MeasuredPoses,
     settings: IdentificationSettings,
 ) -> Array:
     """Errors of a robot's simulation at all measured poses, shape (K, 6)."""
-    start = float(recording.time[0])
-    motion = simulate([robot], path, start, poses.time, time_step=settings.time_step)
+    motion = simulate([robot], path, poses.time, time_step=settings.time_step)
     if motion.failed.any():
         raise CarosacError(f"identification: no finite motion of robot {robot.name!r}")
     return poses.errors(motion.position[:, 0], motion.rotation[:, 0])

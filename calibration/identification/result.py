@@ -11,6 +11,7 @@ from calibration.estimate import Estimate
 from calibration.identification.measured import MeasuredPoses
 from calibration.observability import Observability
 from carosac_toolkit.arrays import Array
+from carosac_toolkit.parameters import field_of
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.validation.scores import PoseScores
 
@@ -171,7 +172,7 @@ class Identification:
     def _untaught(self) -> list[str]:
         """Parameters that the data say little about."""
         kept = self.estimate.sigma / self.estimate.prior_sigma
-        fields = [name.split("[")[0].split(".")[0] for name in self.estimate.names]
+        fields = [field_of(name) for name in self.estimate.names]
         words = []
         for field in dict.fromkeys(fields):
             rows = [k for k, other in enumerate(fields) if other == field]
@@ -184,10 +185,9 @@ class Identification:
 
     def _contradictions(self) -> list[str]:
         """Parameters that moved further than was thought possible."""
-        moved = np.abs(self.estimate.value - self.estimate.start) / self.estimate.prior_sigma
         far = [
             f"{name} ({share:.1f} sigmas)"
-            for name, share in zip(self.estimate.names, moved, strict=True)
+            for name, share in zip(self.estimate.names, self.estimate.moved, strict=True)
             if share > AGAINST_PRIOR
         ]
         if not far:

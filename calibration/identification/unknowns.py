@@ -17,7 +17,7 @@ from calibration.identification.settings import IdentificationSettings
 from calibration.robot_update import prior_covariance
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.parameters import values_of, with_values
+from carosac_toolkit.parameters import field_of, point_names, values_of, with_values
 from carosac_toolkit.robot import Robot
 
 STEP = 1e-6  # of the coordinates, for the derivatives of parameters
@@ -59,7 +59,7 @@ class Unknowns:
         shares = self.scale * coordinates
         values = np.where(self.factor > 0.0, start * np.exp(shares), start + shares)
         for i, name in enumerate(self.names):
-            if _field(name) == "axial_stiffness":
+            if field_of(name) == "axial_stiffness":
                 values[i] *= self._lengthening(name, values)
         plain = [i for i, name in enumerate(self.names) if name not in _SPREADS]
         changed = with_values(robot, [self.names[i] for i in plain], values[plain])
@@ -120,11 +120,11 @@ def choose_unknowns(robot: Robot, settings: IdentificationSettings) -> Unknowns:
         InvalidField: Everything is held, or a number that would be a factor is 0.
     """
     names, scale = _names(robot, settings)
-    factor = np.array([name in _SPREADS or _field(name) in _FACTORS for name in names])
+    factor = np.array([name in _SPREADS or field_of(name) in _FACTORS for name in names])
     start = values_of(robot, names) if names else np.zeros(0)
     for name, value, is_factor in zip(names, start, factor, strict=True):
         if is_factor and value <= 0.0:
-            allowed = f"> 0, or the setting {_field(name)} = 0, which holds it"
+            allowed = f"> 0, or the setting {field_of(name)} = 0, which holds it"
             raise InvalidField(name, value, allowed)
     if not names:
         raise InvalidField("settings", "all parameters are held", "at least one sigma > 0")
@@ -133,7 +133,7 @@ def choose_unknowns(robot: Robot, settings: IdentificationSettings) -> Unknowns:
     prior = known / np.outer(natural, natural)
     lower = np.full(len(names), -np.inf)
     for i, name in enumerate(names):
-        if _field(name) == "run_length":
+        if field_of(name) == "run_length":
             lower[i] = -start[i] / scale[i]
     return Unknowns(
         robot=robot,
@@ -151,19 +151,14 @@ def _reach(robot: Robot) -> float:
     return float(np.linalg.norm(robot.exit_points - robot.home_position, axis=1).mean())
 
 
-def _field(name: str) -> str:
-    """Field that a parameter belongs to."""
-    return name.split("[")[0].split(".")[0]
-
-
 def _names(robot: Robot, settings: IdentificationSettings) -> tuple[tuple[str, ...], Array]:
     """Parameters that are not held, and what is known of them."""
     cables = robot.cable_names
     groups: dict[str, list[str]] = {
-        "exit_points": [f"exit_points[{c}].{a}" for c in cables for a in "xyz"],
+        "exit_points": point_names("exit_points", cables),
         "length_offset": [f"length_offset[{c}]" for c in cables],
         "length_scale": [f"length_scale[{c}]" for c in cables],
-        "anchor_points": [f"anchor_points[{c}].{a}" for c in cables for a in "xyz"],
+        "anchor_points": point_names("anchor_points", cables),
         "center_of_mass": [f"center_of_mass.{a}" for a in "xyz"],
         "inertia": list(_SPREADS),
         "mass": ["mass"],

@@ -18,6 +18,7 @@ from calibration.observability import Unobservable, judge
 from calibration.robot_update import updated
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.parameters import field_of
 from carosac_toolkit.recording import Recording
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Pose
@@ -182,7 +183,7 @@ def _plausible(unknowns: Unknowns) -> Array:
     """By how much each parameter may plausibly be off, shape (k,)."""
     prior = np.sqrt(np.diag(unknowns.covariance))
     most = {"length_offset": 0.05, "length_delay": 0.02}
-    limits = [most.get(name.split("[")[0], np.inf) for name in unknowns.names]
+    limits = [most.get(field_of(name), np.inf) for name in unknowns.names]
     return np.asarray(np.minimum(prior, limits))
 
 
@@ -247,7 +248,7 @@ def _warnings(
             f"The fit did not settle within {ROUNDS_MAX} rounds of reweighting: often what was "
             "known before, such as surveyed exit points, contradicts these lengths and poses."
         )
-    moved = np.abs(estimate.value - estimate.start) / estimate.prior_sigma
+    moved = estimate.moved
     far = np.flatnonzero(moved > FAR)
     if len(far):
         worst = far[np.argsort(-moved[far])][:4]

@@ -12,6 +12,7 @@ from calibration.estimate import Estimate
 from calibration.lengths.unknowns import Unknowns
 from calibration.observability import Observability
 from carosac_toolkit.arrays import Array
+from carosac_toolkit.parameters import point_names
 from carosac_toolkit.robot import Robot
 
 
@@ -94,7 +95,7 @@ class LengthCalibration:
         """What was known of each exit point before [m^2], shape (n, 3, 3)."""
         if self.start.exit_covariance is not None:
             return self.start.exit_covariance
-        names = [f"exit_points[{c}].{a}" for c in self.start.cable_names for a in "xyz"]
+        names = point_names("exit_points", self.start.cable_names)
         prior = self.estimate.select(names).prior_sigma.reshape(-1, 3)
         return np.array([np.diag(row**2) for row in prior])
 

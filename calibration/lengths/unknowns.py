@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calibration.lengths.settings import Settings
 from calibration.robot_update import prior_covariance
 from carosac_toolkit.arrays import Array
-from carosac_toolkit.parameters import values_of, with_values
+from carosac_toolkit.parameters import field_of, point_names, values_of, with_values
 from carosac_toolkit.robot import Robot
 
 LOOSE = 1e3  # [m]: prior of an offset that nothing is known of
@@ -75,8 +75,7 @@ def all_names(cable_names: Sequence[str], *, center: bool) -> tuple[str, ...]:
         cable_names: Of the robot.
         center: Whether the centre of mass is among them.
     """
-    names = [f"exit_points[{c}].{axis}" for c in cable_names for axis in "xyz"]
-    names += [f"anchor_points[{c}].{axis}" for c in cable_names for axis in "xyz"]
+    names = point_names("exit_points", cable_names) + point_names("anchor_points", cable_names)
     names += [f"length_offset[{c}]" for c in cable_names]
     names += [f"length_scale[{c}]" for c in cable_names]
     names += ["length_delay", "pose_tilt.x", "pose_tilt.y"]
@@ -118,7 +117,7 @@ def is_anchored(robot: Robot) -> bool:
     Points that an earlier calibration found from lengths alone are in the frame of those poses, and
     so they are no anchor for others.
     """
-    fields = {name.split("[")[0].split(".")[0] for name in robot.calibrated or ()}
+    fields = {field_of(name) for name in robot.calibrated or ()}
     surveyed = robot.exit_covariance is not None or "exit_points" in fields
     from_poses = "length_offset" in fields and "pose_tilt" not in fields
     return robot.pose_rotation is not None or (surveyed and not from_poses)
@@ -136,4 +135,4 @@ def _sigma(name: str, settings: Settings, relative: bool) -> float:
         "length_delay": settings.delay_prior,
         "pose_tilt": settings.tilt_prior,
         "center_of_mass": settings.center_prior,
-    }[name.split("[")[0].split(".")[0]]
+    }[field_of(name)]

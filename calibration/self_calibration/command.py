@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
-from calibration.report import print_parameters, print_sentences, terminal_width
+from calibration.report import print_parameters, print_sentences
 from calibration.robot_update import check_output, write_robot
 from calibration.self_calibration.calibrate import calibrate
 from calibration.self_calibration.files import load_motor_angles
@@ -23,7 +23,7 @@ from carosac_toolkit.cli.common import CommandResult
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.report_page import check_folder
 from carosac_toolkit.robot_file import list_robots, load_robot
-from carosac_toolkit.text_tables import fit
+from carosac_toolkit.text_tables import fit, terminal_width
 
 
 class Options(Protocol):

@@ -8,6 +8,7 @@ import numpy as np
 
 from calibration.pictures import AFTER, BEFORE, OUTLIER, QUANTILE_95
 from calibration.self_calibration.result import SelfCalibration
+from carosac_toolkit.parameters import point_names
 from carosac_toolkit.pictures.drawing import COLORS, new_figure
 
 if TYPE_CHECKING:
@@ -100,5 +101,5 @@ def draw_left_out(result: SelfCalibration) -> Figure:
 def _exit_points(result: SelfCalibration) -> Any:
     """Estimated exit points [m], shape (n, 3)."""
     cables = result.robot.cable_names
-    names = [f"exit_points[{cable}].{axis}" for cable in cables for axis in "xyz"]
+    names = point_names("exit_points", cables)
     return result.estimate.select(names).value.reshape(-1, 3)

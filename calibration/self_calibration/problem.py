@@ -23,6 +23,7 @@ from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.settings import Settings
 from carosac_toolkit.arrays import Array, frozen_array
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.parameters import point_names
 from carosac_toolkit.physics.drum import drums_of
 from carosac_toolkit.physics.straight_line import straight_length
 from carosac_toolkit.robot import Robot
@@ -178,7 +179,7 @@ class Problem:
         self.radii = 3 * n + np.array(group)
         self.buildups = 3 * n + self._groups + np.array(of_buildup)
         self.zeros = 3 * n + self._groups + len(self._buildups) + np.arange(n)
-        names = [f"exit_points[{cable}].{axis}" for cable in cables for axis in "xyz"]
+        names = point_names("exit_points", cables)
         names += [f"drum_radius[{_joined(cables, group, g)}]" for g in range(self._groups)]
         names += [
             f"drum_buildup[{_joined(cables, of_buildup, g)}]" for g in range(len(self._buildups))

@@ -18,7 +18,7 @@ from calibration.tachymeter.sightings import Pulley, elevation
 from calibration.tachymeter.start import first_values
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.parameters import values_of
+from carosac_toolkit.parameters import point_names, values_of
 from carosac_toolkit.robot import Robot
 
 PLAUSIBLE = 0.05  # [m] by which an exit point may be off before it is surveyed: a scale, no prior
@@ -203,7 +203,7 @@ def _result(robot: Robot, network: Network, found: Fit) -> TachymeterResult:
 def _estimate(robot: Robot, network: Network, found: Fit, cables: Sequence[str]) -> Estimate:
     """Exit points, and the tilt of the references' frame where it was estimated."""
     keys = [network.keys[f"point {name}"] for name in cables]
-    names = [f"exit_points[{name}].{axis}" for name in cables for axis in "xyz"]
+    names = point_names("exit_points", cables)
     start = [robot.exit_points[robot.cable_names.index(name)] for name in cables]
     prior = [
         np.sqrt(np.diag(network.exit_prior[name][1])) if name in network.exit_prior

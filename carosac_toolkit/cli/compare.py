@@ -10,8 +10,6 @@ Exit status 1 means that a row of the table is empty: none of its cases succeede
 
 from __future__ import annotations
 
-import shutil
-import textwrap
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -27,6 +25,7 @@ from carosac_toolkit.studies.results import StudyResults
 from carosac_toolkit.studies.run_case import DRIVER
 from carosac_toolkit.studies.study import QUICK_SEEDS, SEEDS, TRAJECTORIES, Study
 from carosac_toolkit.studies.tables import SHORT_UNITS, failures, text_table
+from carosac_toolkit.text_tables import terminal_width, wrapped
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,8 +82,8 @@ def run(options: Options) -> CommandResult:
     study.check()
     study = replace(study, output=study.folder())
     check_folder("--output", study.folder())
-    width = max(80, shutil.get_terminal_size().columns)
-    print(_wrapped(_what(study), width), flush=True)
+    width = terminal_width()
+    print(wrapped(_what(study), width), flush=True)
     results = study.run()
     said = conclusions(results)
     _print(results, said, width)
@@ -154,15 +153,7 @@ def _print(results: StudyResults, said: list[str], width: int) -> None:
         print()
     for line in lost:
         indent = " " * (len(line) - len(line.lstrip()))
-        print(_wrapped(line.lstrip(), width, indent))
+        print(wrapped(line.lstrip(), width, indent))
     print()
     for line in said:
-        print(_wrapped(line, width, "* "))
-
-
-def _wrapped(text: str, width: int, start: str = "") -> str:
-    """Break a sentence into lines; names stay whole."""
-    return textwrap.fill(
-        text, width, initial_indent=start, subsequent_indent=" " * len(start),
-        break_long_words=False, break_on_hyphens=False,
-    )  # fmt: skip
+        print(wrapped(line, width, "* "))

@@ -11,9 +11,7 @@ poses of the recording do not belong together as they are, as with wrong units.
 from __future__ import annotations
 
 import re
-import shutil
 import sys
-import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -25,7 +23,7 @@ from carosac_toolkit.recording import Recording, load_recording
 from carosac_toolkit.recordings.bundled import find_recording, list_recordings
 from carosac_toolkit.recordings.robot import FoundRobot, find_robot
 from carosac_toolkit.report_page import check_folder
-from carosac_toolkit.text_tables import fit
+from carosac_toolkit.text_tables import fit, terminal_width, wrapped
 from carosac_toolkit.validation import DEFAULT_MODELS, ValidationResult, validate
 from carosac_toolkit.validation.findings import conclusions
 from carosac_toolkit.validation.report import Context, free_folder, write_report
@@ -130,7 +128,7 @@ def _print(
     context: Context, recording: Recording, result: ValidationResult, said: list[str]
 ) -> None:
     """Print warnings, tables and what they say, within the width of the terminal."""
-    width = max(80, shutil.get_terminal_size().columns)
+    width = terminal_width()
     rate = recording.rates["unstrained_length"]
     at = f" at {rate:.3g} Hz" if rate else ""
     lines = [
@@ -140,21 +138,13 @@ def _print(
         f"robot {result.robot.name}" + (f" ({context.guess})" if context.guess else ""),
         recording.metadata.description.split(". ")[0].rstrip(".") + ".",
     ]
-    print("\n".join(_wrapped(line, width) for line in lines if line != "."))
+    print("\n".join(wrapped(line, width) for line in lines if line != "."))
     if result.warnings:
         print()
     for line in result.warnings:
-        print(_wrapped(line, width, "WARNING: "))
-    print("\n" + _wrapped(part_units(result), width), end="\n\n")
+        print(wrapped(line, width, "WARNING: "))
+    print("\n" + wrapped(part_units(result), width), end="\n\n")
     print(fit(PART_HEADER, part_rows(result), PART_GROUPS, width), end="\n\n")
     print(fit(CAUSE_HEADER, cause_rows(result), CAUSE_GROUPS, width), end="\n\n")
     for line in said:
-        print(_wrapped(line, width, "* "))
-
-
-def _wrapped(text: str, width: int, start: str = "") -> str:
-    """Break a sentence into lines; paths and names stay whole."""
-    return textwrap.fill(
-        text, width, initial_indent=start, subsequent_indent=" " * len(start),
-        break_long_words=False, break_on_hyphens=False,
-    )  # fmt: skip
+        print(wrapped(line, width, "* "))

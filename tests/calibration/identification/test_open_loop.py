@@ -32,7 +32,7 @@ def swinging(robot):
 
 
 def moved(robots, recording, time):
-    return simulate(robots, LengthPath(recording), 0.0, time, time_step=1.0 / 140.0)
+    return simulate(robots, LengthPath(recording), time, time_step=1.0 / 140.0)
 
 
 def test_smoothing_takes_noise_and_leaves_motion(swinging):
