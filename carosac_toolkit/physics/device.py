@@ -87,6 +87,12 @@ class Buffers:
         self._launches: dict[str, Any] = {}
         self.length_scale = 1.0  # typical cable length of the robot [m]
 
+    def add(self, name: str, array: wp.array) -> None:
+        """Take over an array that somebody else has made."""
+        self._arrays[name] = array
+        if wp.get_device(self.device).is_cpu:
+            self._views[name] = array.numpy()
+
     @property
     def launched(self) -> bool:
         """Whether any kernel has run on these buffers."""

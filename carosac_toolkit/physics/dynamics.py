@@ -104,7 +104,11 @@ class Advance:
 
 
 class NodelessDynamics:
-    """B worlds with cables that have no nodes. See `carosac_toolkit.physics.worlds`."""
+    """B worlds with cables that have no nodes. See `carosac_toolkit.physics.worlds`.
+
+    Attributes:
+        hung: `Hung` struct.
+    """
 
     def __init__(
         self,
@@ -137,21 +141,21 @@ class NodelessDynamics:
         hung.inverse = wp.zeros((size, n), dtype=wp.mat33d, device=device)
         hung.tension = wp.zeros((size, n), dtype=wp.float64, device=device)
         hung.drag = drag
-        self._hung = hung
+        self.hung = hung
         before = [plants, worlds, hung, self._model]
         self.advance = Advance(dynamics_kernels.advance, size, before, [], device)
 
     @property
     def arrays(self) -> dict[str, wp.array]:
         """What a world needs to go on, beside its `Worlds`."""
-        return {"q": self._hung.q}
+        return {"q": self.hung.q}
 
     def place(self, which: NDArray[np.int32], rest: Equilibrium, twist: Array) -> None:
         """Put worlds at equilibria with a twist; see `place_worlds`."""
         rows = place_worlds(self._plants, self._worlds, which, rest, twist, self._device)
         q = wp.array(rest.exit_tension, dtype=wp.vec3d, device=self._device)
         wp.launch(
-            dynamics_kernels.place_hung, len(which), inputs=[rows, q, self._hung],
+            dynamics_kernels.place_hung, len(which), inputs=[rows, q, self.hung],
             device=self._device,
         )  # fmt: skip
 
@@ -162,7 +166,7 @@ class NodelessDynamics:
         if self._model == 0:
             warp_setup.load(catenary_kernels, self._device)
             kernel = catenary_kernels.cable_points
-            inputs = [self._plants.cables, self._worlds.unstrained_length, self._hung.q, found]
+            inputs = [self._plants.cables, self._worlds.unstrained_length, self.hung.q, found]
         else:
             kernel = dynamics_kernels.straight_points
             inputs = [self._plants, self._worlds, found]

@@ -10,10 +10,13 @@ import warp as wp
 
 from carosac_toolkit.physics.body_kernels import (
     SMOOTH,
+    Gusts,
     Motion,
+    Newton,
     RigidBody,
     Scheme,
     System,
+    at_rest,
     attach,
     blow,
     finish,
@@ -23,10 +26,20 @@ from carosac_toolkit.physics.body_kernels import (
     rate_felt,
     scheme_of,
     solve_system,
+    world_inertia,
 )
-from carosac_toolkit.physics.cable_kernels import ONE, ZERO, Cable, density_of, guess_cable, settle
+from carosac_toolkit.physics.cable_kernels import (
+    ONE,
+    ZERO,
+    Cable,
+    density_of,
+    guess_cable,
+    settle,
+    vec6d,
+)
 from carosac_toolkit.physics.platform_kernels import cable_stiffness
 from carosac_toolkit.physics.straight_line_kernels import straight_cable
+from carosac_toolkit.physics.winch_kernels import WinchState
 from carosac_toolkit.physics.world_kernels import (
     LIMIT,
     STEP,
@@ -51,6 +64,8 @@ TIGHT = wp.constant(wp.float64(1.0e-12))
 NEAR = wp.constant(wp.float64(0.3))  # of q: a larger correction is not of first order any more
 GAP = wp.constant(wp.float64(1.0e-5))  # [m] a larger closure asks for another step
 SAGGING = wp.constant(0)
+INSTANT = wp.constant(wp.float64(1.0e-6))  # [s] in which nothing moves
+CLOSED = wp.constant(3)  # evaluations after which free cables are closed
 
 
 @wp.struct
@@ -278,6 +293,73 @@ def advance(plants: Plants, worlds: Worlds, hung: Hung, model: int, follow: int,
         if taken == 0 or worlds.failed[b] == 1:
             turn_back(worlds, b, 0, 1)
         clock = clock_after(clock, taken)
+    publish(plants, worlds, b, row, 0, 1)
+
+
+@wp.struct
+class Freed:
+    """Where worlds are let go: any state, whether it is one of rest or not."""
+
+    position: wp.array(dtype=wp.vec3d)  # platform origin in W [m]
+    rotation: wp.array(dtype=wp.mat33d)
+    twist: wp.array(dtype=vec6d)  # of the platform origin in W
+    force: wp.array(dtype=wp.vec3d)  # on the centre of mass, held from now on [N]
+    unstrained_length: wp.array2d(dtype=wp.float64)  # [m]
+    rate: wp.array2d(dtype=wp.float64)  # of the lengths [m/s]
+
+
+@wp.kernel
+def release(plants: Plants, worlds: Worlds, hung: Hung, freed: Freed, model: int, h: wp.float64):
+    """Let worlds go with the acceleration that their forces give; steps of `h` are to follow.
+
+    With that acceleration the first step needs no past, and is of second order like all others. It
+    is found by one Euler step of a microsecond.
+    """
+    b = wp.tid()
+    row = wp.min(b, plants.bodies.shape[0] - 1)
+    body = plants.bodies[row]
+    twist = freed.twist[b]
+    omega = wp.vec3d(twist[3], twist[4], twist[5])
+    start = at_rest(
+        body, freed.position[b], freed.rotation[b], wp.vec3d(twist[0], twist[1], twist[2]), omega
+    )
+    gusts = Gusts()
+    gusts.force = freed.force[b]
+    worlds.gusts[b] = gusts
+    worlds.time[b] = ZERO
+    worlds.last[b] = h
+    worlds.rough[b] = 0
+    worlds.failed[b] = 0
+    for i in range(worlds.winch.shape[1]):
+        winch = WinchState()
+        winch.length = freed.unstrained_length[b, i]
+        winch.rate = freed.rate[b, i]
+        worlds.winch[b, i] = winch
+        arm = start.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
+        worlds.anchor_velocity[b, i] = start.velocity + wp.cross(omega, arm)
+        worlds.anchor_rate[b, i] = wp.vec3d()
+    scheme = scheme_of(INSTANT, ZERO, True, SMOOTH)
+    trial = moved(start, scheme, start.velocity, omega)
+    newton = Newton()
+    for _ in range(CLOSED):  # the first times close the cables
+        system = inertial_system(body, start, trial, scheme, gusts.force)
+        loaded = load_anchors(plants, worlds, hung, b, row, model, body, trial, system, scheme)
+        newton = solve_system(loaded.system)
+    start.velocity_rate = newton.move / (scheme.reach * INSTANT)
+    start.angular_rate = newton.turn / (scheme.reach * INSTANT)
+    jw = world_inertia(body, start.rotation)
+    start.spin_rate = jw * start.angular_rate + wp.cross(omega, start.spin)
+    start.acceleration = start.velocity_rate
+    start.angular_acceleration = start.angular_rate
+    worlds.motion[b] = start
+    for i in range(worlds.winch.shape[1]):
+        arm = start.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
+        worlds.anchor_rate[b, i] = (
+            start.velocity_rate
+            + wp.cross(start.angular_rate, arm)
+            + wp.cross(omega, wp.cross(omega, arm))
+        )
+        worlds.tension[b, i] = hung.tension[b, i]
     publish(plants, worlds, b, row, 0, 1)
 
 

@@ -1,0 +1,155 @@
+"""The estimator `dynamic_estimator`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
+from baselines.dynamic_estimator.state import FilterState
+from baselines.dynamic_estimator.track import Track, Tracker
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.consistency import Innovations
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Belief, Command, Measurement
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DynamicRecord:
+    """Memory of a belief of `DynamicEstimator`.
+
+    Attributes:
+        converged: Whether the belief's pose is that of the filter, shape (B,). Where it is False,
+            the filter does not stand anywhere, and the pose is the last one, or home.
+        innovations: What IMU and poses said against the filter since the last belief.
+        updates: Measurements since the last reset, the first one included.
+        restarts: How often the platform was hung anew on measured lengths, shape (B,).
+        outliers: Length readings that were not believed, shape (B,).
+        tracks: State of the filter of each robot.
+    """
+
+    converged: NDArray[np.bool_]
+    innovations: Innovations
+    updates: int
+    restarts: NDArray[np.int64]
+    outliers: NDArray[np.int64]
+    tracks: tuple[Track, ...]
+
+
+class DynamicEstimator:
+    """Platform dynamics driven by the measured lengths, in an extended Kalman filter.
+
+    Lengths alone give an open-loop simulation that starts at rest: sway is in it, as it follows
+    from how the cables were wound. IMU and poses correct it where the suite has them. States beside
+    pose and twist are the wind, mass and centre of mass, biases of the length readings and of the
+    IMU. Lengths count when they were read; the belief is of the time of the measurement, to which
+    the last of them are extrapolated.
+    """
+
+    Settings: ClassVar = DynamicEstimatorSettings
+
+    def __init__(self, robot: Robot, settings: DynamicEstimatorSettings) -> None:
+        self._robot = robot
+        self._tracker = Tracker(robot, settings)
+        self._noise = (settings.stretch_noise, settings.rate_noise)
+
+    @classmethod
+    def build(
+        cls, robot: Robot, settings: DynamicEstimatorSettings | None = None, *, seed: int = 0
+    ) -> DynamicEstimator:
+        """Make one for the nominal robot; it draws no random numbers, so `seed` has no effect."""
+        return cls(robot, settings or DynamicEstimatorSettings())
+
+    def reset(self, measurement: Measurement) -> Belief:
+        """Hang the platforms at rest on the first lengths."""
+        self._check(measurement, len(measurement.unstrained_length))
+        size = len(measurement.unstrained_length)
+        self._tracker.forget()
+        tracks = tuple(self._tracker.start(measurement, row) for row in range(size))
+        home = Belief(
+            time=measurement.time,
+            position=np.tile(self._robot.home_position, (size, 1)),
+            rotation=np.tile(self._robot.home_rotation, (size, 1, 1)),
+        )
+        return _belief(measurement, tracks, home, 1, self._noise)
+
+    def update(self, belief: Belief, command: Command, measurement: Measurement) -> Belief:
+        """Move the filter to the time of a measurement; the command is not used.
+
+        Raises:
+            InvalidField: Another number of robots or cables than at the reset, or a measurement
+                that is not later than the last one.
+        """
+        record: DynamicRecord = belief.memory
+        self._check(measurement, len(record.tracks))
+        late = ~(measurement.time > belief.time)
+        if late.any():
+            row = int(np.argmax(late))
+            got = f"{measurement.time[row]} s after {belief.time[row]} s"
+            raise InvalidField(f"measurement.time[{row}]", got, "later than the last one")
+        tracks = tuple(
+            self._tracker.advance(track, measurement, row)
+            for row, track in enumerate(record.tracks)
+        )
+        return _belief(measurement, tracks, belief, record.updates + 1, self._noise)
+
+    def _check(self, measurement: Measurement, size: int) -> None:
+        """Refuse another robot, and lengths that are none."""
+        lengths = measurement.unstrained_length
+        if lengths.shape != (size, self._robot.n):
+            allowed = f"shape ({size}, {self._robot.n})"
+            raise InvalidField("unstrained_length", f"shape {lengths.shape}", allowed)
+        if (lengths <= 0.0).any():
+            raise InvalidField("unstrained_length", f"{lengths.min()} m", "> 0 m")
+
+
+def _belief(
+    measurement: Measurement,
+    tracks: tuple[Track, ...],
+    before: Belief,
+    updates: int,
+    noise: tuple[float, float],
+) -> Belief:
+    """What the filters believe; where one stands nowhere, what was believed before."""
+    now = [track.now for track in tracks]
+    good = np.array([state is not None for state in now])
+    record = DynamicRecord(
+        converged=good,
+        innovations=Innovations(
+            squares=np.array([track.tally.squares for track in tracks]),
+            dof=np.array([float(track.tally.dof) for track in tracks]),
+            rejected=np.array([float(track.tally.disturbed) for track in tracks]),
+        ),
+        updates=updates,
+        restarts=np.array([track.restarts for track in tracks]),
+        outliers=np.array([track.readings.rejected for track in tracks]),
+        tracks=tracks,
+    )
+    known = [state for state in now if state is not None]
+    if len(known) < len(now):
+        return replace(
+            before, time=measurement.time, memory=record,
+            position=_kept(now, "position", before.position),
+            rotation=_kept(now, "rotation", before.rotation),
+            twist=None, covariance=None, tension=None,
+        )  # fmt: skip
+    return Belief(
+        time=measurement.time,
+        position=np.stack([state.position for state in known]),
+        rotation=np.stack([state.rotation for state in known]),
+        twist=np.stack([state.twist for state in known]),
+        covariance=np.stack([state.platform_covariance(*noise) for state in known]),
+        tension=np.stack([state.tension for state in known]),
+        memory=record,
+    )
+
+
+def _kept(now: list[FilterState | None], name: str, before: Array) -> Array:
+    """A field of the states that there are, and what was believed before of the others."""
+    return np.stack([
+        before[row] if state is None else getattr(state, name) for row, state in enumerate(now)
+    ])  # fmt: skip

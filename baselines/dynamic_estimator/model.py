@@ -1,0 +1,189 @@
+"""The motion of the estimate and, by differences, what becomes of its errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
+from baselines.dynamic_estimator.state import Errors, FilterState
+from baselines.dynamic_estimator.sway import sway_at
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.physics.propagation import Arrived, Motions, Propagation
+from carosac_toolkit.robot import Robot
+
+STEP = 1e-4  # [m] and [m/s] of the centre of mass, for differences
+WIND_STEP = 1e-2  # [N]
+MASS_STEP = 1e-4
+LENGTH_STEP = 1e-5  # [m], also of the centre of mass in P
+
+
+class NoMotion(CarosacError):
+    """The dynamics have no finite motion from where the estimate stands."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Transition:
+    """A step of the estimate, to first order in the errors at its start, k of which move it.
+
+    Attributes:
+        state: At the end; covariance as at the start.
+        sway: Errors of sway and its speed at the end per error, shape (2 m, k).
+        felt: What an IMU without bias would read: angular rate [rad/s], specific force [m/s^2] in
+            its axes, shape (6,).
+        felt_by: Its change per error, shape (6, k).
+        pulled: What it would read more per tension of a cable, shape (6, n).
+        stretched: What it would read more per rate at which a cable gets shorter, shape (6, n).
+    """
+
+    state: FilterState
+    sway: Array
+    felt: Array
+    felt_by: Array
+    pulled: Array
+    stretched: Array
+
+
+class Model:
+    """The dynamics of one robot, for one estimate and its neighbours.
+
+    The stretch of the cables is damped more than it is in truth: its vibrations are not of
+    interest, and the noise of the readings would excite them.
+    """
+
+    def __init__(self, robot: Robot, settings: DynamicEstimatorSettings) -> None:
+        """Allocate for a robot of n cables."""
+        import pinocchio
+
+        self.robot = robot
+        self.errors = Errors(robot.n)
+        where = self.errors
+        steps = np.full(where.moving, STEP * np.sqrt(robot.mass))
+        steps[where.wind], steps[where.mass] = WIND_STEP, MASS_STEP
+        steps[where.center] = steps[where.bias] = LENGTH_STEP
+        self._steps = steps
+        damping = robot.axial_damping + robot.axial_stiffness * settings.stretch_damping
+        self._propagation = Propagation(
+            replace(robot, axial_damping=damping), 1 + where.moving, time_step=settings.time_step
+        )
+        self._lever = np.array(settings.imu_position)
+        self._mount = pinocchio.exp3(np.array(settings.imu_rotation))
+
+    def forget(self) -> None:
+        """Be as new."""
+        self._propagation.forget()
+
+    def step(self, state: FilterState, reading: Array, end: Array, duration: float) -> Transition:
+        """Move the estimate and its neighbours while the readings go straight to others.
+
+        Args:
+            state: At the start.
+            reading: Length readings at the start [m], shape (n,).
+            end: Length readings at the end [m], shape (n,).
+            duration: [s].
+
+        Raises:
+            NoMotion: A time step had no finite solution.
+        """
+        where, steps = self.errors, self._steps[:, None]
+        start, mass, center, bias = self._neighbours(state)
+        self._propagation.load(mass, center)
+        found = self._propagation.run(start, reading - bias, end - bias, duration)
+        if found.failed.any():
+            raise NoMotion(f"no finite motion after {state.time:.3f} s")
+        pose = np.hstack([
+            found.position[1:] - found.position[0],
+            _small_turns(found.rotation[1:] @ found.rotation[0].T),
+        ])  # fmt: skip
+        arrived = self._arrived(state, found, end - bias[0], duration)
+        pose[where.bias] -= steps[where.bias] * arrived.sway.slaved.T
+        moved = np.hstack([pose, found.twist[1:] - found.twist[0]]) / steps
+        out = arrived.sway.momentum
+        felt = self._felt(found)
+        return Transition(
+            state=arrived,
+            sway=np.vstack([out @ moved[:, :6].T, out @ moved[:, 6:].T]),
+            felt=felt[0],
+            felt_by=((felt[1:] - felt[0]) / steps).T,
+            pulled=self._pulled(arrived),
+            stretched=self._stretched(arrived),
+        )
+
+    def _neighbours(self, state: FilterState) -> tuple[Motions, Array, Array, Array]:
+        """The estimate, then one with each error: motions, masses, centres and length biases."""
+        where = self.errors
+        size = 1 + where.moving
+        change = np.zeros((size, where.moving))
+        change[1:] = np.diag(self._steps)
+        sway = state.sway
+        pose = change[:, where.sway] @ sway.ways.T + change[:, where.bias] @ sway.slaved.T
+        start = Motions(
+            position=state.position + pose[:, :3],
+            rotation=_turns(pose[:, 3:]) @ state.rotation,
+            twist=state.twist + change[:, where.speed] @ sway.ways.T,
+            force=np.hstack([state.wind + change[:, where.wind], np.zeros((size, 1))]),
+        )
+        mass = self.robot.mass * np.exp(state.log_mass + change[:, where.mass.start])
+        bias = state.length_bias + change[:, where.bias]
+        return start, mass, state.center + change[:, where.center], bias
+
+    def _arrived(
+        self, state: FilterState, found: Arrived, length: Array, duration: float
+    ) -> FilterState:
+        """The estimate moved on."""
+        return replace(
+            state,
+            time=state.time + duration,
+            position=found.position[0],
+            rotation=found.rotation[0],
+            twist=found.twist[0],
+            tension=found.tension[0],
+            sway=sway_at(self.robot, found.position[0], found.rotation[0], length),
+        )
+
+    def _felt(self, found: Arrived) -> Array:
+        """What an IMU without bias would read, shape (B, 6)."""
+        omega, alpha = found.twist[:, 3:], found.acceleration[:, 3:]
+        arm = found.rotation @ self._lever
+        force = found.acceleration[:, :3] + np.array([0.0, 0.0, self.robot.gravity])
+        if self._lever.any():
+            force = force + np.cross(alpha, arm) + np.cross(omega, np.cross(omega, arm))
+        axes = found.rotation @ self._mount  # of the IMU in W
+        return np.hstack([
+            np.einsum("bji,bj->bi", axes, omega), np.einsum("bji,bj->bi", axes, force)
+        ])  # fmt: skip
+
+    def _pulled(self, state: FilterState) -> Array:
+        """What an IMU reads more per tension, shape (6, n)."""
+        pulls = state.sway.pulls
+        arm = state.rotation @ self._lever
+        force = pulls[:3]
+        if self._lever.any():
+            force = force + np.cross(pulls[3:], arm, axisa=0, axisc=0)
+        return np.vstack([np.zeros_like(force), (state.rotation @ self._mount).T @ force])
+
+    def _stretched(self, state: FilterState) -> Array:
+        """What an IMU reads more per rate of stretch, shape (6, n)."""
+        turn = state.sway.slaved[3:]
+        return np.vstack([(state.rotation @ self._mount).T @ turn, np.zeros_like(turn)])
+
+
+def _small_turns(rotation: Array) -> Array:
+    """Rotation vectors of tiny rotations (B, 3, 3) [rad], shape (B, 3)."""
+    return 0.5 * np.stack(
+        [
+            rotation[:, 2, 1] - rotation[:, 1, 2],
+            rotation[:, 0, 2] - rotation[:, 2, 0],
+            rotation[:, 1, 0] - rotation[:, 0, 1],
+        ],
+        axis=1,
+    )
+
+
+def _turns(vectors: Array) -> Array:
+    """Rotations by rotation vectors (B, 3) [rad], shape (B, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(vectors).as_matrix())

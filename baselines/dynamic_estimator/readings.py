@@ -1,0 +1,76 @@
+"""Length readings in time: between them straight, after the last one for a while as before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+
+SHORTEST = 1e-6  # [s] between two readings
+AHEAD = 0.1  # [s] for which the last rate goes on
+PATIENCE = 5  # readings in a row that cannot all be outliers
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Readings:
+    """The last length readings of one robot.
+
+    Attributes:
+        time: When they count, increasing [s], shape (K,).
+        length: What they say [m], shape (K, n).
+        outliers: Readings in a row, up to the last one, that were not believed.
+        rejected: Readings that were not believed since the start.
+    """
+
+    time: Array
+    length: Array
+    outliers: int = 0
+    rejected: int = 0
+
+    def taken(self, time: float, length: Array, speed: Array, jump: float, keep: float) -> Readings:
+        """With one more reading, if it is one, and can be true.
+
+        Args:
+            time: When it counts [s]; one that is not later than the last says nothing new.
+            length: [m], shape (n,).
+            speed: Largest speed of the winches [m/s], shape (n,).
+            jump: Distance beyond what winches can do from which a reading is an outlier [m].
+            keep: Time from which on earlier readings are needed [s].
+        """
+        step = time - self.time[-1]
+        if step < SHORTEST:
+            return self
+        far = np.abs(length - self.length[-1]) > speed * step + jump
+        if far.any() and self.outliers + 1 < PATIENCE:
+            return replace(self, outliers=self.outliers + 1, rejected=self.rejected + 1)
+        first = max(0, int(np.searchsorted(self.time, keep, side="right")) - 2)
+        return replace(
+            self,
+            time=np.append(self.time[first:], time),
+            length=np.vstack([self.length[first:], length]),
+            outliers=0,
+        )
+
+    def at(self, time: float) -> Array:
+        """Reading at a time [m], shape (n,)."""
+        last = self.time[-1]
+        if time > last and len(self.time) > 1:
+            rate = (self.length[-1] - self.length[-2]) / (last - self.time[-2])
+            return np.asarray(self.length[-1] + min(time - last, AHEAD) * rate)
+        k = int(np.clip(np.searchsorted(self.time, time), 1, max(1, len(self.time) - 1)))
+        if len(self.time) == 1 or time <= self.time[0]:
+            return np.asarray(self.length[0])
+        share = (time - self.time[k - 1]) / (self.time[k] - self.time[k - 1])
+        return np.asarray(self.length[k - 1] + share * (self.length[k] - self.length[k - 1]))
+
+    def knots(self, start: float, end: float, short: float) -> list[float]:
+        """Times at which the path bends between two others [s], the end included.
+
+        Where those are no farther apart than `short` [s], the bend is lost in the noise.
+        """
+        if end - start <= short:
+            return [end]
+        inside = self.time[(self.time > start + SHORTEST) & (self.time < end - SHORTEST)]
+        return [*inside.tolist(), end]

@@ -1,0 +1,108 @@
+"""What the dynamic estimator takes for granted: how wrong everything may be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from carosac_toolkit.errors import InvalidField
+
+Mount = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DynamicEstimatorSettings:
+    """Settings of `DynamicEstimator`; one standard deviation where something is random.
+
+    The defaults are those of the condition ``nominal-1`` and its sensors. 0 takes a quantity as
+    known.
+
+    Attributes:
+        mass: Logarithm of the platform's mass over that of the robot file.
+        center_of_mass: Per axis [m].
+        length_bias: What a length reading says too much at the start, per cable: encoder bias,
+            and errors of exit points along the cable [m].
+        length_bias_walk: By how much that changes, where the platform moves through the workspace
+            and exit points are wrong across the cable too [m/sqrt(s)].
+        stretch_noise: Of the lengths between readings and platform: noise of the readings, and
+            vibrations of the stretch, which the model does not follow [m].
+        rate_noise: Of the rates of these lengths [m/s].
+        wind_force: Force of the wind on the platform per horizontal axis [N].
+        wind_time: Its correlation time [s].
+        start_speed: Speed at the start: each mode has the energy of the platform at it [m/s].
+        acceleration_noise: Density of accelerations that the model does not know, along the ways
+            to sway [m/s^2/sqrt(Hz)].
+        stretch_damping: Time constant by which the stretch of the cables is damped in the model,
+            beyond the damping of the robot [s].
+        tension_noise: Of the tensions that the model predicts, over the weight of the platform: how
+            little the accelerometer says along the cables.
+        vibration: Of the specific force, which the model does not know [m/s^2].
+        angular_vibration: Of the angular rate, which the model does not know [rad/s].
+        angular_rate_noise: Of each IMU sample [rad/s].
+        angular_rate_bias: Constant [rad/s].
+        specific_force_noise: Of each IMU sample [m/s^2].
+        specific_force_bias: Constant [m/s^2].
+        imu_position: Where the IMU is, in P [m].
+        imu_rotation: Rotation vector from the axes of the IMU to P [rad].
+        position_noise: Of measured poses, per axis [m].
+        rotation_noise: Of measured poses, per axis [rad].
+        gate: Normalised innovation squared, over its degrees of freedom, beyond which a
+            measurement counts as disturbed: its noise is then taken as so large that it is just
+            within.
+        reading_jump: Distance from what the last readings led to expect, beyond what a winch can
+            do, from which a length reading is taken as an outlier [m].
+        delay: By how much lengths lead poses [s]; None: what the robot says,
+            `Robot.length_delay`.
+        time_step: Longest time step of the dynamics [s].
+        gap_max: Time between two measurements beyond which the platform is hung anew [s].
+    """
+
+    mass: float = 0.03
+    center_of_mass: float = 0.01
+    length_bias: float = 7e-3
+    length_bias_walk: float = 1e-3
+    stretch_noise: float = 1e-3
+    rate_noise: float = 0.06
+    wind_force: float = 1.0
+    wind_time: float = 2.0
+    start_speed: float = 0.02
+    acceleration_noise: float = 0.01
+    stretch_damping: float = 0.04
+    tension_noise: float = 0.4
+    vibration: float = 0.2
+    angular_vibration: float = 0.02
+    angular_rate_noise: float = 3.5e-3
+    angular_rate_bias: float = 5e-3
+    specific_force_noise: float = 0.017
+    specific_force_bias: float = 0.05
+    imu_position: Mount = (0.0, 0.0, 0.0)
+    imu_rotation: Mount = (0.0, 0.0, 0.0)
+    position_noise: float = 1e-3
+    rotation_noise: float = 0.5e-3
+    gate: float = 6.0
+    reading_jump: float = 0.1
+    delay: float | None = None
+    time_step: float = 0.01
+    gap_max: float = 60.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no sense."""
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.name in ("imu_position", "imu_rotation"):
+                if len(value) != 3 or not np.isfinite(value).all():
+                    raise InvalidField(item.name, value, "three numbers")
+                continue
+            if item.name == "delay" and value is None:
+                continue
+            low = "> 0" if item.name in _POSITIVE else ">= 0"
+            if not (value > 0.0 or (value == 0.0 and low == ">= 0")) or not np.isfinite(value):
+                raise InvalidField(item.name, value, f"{item.name} {low}, finite")
+
+
+_POSITIVE = (
+    "stretch_noise", "wind_time", "start_speed", "angular_rate_noise", "specific_force_noise",
+    "position_noise", "rotation_noise", "rate_noise", "gate", "reading_jump", "time_step",
+    "gap_max",
+)  # fmt: skip

@@ -1,0 +1,95 @@
+"""Where the filter starts: at rest on the first lengths, and how wrong that may be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
+from baselines.dynamic_estimator.state import Errors, FilterState
+from baselines.dynamic_estimator.sway import Sway, sway_at
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.physics.fleet import Fleet
+from carosac_toolkit.physics.statics import Equilibrium, forward_kinematics
+from carosac_toolkit.robot import Robot
+
+STEPS = (1e-3, 1e-4, 1e-4, 1e-4)  # of the differences: logarithm of the mass, centre of mass [m]
+LENGTH_STEP = 1e-4  # [m]
+
+
+class Rest:
+    """The equilibrium on given lengths, and its derivatives by what is not known."""
+
+    def __init__(self, robot: Robot, settings: DynamicEstimatorSettings) -> None:
+        """Take the robot of n cables."""
+        self._robot = robot
+        self._settings = settings
+        loads = [replace(robot, mass=robot.mass * np.exp(STEPS[0]))]
+        for axis in range(3):
+            center = robot.center_of_mass + STEPS[1 + axis] * np.eye(3)[axis]
+            loads.append(replace(robot, center_of_mass=center))
+        self._fleet = Fleet([robot, *loads, *[robot] * robot.n])
+
+    def state(self, time: float, reading: Array) -> FilterState | None:
+        """The estimate at rest on readings (n,) [m]; None where the robot cannot rest on them."""
+        robot, n = self._robot, self._robot.n
+        lengths = np.tile(reading, (5 + n, 1))
+        lengths[5:] -= LENGTH_STEP * np.eye(n)
+        if not (lengths > 0.0).all():
+            return None
+        alone = forward_kinematics(robot, reading[None])
+        if not (alone.converged & alone.stable).all():
+            return None
+        found = forward_kinematics(self._fleet, lengths, guess=_tiled(alone, 5 + n))
+        if not (found.converged & found.stable).all():
+            return None
+        sway = sway_at(robot, alone.position[0], alone.rotation[0], reading)
+        return FilterState(
+            time=time,
+            position=alone.position[0],
+            rotation=alone.rotation[0],
+            twist=np.zeros(6),
+            wind=np.zeros(2),
+            log_mass=0.0,
+            center=robot.center_of_mass,
+            length_bias=np.zeros(n),
+            imu_bias=np.zeros(6),
+            covariance=self._covariance(alone, sway, self._derivatives(found)),
+            sway=sway,
+            tension=alone.tension[0],
+        )
+
+    def _derivatives(self, found: Equilibrium) -> Array:
+        """Pose (6) per logarithm of mass, centre of mass and length biases, shape (6, 4 + n)."""
+        from scipy.spatial.transform import Rotation
+
+        turn = Rotation.from_matrix(found.rotation[1:] @ found.rotation[0].T).as_rotvec()
+        moved = np.hstack([found.position[1:] - found.position[0], turn])
+        steps = np.array([*STEPS, *[LENGTH_STEP] * self._robot.n])
+        return np.asarray((moved / steps[:, None]).T)
+
+    def _covariance(self, rest: Equilibrium, sway: Sway, by: Array) -> Array:
+        """Of all errors: what is not known moves the rest, about which there is some motion."""
+        s, where = self._settings, Errors(self._robot.n)
+        spread = np.zeros(where.size)
+        spread[where.wind] = s.wind_force
+        spread[where.mass] = s.mass
+        spread[where.center] = s.center_of_mass
+        spread[where.bias] = s.length_bias
+        spread[where.imu] = np.repeat([s.angular_rate_bias, s.specific_force_bias], 3)
+        carry = np.eye(where.size)
+        free = np.array(by)
+        free[:, 4:] -= sway.slaved
+        carry[where.sway, where.mass.start : where.bias.stop] = sway.momentum @ free
+        matrix = carry @ np.diag(spread**2) @ carry.T
+        energy = self._robot.mass * s.start_speed**2
+        stiffness = sway.ways.T @ rest.stiffness[0] @ sway.ways
+        matrix[where.sway, where.sway] += energy * np.linalg.inv(stiffness)
+        matrix[where.speed, where.speed] += energy * np.eye(where.m)
+        return np.asarray(0.5 * (matrix + matrix.T))
+
+
+def _tiled(rest: Equilibrium, size: int) -> Equilibrium:
+    """The same equilibrium several times."""
+    return Equilibrium(**{k: np.repeat(v, size, axis=0) for k, v in vars(rest).items()})

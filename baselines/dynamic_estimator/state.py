@@ -1,0 +1,127 @@
+"""What the filter knows about one robot, and the order of its errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from baselines.dynamic_estimator.sway import Sway
+from carosac_toolkit.arrays import Array
+
+
+class Errors:
+    """The order of errors, truth minus estimate, of a robot of n cables with m ways to sway.
+
+    Attributes:
+        sway: Along the ways to sway, in `Sway` coordinates, m of them [m kg^0.5].
+        speed: Their rates [m kg^0.5/s].
+        wind: Force along x and y of W [N].
+        mass: Logarithm of the platform's mass.
+        center: Centre of mass in P [m].
+        bias: What the length readings say too much, n of them [m].
+        imu: Biases of gyroscope [rad/s] and accelerometer [m/s^2].
+        moving: How many errors change the motion: all before `imu`.
+        size: All of them.
+    """
+
+    def __init__(self, n: int) -> None:
+        """For n cables."""
+        m = max(0, 6 - n)
+        self.m, self.n = m, n
+        self.sway = slice(0, m)
+        self.speed = slice(m, 2 * m)
+        self.wind = slice(2 * m, 2 * m + 2)
+        self.mass = slice(2 * m + 2, 2 * m + 3)
+        self.center = slice(2 * m + 3, 2 * m + 6)
+        self.bias = slice(2 * m + 6, 2 * m + 6 + n)
+        self.moving = 2 * m + 6 + n
+        self.imu = slice(self.moving, self.moving + 6)
+        self.size = self.moving + 6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FilterState:
+    """Estimate of one robot at one time; no batch.
+
+    Attributes:
+        time: [s].
+        position: Platform origin in W [m], shape (3,).
+        rotation: From P to W, shape (3, 3).
+        twist: Of the platform origin in W, linear first, shape (6,).
+        wind: Force of the wind along x and y [N], shape (2,).
+        log_mass: Logarithm of the mass over that of the robot file.
+        center: Centre of mass in P [m], shape (3,).
+        length_bias: What the readings say too much [m], shape (n,).
+        imu_bias: Of gyroscope [rad/s] and accelerometer [m/s^2], shape (6,).
+        covariance: In the order of `Errors`.
+        sway: The coordinates that it refers to.
+        tension: At the platform [N], shape (n,).
+    """
+
+    time: float
+    position: Array
+    rotation: Array
+    twist: Array
+    wind: Array
+    log_mass: float
+    center: Array
+    length_bias: Array
+    imu_bias: Array
+    covariance: Array
+    sway: Sway
+    tension: Array
+
+    @property
+    def errors(self) -> Errors:
+        """The order of its errors."""
+        return Errors(len(self.length_bias))
+
+    def pose_by(self) -> Array:
+        """Error of the pose per error, shape (6, size): cables leave no other."""
+        where = self.errors
+        by = np.zeros((6, where.size))
+        by[:, where.sway] = self.sway.ways
+        by[:, where.bias] = self.sway.slaved
+        return by
+
+    def corrected(self, error: Array, covariance: Array) -> FilterState:
+        """The state after an error was estimated, which is then zero.
+
+        Args:
+            error: Truth minus estimate, in the order of `Errors`.
+            covariance: Of what is left of it.
+        """
+        import pinocchio
+
+        where = self.errors
+        moved = self.pose_by() @ error
+        return replace(
+            self,
+            position=self.position + moved[:3],
+            rotation=pinocchio.exp3(np.ascontiguousarray(moved[3:])) @ self.rotation,
+            twist=self.twist + self.sway.ways @ error[where.speed],
+            wind=self.wind + error[where.wind],
+            log_mass=self.log_mass + float(error[where.mass][0]),
+            center=self.center + error[where.center],
+            length_bias=self.length_bias + error[where.bias],
+            imu_bias=self.imu_bias + error[where.imu],
+            covariance=0.5 * (covariance + covariance.T),
+        )
+
+    def platform_covariance(self, reading: float, speed: float) -> Array:
+        """Covariance of pose and twist, as of a `Belief`, shape (12, 12).
+
+        Args:
+            reading: Error of the lengths themselves, beside their biases [m].
+            speed: Error of their rates, with what the cables vibrate by [m/s].
+        """
+        where = self.errors
+        by = np.zeros((12, where.size))
+        by[:6] = self.pose_by()
+        by[6:, where.speed] = self.sway.ways
+        found = by @ self.covariance @ by.T
+        rigid = self.sway.slaved @ self.sway.slaved.T
+        found[:6, :6] += reading**2 * rigid
+        found[6:, 6:] += speed**2 * rigid
+        return np.asarray(found)

@@ -1,0 +1,218 @@
+"""One robot's filter in time: what it has read, where it stands, and what is still to come.
+
+The filter itself stands at the last time for which lengths are known. From there the estimate is
+predicted to now; what an IMU said later than that waits until the lengths have come.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from baselines.dynamic_estimator.filter import Felt, Filter, Tally
+from baselines.dynamic_estimator.model import Model, NoMotion
+from baselines.dynamic_estimator.readings import SHORTEST, Readings
+from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
+from baselines.dynamic_estimator.start import Rest
+from baselines.dynamic_estimator.state import FilterState
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Measurement
+
+SHORT = 2.0  # time steps: a stretch of lengths that may be taken as straight
+ALIKE = 0.6  # of a time step: IMU samples so close together are taken as one
+WAITING = 400  # IMU samples that wait at most
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """What is remembered of one robot.
+
+    Attributes:
+        state: The filter where it stands; None where the platform could not be hung yet.
+        now: The estimate at the time of the measurement, or None.
+        readings: Of the lengths.
+        waiting: IMU samples that are later than the filter: time [s], angular rate [rad/s] and
+            specific force [m/s^2], shape (K, 7).
+        pose_time: When the last pose that was used had been measured [s].
+        tally: What measurements said against the filter since the last belief.
+        restarts: How often the platform was hung anew.
+    """
+
+    state: FilterState | None
+    now: FilterState | None
+    readings: Readings
+    waiting: Array
+    pose_time: float
+    tally: Tally
+    restarts: int
+
+
+class Tracker:
+    """Moves tracks on."""
+
+    def __init__(self, robot: Robot, settings: DynamicEstimatorSettings) -> None:
+        """Take the robot."""
+        self._robot = robot
+        self._settings = settings
+        self._model = Model(robot, settings)
+        self._filter = Filter(self._model, settings)
+        self._rest = Rest(robot, settings)
+        self._short = SHORT * settings.time_step
+        known = robot.length_delay or 0.0
+        self._delay = known if settings.delay is None else settings.delay
+
+    def forget(self) -> None:
+        """Be as new."""
+        self._model.forget()
+
+    def start(self, measurement: Measurement, row: int) -> Track:
+        """Hang the platform on the first lengths."""
+        now = float(measurement.time[row])
+        length = measurement.unstrained_length[row]
+        readings = Readings(time=np.array([self._counts(measurement, row)]), length=length[None])
+        state = self._rest.state(now, length)
+        return Track(
+            state=state, now=state, readings=readings, waiting=np.empty((0, 7)),
+            pose_time=-np.inf, tally=Tally(), restarts=0,
+        )  # fmt: skip
+
+    def advance(self, track: Track, measurement: Measurement, row: int) -> Track:
+        """Move the filter as far as lengths are known, and the estimate to now."""
+        now = float(measurement.time[row])
+        when = self._counts(measurement, row)
+        length = measurement.unstrained_length[row]
+        gap = when - track.readings.time[-1]
+        if track.state is None or gap > self._settings.gap_max:
+            return self._hung_anew(track, measurement, row)
+        keep = min(track.state.time, now)
+        readings = track.readings.taken(
+            when, length, self._robot.speed_max, self._settings.reading_jump, keep
+        )
+        track = replace(track, readings=readings, tally=Tally(),
+                        waiting=_waiting(track.waiting, measurement, row))  # fmt: skip
+        try:
+            return self._moved(track, measurement, row)
+        except (NoMotion, np.linalg.LinAlgError):
+            return self._hung_anew(track, measurement, row)
+
+    def _counts(self, measurement: Measurement, row: int) -> float:
+        """When the newest length reading counts [s]."""
+        stamped = measurement.length_rate
+        when = measurement.time[row] if stamped is None else stamped.time[row]
+        return float(when) + self._delay
+
+    def _hung_anew(self, track: Track, measurement: Measurement, row: int) -> Track:
+        """Start again at rest; what was counted goes on."""
+        fresh = self.start(measurement, row)
+        readings = replace(fresh.readings, rejected=track.readings.rejected)
+        return replace(
+            fresh, readings=readings, restarts=track.restarts + int(fresh.state is not None)
+        )
+
+    def _moved(self, track: Track, measurement: Measurement, row: int) -> Track:
+        """The filter to the last known lengths, then the estimate to now."""
+        now = float(measurement.time[row])
+        known = min(now, float(track.readings.time[-1]))
+        track = self._fused(track, known, measurement, row)
+        state = track.state
+        assert state is not None
+        if now - state.time > SHORTEST:
+            state = self._predicted(state, track.readings, now)
+        return replace(track, now=state)
+
+    def _predicted(self, state: FilterState, readings: Readings, now: float) -> FilterState:
+        """The estimate at a later time than lengths are known of, its covariance included."""
+        for end in readings.knots(state.time, now, self._short):
+            start = state.time
+            state, _ = self._filter.step(state, readings.at(start), readings.at(end), end - start)
+            state = replace(state, time=end)
+        return state
+
+    def _fused(self, track: Track, known: float, measurement: Measurement, row: int) -> Track:
+        """The filter through all that was measured up to a time."""
+        state, tally = track.state, track.tally
+        assert state is not None
+        groups, waiting = _grouped(track.waiting, known, ALIKE * self._settings.time_step)
+        pose_time = _pose_time(measurement, row, track.pose_time)
+        stops = sorted({*groups, *([pose_time] if pose_time is not None else [])})
+        if not stops or known - stops[-1] > self._short:
+            stops.append(known)
+        last = track.pose_time
+        for stop in [t for t in stops if t <= known + SHORTEST]:
+            state, found = self._to(state, track.readings, stop, groups.get(stop))
+            tally = tally + found
+            if stop == pose_time and measurement.pose is not None:
+                position, rotation = _moved_on(
+                    measurement.pose.position[row], measurement.pose.rotation[row], state, stop
+                )
+                state, found = self._filter.pose(state, position, rotation)
+                tally, last = tally + found, stop
+        return replace(track, state=state, waiting=waiting, tally=tally, pose_time=last)
+
+    def _to(
+        self, state: FilterState, readings: Readings, stop: float, group: Array | None
+    ) -> tuple[FilterState, Tally]:
+        """The filter to a time, with the IMU samples (K, 7) there."""
+        tally = Tally()
+        if stop - state.time < SHORTEST:
+            return state, tally
+        for end in readings.knots(state.time, stop, self._short):
+            start = state.time
+            felt = None
+            if group is not None and end == stop:
+                felt = Felt(values=group[:, 1:].mean(axis=0), samples=len(group))
+            state, found = self._filter.step(
+                state, readings.at(start), readings.at(end), end - start, felt
+            )
+            state, tally = replace(state, time=end), tally + found
+        return state, tally
+
+
+def _moved_on(
+    position: Array, rotation: Array, state: FilterState, measured: float
+) -> tuple[Array, Array]:
+    """A pose that was measured before the time of the state [s], moved on with its twist."""
+    import pinocchio
+
+    late = state.time - measured
+    if late < SHORTEST:
+        return position, rotation
+    turn = pinocchio.exp3(late * state.twist[3:])
+    return position + late * state.twist[:3], turn @ rotation
+
+
+def _waiting(waiting: Array, measurement: Measurement, row: int) -> Array:
+    """IMU samples that wait, with the new ones."""
+    imu = measurement.imu
+    if imu is None:
+        return waiting
+    new = np.column_stack([imu.time[row], imu.angular_rate[row], imu.specific_force[row]])
+    return np.vstack([waiting, new])[-WAITING:]
+
+
+def _grouped(samples: Array, known: float, alike: float) -> tuple[dict[float, Array], Array]:
+    """IMU samples up to a time, in groups of which each is taken at its mean time.
+
+    Returns:
+        The groups, and the samples that are later.
+    """
+    ready = samples[samples[:, 0] <= known + SHORTEST]
+    groups: dict[float, Array] = {}
+    first = 0
+    for k in range(1, len(ready) + 1):
+        if k == len(ready) or ready[k, 0] - ready[first, 0] > alike:
+            group = ready[first:k]
+            groups[float(group[:, 0].mean())] = group
+            first = k
+    return groups, samples[len(ready) :]
+
+
+def _pose_time(measurement: Measurement, row: int, last: float) -> float | None:
+    """When a pose was measured that has not been used yet; None where there is none."""
+    pose = measurement.pose
+    if pose is None:
+        return None
+    when = float(measurement.time[row] if pose.time is None else pose.time[row])
+    return when if when > last + SHORTEST else None

@@ -1,0 +1,206 @@
+"""The dynamic estimator against simulated robots whose truth is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import carosac_toolkit as ct
+from baselines.dynamic_estimator import DynamicEstimator, DynamicEstimatorSettings
+from baselines.kinematic_solver import KinematicSolver
+from carosac_toolkit.consistency import band, normalised_square, state_error
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.sensors import PERFECT, SensorSettings
+from carosac_toolkit.values import Command, Measurement
+from sim_warp.driver import SimDriver, SimDriverSettings
+
+KNOWN = dict(mass=0.0, center_of_mass=0.0, length_bias=5e-3, length_bias_walk=0.0)
+PERIOD = 0.02
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return ct.load_robot("carosac")
+
+
+def swing(robot, suite, sensors, *, seed=0, wind=0.0, duration=6.0, lost=None):
+    """Measurements and truths while the platform is thrown into a swing by a quick move."""
+    driver = SimDriver.build(
+        robot,
+        SimDriverSettings(suite=suite, sensors=sensors, cables="catenary", wind_force=wind),
+        seed=seed,
+    )
+    goal = robot.home_position[None] + np.array([0.25, 0.2, 0.1])
+    far = ct.statics.inverse_kinematics(robot, goal).unstrained_length
+    found = []
+    driver.connect()
+    first = driver.measure().unstrained_length
+    near = ct.statics.inverse_kinematics(robot, robot.home_position[None]).unstrained_length
+    for k in range(round(duration / PERIOD)):
+        measurement = driver.measure()
+        if lost is not None and lost[0] <= k * PERIOD < lost[1]:
+            measurement = replace(measurement, imu=None)
+        found.append((measurement, driver.truth()))
+        share = np.clip((k * PERIOD - 0.5) / 1.0, 0.0, 1.0)
+        share = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+        command = first + share * (far - near)
+        driver.command(Command(time=measurement.time, unstrained_length=command))
+        driver.wait(PERIOD)
+    driver.close()
+    return found
+
+
+def believe(estimator, found):
+    """Errors (K, 12) or (K, 6) and beliefs."""
+    beliefs, errors = [], []
+    for measurement, truth in found:
+        command = Command(time=measurement.time, unstrained_length=measurement.unstrained_length)
+        belief = (
+            estimator.update(beliefs[-1], command, measurement)
+            if beliefs
+            else estimator.reset(measurement)
+        )
+        beliefs.append(belief)
+        errors.append(state_error(truth, belief)[0])
+    return np.array(errors), beliefs
+
+
+def rms(errors):
+    return float(np.sqrt((errors[:, :3] ** 2).sum(axis=1).mean()))
+
+
+def test_perfect_lengths_alone_give_the_swing(robot):
+    """The plant is the model: what is left is the time step, and the last 20 ms of lengths."""
+    found = swing(robot, "lengths", PERFECT)
+    own, _ = believe(DynamicEstimator.build(robot), found)
+    solver, _ = believe(KinematicSolver.build(robot), found)
+    assert rms(solver) > 0.04
+    assert rms(own) < 0.1 * rms(solver)
+
+
+def test_noisy_lengths_and_imu_are_better_than_lengths_alone(robot):
+    sensors = SensorSettings()
+    settings = DynamicEstimatorSettings(**KNOWN)
+    wind = dict(seed=3, wind=3.0)
+    alone, _ = believe(
+        DynamicEstimator.build(robot, settings), swing(robot, "lengths", sensors, **wind)
+    )
+    with_imu, _ = believe(
+        DynamicEstimator.build(robot, settings), swing(robot, "lengths+imu", sensors, **wind)
+    )
+    speeds = [
+        float(np.sqrt((errors[:, 6:9] ** 2).sum(axis=1).mean())) for errors in (alone, with_imu)
+    ]
+    assert speeds[1] < 0.7 * speeds[0]
+
+
+def test_nees_is_in_its_band_where_the_model_is_right(robot):
+    settings = DynamicEstimatorSettings(**KNOWN)
+    runs = 3
+    values = []
+    for seed in range(runs):
+        found = swing(robot, "lengths+imu", SensorSettings(), seed=seed, wind=1.0, duration=3.0)
+        errors, beliefs = believe(DynamicEstimator.build(robot, settings), found)
+        values += [
+            normalised_square(error[:6], belief.covariance[0, :6, :6])
+            for error, belief in zip(errors, beliefs, strict=True)
+        ]
+    low, high = band(6, runs)
+    assert low < np.mean(values) < high
+
+
+def test_poses_find_the_biases_of_the_lengths(robot):
+    """Readings that are wrong by centimetres move the platform of a solver, not of this."""
+    biased = replace(PERFECT, encoder_bias=0.02, position_noise=1e-3, rotation_noise=5e-4)
+    found = swing(robot, "lengths+pose", biased, seed=5)
+    estimator = DynamicEstimator.build(robot, DynamicEstimatorSettings(length_bias=0.02))
+    errors, beliefs = believe(estimator, found)
+    assert rms(errors[-50:]) < 3e-3
+    first = found[0][0].unstrained_length
+    near = ct.statics.inverse_kinematics(robot, robot.home_position[None]).unstrained_length
+    bias = beliefs[-1].memory.tracks[0].state.length_bias
+    assert bias == pytest.approx((first - near)[0], abs=4e-3)
+
+
+def test_an_imu_off_centre_and_turned_tells_the_same(robot):
+    """Readings are carried over to where the IMU sits; the estimate must not care."""
+    import pinocchio
+
+    lever, mount = np.array([0.1, -0.2, 0.05]), np.array([0.3, -0.5, 1.0])
+    found = swing(robot, "lengths+imu", replace(PERFECT, imu_rate=100.0), duration=3.0)
+    turn = pinocchio.exp3(mount)
+    moved = []
+    for measurement, truth in found:
+        imu = measurement.imu
+        if imu is not None:
+            rate = imu.angular_rate[0]
+            swept = np.cross(rate, np.cross(rate, lever))  # no angular acceleration is known here
+            force = imu.specific_force[0] + swept
+            imu = replace(
+                imu, angular_rate=(rate @ turn)[None], specific_force=(force @ turn)[None]
+            )
+        moved.append((replace(measurement, imu=imu), truth))
+    common = dict(KNOWN, vibration=0.5)
+    plain, _ = believe(DynamicEstimator.build(robot, DynamicEstimatorSettings(**common)), found)
+    mounted = DynamicEstimatorSettings(
+        **common, imu_position=tuple(lever), imu_rotation=tuple(mount)
+    )
+    other, _ = believe(DynamicEstimator.build(robot, mounted), moved)
+    assert rms(other) < 1.5 * rms(plain) + 2e-3
+
+
+def test_a_lost_imu_is_missed_and_found_again(robot):
+    settings = DynamicEstimatorSettings(**KNOWN)
+    found = swing(robot, "lengths+imu", SensorSettings(), wind=1.0, duration=9.0, lost=(2.0, 5.0))
+    errors, beliefs = believe(DynamicEstimator.build(robot, settings), found)
+    silent = beliefs[round(4.0 / PERIOD)].memory.innovations
+    assert silent.dof[0] == 0
+    assert rms(errors[round(7.0 / PERIOD) :]) < 0.03
+
+
+def test_an_outlier_of_a_length_is_counted_and_not_believed(robot):
+    found = swing(robot, "lengths", PERFECT, duration=2.0)
+    k = 60
+    measurement, truth = found[k]
+    wrong = measurement.unstrained_length + np.array([0.5, 0.0, 0.0, 0.0])
+    found[k] = (replace(measurement, unstrained_length=wrong), truth)
+    errors, beliefs = believe(DynamicEstimator.build(robot), found)
+    assert beliefs[-1].memory.outliers[0] == 1
+    assert np.linalg.norm(errors[:, :3], axis=1).max() < 0.05
+
+
+def test_lengths_that_lead_the_poses_are_waited_for(robot):
+    """A robot whose readings lead by 60 ms: the belief is where the platform is, not will be."""
+    found = swing(robot, "lengths", PERFECT, duration=3.0)
+    early = [
+        (replace(found[k + 3][0], time=measurement.time, length_rate=None), truth)
+        for k, (measurement, truth) in enumerate(found[:-3])
+    ]
+    # A driver's readings come 10 ms late, so three cycles ahead is a lead of 50 ms.
+    lead = replace(robot, length_delay=0.05)
+    honest, _ = believe(DynamicEstimator.build(lead), early)
+    hasty, _ = believe(DynamicEstimator.build(robot), early)
+    assert rms(honest) < 0.3 * rms(hasty)
+
+
+def test_after_a_gap_the_platform_is_hung_anew_and_that_is_counted(robot):
+    rest = ct.statics.inverse_kinematics(robot, robot.home_position[None])
+    lengths = rest.unstrained_length
+    estimator = DynamicEstimator.build(robot)
+    belief = estimator.reset(Measurement(time=np.zeros(1), unstrained_length=lengths))
+    late = Measurement(time=np.full(1, 100.0), unstrained_length=lengths * 1.001)
+    after = estimator.update(
+        belief, Command(time=np.zeros(1), unstrained_length=lengths), late
+    )  # fmt: skip
+    hung = ct.statics.forward_kinematics(robot, lengths * 1.001)
+    assert after.position == pytest.approx(hung.position, abs=1e-6)
+    assert after.memory.restarts[0] == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("length_bias", -1.0), ("wind_time", 0.0), ("gate", np.nan), ("imu_position", (0.0, 1.0))],
+)
+def test_settings_that_make_no_sense_are_refused(name, value):
+    with pytest.raises(InvalidField, match=name):
+        DynamicEstimatorSettings(**{name: value})
