@@ -1,0 +1,125 @@
+r"""Lengths at a pose in motion: sagging cables whose tension follows from the specific force.
+
+The platform's inertia and weight are what its cables exert,
+:math:`\sum_i f_i [u_i; R b_i \times u_i] + d_i = w`, with w from the accelerometer and the
+gyroscope at the centre of mass and :math:`d_i` the half of each cable's own weight, across its
+chord, that hangs on the platform. Least squares over the six equations give the tensions, these
+the sag and stretch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.ks_ekf.filter_state import FilterState, cross
+from baselines.ks_ekf.platform_motion import origin, pose_map
+from baselines.ks_ekf.settings import KsEkfSettings
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.physics.cable_lengths import length_at_tension
+from carosac_toolkit.physics.straight_line import StraightCables, straight_length
+from carosac_toolkit.robot import Robot
+
+TAUT = 2.0  # times its own error: a smaller tension does not say how much the cable sags
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExpectedLengths:
+    """What the state says of the lengths of one robot, without their biases.
+
+    Attributes:
+        length: Unstrained [m], shape (n,); only where `valid`.
+        jacobian: Per error of the state, shape (n, 18 + n), bias included.
+        tension: At the platform [N], shape (n,); not positive where the cable would have to push.
+        valid: Whether the cable is taut, so that its length says something, shape (n,).
+        spread: Standard deviation of the length, as the tension is not known well and the
+            pose may be too far off for lengths to be linear in it [m], shape (n,).
+    """
+
+    length: Array
+    jacobian: Array
+    tension: Array
+    valid: NDArray[np.bool_]
+    spread: Array
+
+
+def expected_lengths(
+    robot: Robot, state: FilterState, turning: Array, settings: KsEkfSettings
+) -> ExpectedLengths:
+    """Expect the lengths of a state.
+
+    Args:
+        robot: Nominal robot, n cables.
+        state: Of the filter, with samples.
+        turning: Angular acceleration in P [rad/s^2], shape (3,).
+        settings: Where the IMU is.
+
+    Returns:
+        Lengths, Jacobian, tensions, and where they count.
+    """
+    where = origin(state, settings.imu_position)[None]
+    straight = straight_length(robot, where, state.rotation[None])
+    matrix = _structure(robot, state.rotation, straight)
+    load = _wrench(robot, state, turning, settings) - _hanging(robot, state.rotation, straight)
+    tension: Array = np.asarray(np.linalg.lstsq(matrix, load, rcond=None)[0], dtype=np.float64)
+    cables = length_at_tension(robot, where, state.rotation[None], tension[None])
+    jacobian = -matrix.T @ pose_map(state, settings.imu_position)
+    jacobian[:, len(jacobian.T) - robot.n :] = np.eye(robot.n)
+    # By the sag, which goes with the inverse square of the tension, and the stretch.
+    doubt = (
+        settings.tension_share * np.abs(tension)
+        + settings.tension_weight * robot.weight_per_length * straight.length[0]
+    )
+    taut = tension > TAUT * doubt
+    less = np.where(taut, tension - doubt, 1.0)
+    bend = _curvature(robot, state, straight, settings)
+    spread = (2.0 * cables.sag[0] + cables.stretch[0]) * doubt / less + bend
+    return ExpectedLengths(
+        length=cables.unstrained_length[0],
+        jacobian=jacobian,
+        tension=tension,
+        spread=spread,
+        valid=cables.valid[0] & taut & straight.valid[0],
+    )
+
+
+def _curvature(
+    robot: Robot, state: FilterState, straight: StraightCables, settings: KsEkfSettings
+) -> Array:
+    """By how much lengths are not linear in the errors of the pose, as these may be [m], (n,)."""
+    mapping = pose_map(state, settings.imu_position)
+    variance = np.diag(mapping @ state.covariance @ mapping.T)
+    arm = np.linalg.norm(robot.anchor_points, axis=1)
+    return np.asarray(0.5 * (variance[3:].sum() * arm + variance[:3].sum() / straight.length[0]))
+
+
+def _structure(robot: Robot, rotation: Array, straight: StraightCables) -> Array:
+    """Structure matrix about the platform origin, shape (6, n)."""
+    unit = -straight.direction[0]
+    arm = robot.anchor_points @ rotation.T
+    return np.concatenate([unit, np.cross(arm, unit)], axis=1).T
+
+
+def _hanging(robot: Robot, rotation: Array, straight: StraightCables) -> Array:
+    """Wrench of the cables' own weight on the platform, across their chords, shape (6,)."""
+    unit = -straight.direction[0]
+    down = np.array([0.0, 0.0, -1.0])
+    across = down - unit * (unit @ down)[:, None]
+    force = 0.5 * (robot.weight_per_length * straight.length[0])[:, None] * across
+    arm = robot.anchor_points @ rotation.T
+    return np.concatenate([force.sum(axis=0), np.cross(arm, force).sum(axis=0)])
+
+
+def _wrench(robot: Robot, state: FilterState, turning: Array, settings: KsEkfSettings) -> Array:
+    """What the cables must exert about the platform origin, in W [N, N m], shape (6,)."""
+    rate, force = state.samples.at(state.time)
+    spin = rate - state.rate_bias
+    center = robot.center_of_mass + state.center
+    arm = center - settings.imu_position
+    around = cross(spin)
+    at_center = force - state.force_bias + cross(turning) @ arm + around @ around @ arm
+    push = robot.mass * at_center
+    moment = robot.inertia @ turning + around @ robot.inertia @ spin + cross(center) @ push
+    return np.concatenate([state.rotation @ push, state.rotation @ moment])

@@ -1,0 +1,127 @@
+"""What lengths and rest say against a state: residual, Jacobian and noise of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from baselines.ks_ekf.cable_model import expected_lengths
+from baselines.ks_ekf.filter_state import (
+    CENTER,
+    FORCE_BIAS,
+    LENGTHS,
+    RATE_BIAS,
+    ROTATION,
+    VELOCITY,
+    FilterState,
+    cross,
+)
+from baselines.ks_ekf.platform_motion import origin, pose_map
+from baselines.ks_ekf.rest_detection import Quiet
+from baselines.ks_ekf.rest_pose import RestPose
+from baselines.ks_ekf.settings import KsEkfSettings
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.robot import Robot
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Evidence:
+    """A measurement against a state.
+
+    Attributes:
+        residual: Measured minus expected, shape (m,).
+        jacobian: Of the measurement per error of the state, shape (m, 18 + n).
+        noise: Its covariance, shape (m, m).
+        left_out: Channels that could not be used.
+        tension: Of the cables [N], shape (n,), as far as it is known here.
+    """
+
+    residual: Array
+    jacobian: Array
+    noise: Array
+    left_out: int = 0
+    tension: Array | None = None
+
+
+def of_lengths(
+    robot: Robot, state: FilterState, lengths: Array, turning: Array, settings: KsEkfSettings
+) -> Evidence:
+    """Lengths (n,) as they are, tight; `turning` is the angular acceleration in P [rad/s^2]."""
+    expected = expected_lengths(robot, state, turning, settings)
+    use = expected.valid
+    residual = (lengths - expected.length - state.length_bias)[use]
+    return Evidence(
+        residual=residual,
+        jacobian=expected.jacobian[use],
+        noise=np.diag(settings.length_noise**2 + expected.spread[use] ** 2),
+        left_out=int((~use).sum()),
+        tension=expected.tension,
+    )
+
+
+def of_rest_pose(
+    state: FilterState, rest: RestPose, noise: Array, settings: KsEkfSettings
+) -> Evidence:
+    """A pose of rest with its noise (6, 6), whose errors of lengths and mass are in the state."""
+    import pinocchio
+
+    turn = pinocchio.log3(rest.rotation @ state.rotation.T)
+    shift = rest.position - origin(state, settings.imu_position)
+    jacobian = pose_map(state, settings.imu_position)
+    jacobian[:, CENTER] = -rest.per_center
+    jacobian[:, LENGTHS] = rest.per_length
+    return Evidence(
+        residual=np.concatenate([shift, turn]),
+        jacobian=jacobian,
+        noise=noise,
+        tension=rest.tension,
+    )
+
+
+def rest_noise(settings: KsEkfSettings) -> Array:
+    """Covariance of a pose of rest where the platform rests."""
+    return np.diag(np.repeat([settings.rest_position**2, settings.rest_rotation**2], 3))
+
+
+def sway_noise(rest: RestPose, settings: KsEkfSettings) -> Array:
+    """The same where it sways about it."""
+    least = np.repeat([settings.sway_position**2, settings.sway_rotation**2], 3)
+    return rest.energy(settings.sway) * rest.softness + np.diag(least)
+
+
+def of_stillness(
+    state: FilterState, quiet: Quiet, gravity: float, settings: KsEkfSettings
+) -> Evidence:
+    """Rest as the IMU sees it: no velocity, no angular rate, nothing but gravity."""
+    down = np.array([0.0, 0.0, -gravity])
+    jacobian = np.zeros((9, len(state.covariance)))
+    jacobian[:3, RATE_BIAS] = np.eye(3)
+    jacobian[3:6, ROTATION] = -state.rotation.T @ cross(down)
+    jacobian[3:6, FORCE_BIAS] = np.eye(3)
+    jacobian[6:, VELOCITY] = np.eye(3)
+    residual = np.concatenate(
+        [
+            quiet.rate - state.rate_bias,
+            quiet.force + state.rotation.T @ down - state.force_bias,
+            -state.velocity,
+        ]
+    )
+    spread = np.repeat([settings.rest_rate, settings.rest_force, settings.rest_rate], 3)
+    return Evidence(residual=residual, jacobian=jacobian, noise=np.diag(spread**2))
+
+
+def without_worst(state: FilterState, evidence: Evidence) -> Evidence:
+    """The same without the channel that contradicts all others most."""
+    spread = evidence.jacobian @ state.covariance @ evidence.jacobian.T + evidence.noise
+    inverse = np.linalg.inv(spread)
+    # Leaving channel i out lowers the normalised square by (S^-1 r)_i^2 / (S^-1)_ii.
+    gain = (inverse @ evidence.residual) ** 2 / np.diag(inverse)
+    keep = np.arange(len(gain)) != np.argmax(gain)
+    return replace(
+        evidence,
+        residual=evidence.residual[keep],
+        jacobian=evidence.jacobian[keep],
+        noise=evidence.noise[np.ix_(keep, keep)],
+        left_out=evidence.left_out + 1,
+    )

@@ -1,0 +1,83 @@
+"""filterpy's extended Kalman filter as the carrier of error and covariance, with a gate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Correction:
+    """What a measurement did.
+
+    Attributes:
+        error: Estimated error of the state, shape (k,); zero where the measurement was rejected.
+        covariance: Of what is left of it, shape (k, k).
+        square: Normalised innovation squared, not divided by its degrees of freedom.
+        dof: Degrees of freedom of the measurement.
+        accepted: Whether it passed its gate.
+    """
+
+    error: Array
+    covariance: Array
+    square: float
+    dof: int
+    accepted: bool
+
+
+class ErrorFilter:
+    """A Kalman filter of the error of a state that is kept elsewhere: its own x is always 0."""
+
+    def __init__(self, size: int, gate: float) -> None:
+        """Make a filter of `size` errors, whose gate good measurements pass with this chance."""
+        from filterpy.kalman import ExtendedKalmanFilter
+
+        self._kalman: Any = ExtendedKalmanFilter(dim_x=size, dim_z=1)
+        self._kalman.x = np.zeros(size)
+        self._gate = gate
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the error, shape (k, k)."""
+        found: Array = self._kalman.P
+        return found
+
+    def begin(self, covariance: Array) -> None:
+        """Go on from a covariance."""
+        self._kalman.P = covariance
+
+    def predict(self, transition: Array, noise: Array) -> None:
+        """Carry the covariance over a step."""
+        self._kalman.F, self._kalman.Q = transition, noise
+        self._kalman.predict()
+
+    def correct(
+        self, covariance: Array, residual: Array, jacobian: Array, noise: Array
+    ) -> Correction:
+        """Weigh a residual (m,), measured minus expected, with its Jacobian (m, k) and noise."""
+        kalman = self._kalman
+        spread = jacobian @ covariance @ jacobian.T + noise
+        square, dof = float(residual @ np.linalg.solve(spread, residual)), len(residual)
+        if not square <= limit(dof, self._gate):
+            error = np.zeros(len(covariance))
+            return Correction(
+                error=error, covariance=covariance, square=square, dof=dof, accepted=False
+            )
+        kalman.P = covariance
+        kalman.update(residual, lambda _: jacobian, lambda x: jacobian @ x, noise)
+        error = kalman.x
+        kalman.x = np.zeros(len(error))
+        return Correction(error=error, covariance=kalman.P, square=square, dof=dof, accepted=True)
+
+
+@lru_cache(maxsize=64)
+def limit(dof: int, probability: float) -> float:
+    """What a chi-squared variable stays below with a given probability."""
+    from scipy.stats import chi2
+
+    return float(chi2.ppf(probability, dof))

@@ -1,0 +1,318 @@
+"""The estimator `ks_ekf`: IMU and cable lengths in an error-state Kalman filter.
+
+References:
+    Allak et al., *Kinematics-Inertial Fusion for Localization of a 4-Cable Underactuated Suspended
+    Robot Considering Cable Sag*, IROS 2022.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from baselines.ks_ekf import corrections, starting
+from baselines.ks_ekf.corrections import Evidence
+from baselines.ks_ekf.error_filter import Correction, ErrorFilter
+from baselines.ks_ekf.filter_state import FIXED, NO_SAMPLES, POSITION, FilterState, Samples
+from baselines.ks_ekf.inertial import SHORTEST, InertialMotion, samples_of, slope
+from baselines.ks_ekf.platform_motion import at_rest, carried, origin
+from baselines.ks_ekf.record import KsEkfRecord
+from baselines.ks_ekf.rest_detection import Quiet, Window, detect_rest
+from baselines.ks_ekf.rest_pose import RestPose, find_rest
+from baselines.ks_ekf.settings import KsEkfSettings
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.consistency import Innovations
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Belief, Command, Measurement
+
+LAG = 0.2  # [s]: the filter never stands further behind, even where no lengths come
+DOUBT = 2.0  # by what standard deviations grow where nothing fits any more
+SLOPE = 0.0125  # [s] to both sides, over which the angular rate gives its derivative
+
+
+class KsEkf:
+    """Error-state Kalman filter over inertial samples and cable lengths, for one robot."""
+
+    Settings: ClassVar = KsEkfSettings
+
+    def __init__(self, robot: Robot, settings: KsEkfSettings) -> None:
+        self._robot = robot
+        self._settings = settings
+        self._delay = robot.length_delay or 0.0
+        self._kalman = ErrorFilter(FIXED + robot.n, settings.gate)
+        self._motion = InertialMotion(robot.gravity, settings, FIXED + robot.n, self._kalman)
+
+    @classmethod
+    def build(cls, robot: Robot, settings: KsEkfSettings | None = None, *, seed: int = 0) -> KsEkf:
+        """Make one for the nominal robot; it draws no random numbers, so `seed` has no effect."""
+        return cls(robot, settings or KsEkfSettings())
+
+    def reset(self, measurement: Measurement) -> Belief:
+        """Start at rest on the first lengths.
+
+        Raises:
+            InvalidField: Another number of cables, or more than one robot.
+        """
+        self._check(measurement)
+        time, lengths = self._lengths(measurement)
+        samples = self._samples(measurement)
+        nothing = Window(time=np.zeros(0), lengths=np.zeros((0, self._robot.n)))
+        state = starting.blank(self._robot, self._settings, time)
+        record = KsEkfRecord(
+            state=replace(state, samples=samples),
+            window=nothing.extended(time, lengths, samples, self._settings.rest_window),
+            innovations=_innovations([]),
+            updates=1,
+        )
+        record = self._place(record, measurement, self._settings.initial_sway)
+        if len(samples) and not record.failures:
+            record = self._carry(record)
+            quiet = Quiet(rate=samples.rate.mean(axis=0), force=samples.force.mean(axis=0))
+            record = self._use_stillness(record, quiet)
+        return self._belief(record, measurement)
+
+    def update(self, belief: Belief, command: Command, measurement: Measurement) -> Belief:
+        """Go to a measurement; the command is not used.
+
+        Raises:
+            CarosacError: The belief is not one of this estimator.
+            InvalidField: A measurement that is earlier than the belief, of another number of
+                cables, or of more than one robot.
+        """
+        record = belief.memory
+        if not isinstance(record, KsEkfRecord):
+            raise CarosacError("ks_ekf: update() of a belief that is not from this estimator")
+        self._check(measurement)
+        now = float(measurement.time[0])
+        if now < belief.time[0]:
+            raise InvalidField("measurement.time", f"{now} s", f">= {belief.time[0]} s, the last")
+        record = self._received(record, measurement)
+        if not self._is_carried(record.state, now):
+            record = self._coast(record, measurement)
+        elif not record.state.inertial:
+            record = self._restart(record, measurement)
+        else:
+            record = self._filter(record, measurement)
+        return self._belief(record, measurement)
+
+    def _received(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
+        """Take note of what came; a gap between inertial samples ends what they carried."""
+        time, lengths = self._lengths(measurement)
+        samples = self._samples(measurement)
+        state = record.state
+        known = state.samples.joined(samples)
+        gaps = np.flatnonzero(np.diff(known.time) > self._settings.imu_gap)
+        if len(gaps):
+            known = known.keep(slice(int(gaps[-1]) + 1, None))
+            state = replace(state, inertial=False)
+        window = record.window
+        if time > window.time[-1]:
+            window = window.extended(time, lengths, samples, self._settings.rest_window)
+        return replace(
+            record,
+            state=replace(state, samples=known),
+            window=window,
+            innovations=_innovations([]),
+            resting=False,
+            updates=record.updates + 1,
+        )
+
+    def _is_carried(self, state: FilterState, now: float) -> bool:
+        """Whether inertial samples reach up to now."""
+        samples = state.samples
+        return len(samples) > 0 and now - float(samples.time[-1]) <= self._settings.imu_gap
+
+    def _filter(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
+        """Go to the newest lengths and weigh them; what rests says so."""
+        now, (time, _) = float(measurement.time[0]), self._lengths(measurement)
+        state = record.state
+        if time <= state.time + SHORTEST:
+            late = int(time < state.time - SHORTEST)
+            behind = self._motion.advance(state, max(state.time, now - LAG))
+            return replace(record, state=behind, late=record.late + late)
+        record = replace(record, state=self._motion.advance(state, time))
+        quiet = detect_rest(record.window, state.rate_bias, self._settings)
+        record = replace(record, resting=quiet is not None)
+        record = self._use_lengths(record, measurement)
+        due = time - record.rest_used >= self._settings.rest_period
+        if quiet is not None and due and record.rejected_in_row == 0:
+            record = self._use_stillness(record, quiet)
+            record = self._use_equilibrium(record, measurement)
+        return record
+
+    def _use_lengths(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
+        """Weigh lengths, as they are or as a pose of rest; start anew after too many misfits."""
+        record, evidence = self._evidence(record, measurement)
+        if evidence is None:
+            return replace(record, failures=record.failures + 1)
+        record = replace(record, slack=record.slack + evidence.left_out, tension=evidence.tension)
+        if not len(evidence.residual):  # no cable seems taut: no motion lasts long that way
+            return self._misfit(record, measurement)
+        found = self._correct(record.state, evidence)
+        if not found.accepted and len(evidence.residual) > 3:
+            fewer = self._correct(record.state, corrections.without_worst(record.state, evidence))
+            found = fewer if fewer.accepted else found
+            record = replace(record, excluded=record.excluded + fewer.accepted)
+        record = replace(record, innovations=_innovations([found]))
+        if found.accepted:
+            state = record.state.injected(found.error, found.covariance)
+            return replace(record, state=state, rejected_in_row=0)
+        return self._misfit(record, measurement)
+
+    def _misfit(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
+        """Count lengths that do not fit; too many in a row raise doubts."""
+        record = replace(
+            record, rejected=record.rejected + 1, rejected_in_row=record.rejected_in_row + 1
+        )
+        if record.rejected_in_row < self._settings.rejections_max:
+            return record
+        return self._doubt(record, measurement)
+
+    def _doubt(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
+        """Believe less and less of the state, in the end nothing: then start anew."""
+        robot, settings = self._robot, self._settings
+        state = starting.doubted(robot, settings, record.state, DOUBT)
+        if np.trace(state.covariance[POSITION, POSITION]) < settings.sway**2:
+            return replace(record, state=state, doubts=record.doubts + 1)
+        lost = starting.forgotten(robot, settings, record.state)
+        return self._restart(replace(record, state=lost), measurement)
+
+    def _evidence(
+        self, record: KsEkfRecord, measurement: Measurement
+    ) -> tuple[KsEkfRecord, Evidence | None]:
+        """What the lengths say; None where they have no pose of rest but need one."""
+        state, settings = record.state, self._settings
+        if settings.coupling == "tight":
+            turning = slope(record.window.samples, state.time, SLOPE)
+            lengths = measurement.unstrained_length[0]
+            evidence = corrections.of_lengths(self._robot, state, lengths, turning, settings)
+            return record, evidence
+        record, rest = self._rest(record, measurement)
+        if rest is None:
+            return record, None
+        noise = corrections.sway_noise(rest, settings)
+        if record.resting:
+            noise = corrections.rest_noise(settings)
+        return record, corrections.of_rest_pose(state, rest, noise, settings)
+
+    def _use_stillness(self, record: KsEkfRecord, quiet: Quiet) -> KsEkfRecord:
+        """Weigh that nothing moves, by the IMU."""
+        gravity = self._robot.gravity
+        evidence = corrections.of_stillness(record.state, quiet, gravity, self._settings)
+        return self._use_rest(replace(record, rest_used=record.state.time), evidence)
+
+    def _use_equilibrium(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
+        """Weigh that the platform is where it rests, unless that was the measurement anyway."""
+        if self._settings.coupling == "loose":
+            return record
+        record, rest = self._rest(record, measurement)
+        if rest is None:
+            return replace(record, failures=record.failures + 1)
+        noise = corrections.rest_noise(self._settings)
+        evidence = corrections.of_rest_pose(record.state, rest, noise, self._settings)
+        return self._use_rest(record, evidence)
+
+    def _use_rest(self, record: KsEkfRecord, evidence: Evidence) -> KsEkfRecord:
+        """Weigh something that holds at rest; where it does not fit, it is held back."""
+        found = self._correct(record.state, evidence)
+        if not found.accepted:
+            return replace(record, held=record.held + 1)
+        return replace(record, state=record.state.injected(found.error, found.covariance))
+
+    def _correct(self, state: FilterState, evidence: Evidence) -> Correction:
+        """Weigh evidence."""
+        return self._kalman.correct(
+            state.covariance, evidence.residual, evidence.jacobian, evidence.noise
+        )
+
+    def _coast(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
+        """Without inertial samples: the pose of rest, with the sway that there may be."""
+        state = replace(record.state, inertial=False, samples=NO_SAMPLES)
+        record = replace(record, state=state, coasted=record.coasted + 1)
+        return self._place(record, measurement, self._settings.sway)
+
+    def _restart(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
+        """Start anew at the pose of rest, with the sway that there may be."""
+        found = self._place(record, measurement, self._settings.sway)
+        if found.failures > record.failures:
+            return replace(found, state=replace(found.state, samples=record.state.samples))
+        return self._carry(replace(found, restarts=record.restarts + 1, rejected_in_row=0))
+
+    def _place(self, record: KsEkfRecord, measurement: Measurement, sway: float) -> KsEkfRecord:
+        """Put the state at the pose of rest of the lengths; where there is none, it is lost."""
+        time, lengths = self._lengths(measurement)
+        record, rest = self._rest(record, measurement)
+        if rest is None:
+            state = starting.lost(self._robot, self._settings, record.state, time)
+            return replace(record, state=state, failures=record.failures + 1)
+        rate = measurement.length_rate
+        rates = np.zeros_like(lengths) if rate is None else rate.value[0]
+        state = starting.placed(record.state, rest, rates, sway, time, self._settings)
+        return replace(record, state=state, tension=rest.tension)
+
+    def _carry(self, record: KsEkfRecord) -> KsEkfRecord:
+        """Let the inertial samples carry a state that was just placed."""
+        return replace(record, state=starting.inertial(record.state, self._settings))
+
+    def _rest(
+        self, record: KsEkfRecord, measurement: Measurement
+    ) -> tuple[KsEkfRecord, RestPose | None]:
+        """Pose of rest of the lengths, without what the state knows of their errors."""
+        state = record.state
+        lengths = measurement.unstrained_length[0] - state.length_bias
+        rest = find_rest(self._robot, lengths, state.center, state.solution)
+        solution = None if rest is None else rest.solution
+        return replace(record, state=replace(state, solution=solution)), rest
+
+    def _belief(self, record: KsEkfRecord, measurement: Measurement) -> Belief:
+        """The belief at the time of a measurement, which is later than that of its lengths."""
+        now = float(measurement.time[0])
+        if record.state.inertial:
+            state = self._motion.advance(record.state, now)
+            twist, covariance = carried(state, self._settings)
+            position = origin(state, self._settings.imu_position)
+        else:
+            state = record.state
+            twist, covariance = at_rest(state)
+            position = state.position
+        return Belief(
+            time=measurement.time,
+            position=position[None],
+            rotation=state.rotation[None],
+            twist=twist[None],
+            covariance=covariance[None],
+            tension=None if record.tension is None else record.tension[None],
+            memory=record,
+        )
+
+    def _samples(self, measurement: Measurement) -> Samples:
+        """Inertial samples in the axes of the platform, maybe none."""
+        if measurement.imu is None:
+            return NO_SAMPLES
+        return samples_of(measurement, self._settings)
+
+    def _lengths(self, measurement: Measurement) -> tuple[float, Array]:
+        """When the platform had these lengths [s], and the lengths [m], shape (n,)."""
+        rate = measurement.length_rate
+        taken = measurement.time if rate is None else rate.time
+        return float(taken[0]) + self._delay, measurement.unstrained_length[0]
+
+    def _check(self, measurement: Measurement) -> None:
+        """Refuse another robot, or several."""
+        shape = measurement.unstrained_length.shape
+        if shape != (1, self._robot.n):
+            allowed = f"shape (1, {self._robot.n}): one robot at a time"
+            raise InvalidField("unstrained_length", f"shape {shape}", allowed)
+
+
+def _innovations(found: list[Correction]) -> Innovations:
+    """Sum what measurements said; rejected ones are only counted."""
+    used = [c for c in found if c.accepted]
+    return Innovations(
+        squares=np.array([sum(c.square for c in used)], dtype=float),
+        dof=np.array([sum(c.dof for c in used)], dtype=float),
+        rejected=np.array([len(found) - len(used)], dtype=float),
+    )

@@ -1,0 +1,152 @@
+r"""Motion from inertial samples, and from the IMU to the platform's origin.
+
+With left rotation errors :math:`R = \exp([\delta\theta]_\times) \hat R` in W, of a state that sits
+at the IMU,
+
+.. math:: \dot{\delta p} = \delta v, \quad
+          \dot{\delta v} = -[\hat R (f - b_a)]_\times \delta\theta - \hat R\, \delta b_a, \quad
+          \dot{\delta\theta} = -\hat R\, \delta b_g .
+
+References:
+    Sola, *Quaternion kinematics for the error-state Kalman filter*, arXiv:1711.02508, 2017.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from baselines.ks_ekf.error_filter import ErrorFilter
+from baselines.ks_ekf.filter_state import (
+    FORCE_BIAS,
+    LENGTHS,
+    POSITION,
+    RATE_BIAS,
+    ROTATION,
+    VELOCITY,
+    FilterState,
+    Samples,
+    cross,
+)
+from baselines.ks_ekf.settings import KsEkfSettings
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.values import Measurement
+
+MINUTE = 60.0  # [s]
+SHORTEST = 1e-9  # [s]: less is rounding
+
+
+def samples_of(measurement: Measurement, settings: KsEkfSettings) -> Samples:
+    """Inertial samples of a measurement, turned into the axes of the platform."""
+    assert measurement.imu is not None
+    turn = settings.imu_rotation.T
+    imu = measurement.imu
+    order = np.argsort(imu.time[0], kind="stable")
+    return Samples(
+        time=imu.time[0][order],
+        rate=imu.angular_rate[0][order] @ turn,
+        force=imu.specific_force[0][order] @ turn,
+    )
+
+
+class InertialMotion:
+    """Carries a state along inertial samples."""
+
+    def __init__(
+        self, gravity: float, settings: KsEkfSettings, size: int, kalman: ErrorFilter
+    ) -> None:
+        """Note the noise.
+
+        Args:
+            gravity: Along -z of W [m/s^2].
+            settings: Noise of the sensors.
+            size: Number of errors.
+            kalman: What carries the covariance.
+        """
+        self._kalman = kalman
+        self._gravity = np.array([0.0, 0.0, -gravity])
+        walk = settings.bias_walk**2 / MINUTE
+        steady, growing = np.zeros(size), np.zeros(size)
+        steady[ROTATION] = settings.angular_rate_noise**2
+        steady[VELOCITY] = settings.specific_force_noise**2
+        growing[RATE_BIAS] = walk * settings.angular_rate_bias**2
+        growing[FORCE_BIAS] = walk * settings.specific_force_bias**2
+        growing[LENGTHS] = settings.length_walk**2 / MINUTE
+        self._noise = np.diag(steady), np.diag(growing)
+        drift = np.zeros(size)
+        drift[ROTATION] = settings.rate_change**2
+        drift[VELOCITY] = settings.force_change**2
+        self._held = np.diag(drift)
+
+    def advance(self, state: FilterState, until: float) -> FilterState:
+        """Go to a time [s] with the samples that the state has; after the last one, it is held."""
+        samples = state.samples
+        self._kalman.begin(state.covariance)
+        start = samples.at(state.time)
+        for time, rate, force in zip(samples.time, samples.rate, samples.force, strict=True):
+            if state.time + SHORTEST < time <= until + SHORTEST:
+                state = self._step(state, time - state.time, start, (rate, force))
+                start = (rate, force)
+        if until - state.time > SHORTEST:
+            end, held = samples.at(until), until - float(samples.time[-1])
+            state = self._step(state, until - state.time, start, end, max(held, 0.0))
+        return replace(state, covariance=self._kalman.covariance, samples=samples.after(state.time))
+
+    def _step(
+        self,
+        state: FilterState,
+        h: float,
+        start: tuple[Array, Array],
+        end: tuple[Array, Array],
+        held: float = 0.0,
+    ) -> FilterState:
+        """One step of h seconds by the trapezoidal rule; its end is `held` after any sample [s]."""
+        import pinocchio
+
+        turn = h * (0.5 * (start[0] + end[0]) - state.rate_bias)
+        rotation = state.rotation @ pinocchio.exp3(turn)
+        first = state.rotation @ (start[1] - state.force_bias)
+        last = rotation @ (end[1] - state.force_bias)
+        force = 0.5 * (first + last)
+        gained = (2.0 * first + last) / 6.0 + 0.5 * self._gravity
+        bend, size = pinocchio.Jexp3(turn), len(state.covariance)
+        change = self._transition(state.rotation, rotation, bend, force, h, size)
+        noise = h * h * self._noise[0] + h * self._noise[1]
+        self._kalman.predict(change, noise + (h * held) ** 2 * self._held)
+        return replace(
+            state,
+            time=state.time + h,
+            position=state.position + h * state.velocity + h * h * gained,
+            rotation=rotation,
+            velocity=state.velocity + h * (force + self._gravity),
+        )
+
+    def _transition(
+        self, before: Array, after: Array, bend: Array, force: Array, h: float, size: int
+    ) -> Array:
+        """Jacobian of a step, shape (size, size)."""
+        matrix = np.eye(size)
+        lean = -h * cross(force)
+        middle = -0.5 * h * (before + after)
+        matrix[POSITION, VELOCITY] = h * np.eye(3)
+        matrix[POSITION, ROTATION] = 0.5 * h * lean
+        matrix[POSITION, FORCE_BIAS] = 0.5 * h * middle
+        matrix[VELOCITY, ROTATION] = lean
+        matrix[VELOCITY, FORCE_BIAS] = middle
+        matrix[ROTATION, RATE_BIAS] = -h * after @ bend
+        return matrix
+
+
+def slope(samples: Samples, time: float, reach: float) -> Array:
+    """Angular acceleration in P [rad/s^2], shape (3,): least squares over samples within `reach`.
+
+    Args:
+        samples: Also those later than the time.
+        time: [s].
+        reach: To both sides [s].
+    """
+    near = np.abs(samples.time - time) <= reach
+    offset = samples.time[near] - samples.time[near].mean() if near.any() else np.zeros(0)
+    spread = float(offset @ offset)
+    return offset @ samples.rate[near] / spread if spread > 0.0 else np.zeros(3)

@@ -1,0 +1,57 @@
+"""What a belief of the filter remembers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from baselines.ks_ekf.filter_state import FilterState
+from baselines.ks_ekf.rest_detection import Window
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.consistency import Innovations
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KsEkfRecord:
+    """Memory of a belief of `KsEkf`; counts are since the last reset.
+
+    Attributes:
+        state: The filter itself, at the time of the newest lengths, with its biases.
+        window: The last measurements, from which rest is detected.
+        innovations: Of the lengths or poses of rest since the last belief, rejected ones left out
+            of the squares.
+        tension: At the platform [N], shape (n,), when it was last computed, or None.
+        resting: Whether the platform was found to rest.
+        rest_used: When that was used last [s].
+        updates: Measurements, the first one included.
+        rejected: Measurements of lengths that did not pass the gate.
+        excluded: Measurements of lengths of which one cable contradicted all others and was left
+            out.
+        rejected_in_row: The last ones of them, without one in between that passed.
+        doubts: How often the covariance was raised, after too many rejections in a row.
+        restarts: How often the filter started anew at a pose of rest: where that did not
+            help, or as inertial samples came back.
+        coasted: Measurements without inertial samples, whose belief is the pose of rest.
+        failures: Measurements whose lengths gave no pose of rest where one was needed; the pose
+            is then kept.
+        late: Measurements of lengths that were older than ones before, and not used.
+        slack: Lengths that were left out because the cable was not taut.
+        held: Measurements with rest detected that contradicted the rest, and were not used.
+    """
+
+    state: FilterState
+    window: Window
+    innovations: Innovations
+    tension: Array | None = None
+    resting: bool = False
+    rest_used: float = -float("inf")
+    updates: int = 0
+    rejected: int = 0
+    excluded: int = 0
+    rejected_in_row: int = 0
+    doubts: int = 0
+    restarts: int = 0
+    coasted: int = 0
+    failures: int = 0
+    late: int = 0
+    slack: int = 0
+    held: int = 0

@@ -1,0 +1,70 @@
+"""Whether the platform rests: quiet encoders and a quiet IMU over a window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from baselines.ks_ekf.filter_state import NO_SAMPLES, Samples
+from baselines.ks_ekf.settings import KsEkfSettings
+from carosac_toolkit.arrays import Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Window:
+    """The last measurements.
+
+    Attributes:
+        time: Of the lengths [s], shape (K,).
+        lengths: [m], shape (K, n).
+        samples: Inertial ones.
+    """
+
+    time: Array
+    lengths: Array
+    samples: Samples = NO_SAMPLES
+
+    def extended(self, time: float, lengths: Array, samples: Samples, span: float) -> Window:
+        """With new measurements, without those older than `span` seconds."""
+        when = np.append(self.time, time)
+        first = max(int(np.searchsorted(when, time - span, side="right")) - 1, 0)
+        inertial = self.samples.joined(samples).after(time - span)
+        return Window(
+            time=when[first:],
+            lengths=np.concatenate([self.lengths, lengths[None]])[first:],
+            samples=inertial,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Quiet:
+    """Means over a window at rest: angular rate [rad/s] and specific force [m/s^2], axes of P."""
+
+    rate: Array
+    force: Array
+
+
+def detect_rest(window: Window, rate_bias: Array, settings: KsEkfSettings) -> Quiet | None:
+    """Decide whether the platform rests; None where it does not, or the window is too short.
+
+    Without an IMU nothing is known of sway, and no rest is ever detected.
+
+    Args:
+        window: Of at least `rest_window`.
+        rate_bias: Of the gyroscope, axes of P [rad/s], shape (3,).
+        settings: The thresholds.
+    """
+    samples = window.samples
+    span = settings.rest_window
+    short = 0.02  # of the span: the sampling of both
+    if len(samples) < 2 or window.time[-1] - window.time[0] < (1.0 - short) * span:
+        return None
+    if samples.time[-1] - samples.time[0] < (1.0 - 5.0 * short) * span:
+        return None
+    spread = samples.force.std(axis=0).max()
+    rate = np.sqrt(((samples.rate - rate_bias) ** 2).sum(axis=1).mean())
+    moved = np.ptp(window.lengths, axis=0).max()
+    if moved > settings.rest_length or rate > settings.rest_rate or spread > settings.rest_force:
+        return None
+    return Quiet(rate=samples.rate.mean(axis=0), force=samples.force.mean(axis=0))

@@ -1,0 +1,98 @@
+r"""The pose of rest at measured lengths (KS), and how it depends on what is not known.
+
+With the stiffness K at constant lengths and the weight mg at the centre of mass :math:`R c`,
+
+.. math:: \delta x = \frac{\partial x}{\partial L} \delta L
+          + K^{-1} \begin{bmatrix} 0 \\ R\,\delta c \times m g \end{bmatrix}.
+
+Sway about it is described by equal energy E in all modes: covariance :math:`E K^{-1}` of the pose,
+:math:`E M^{-1}` of the twist.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from baselines.ks_ekf.filter_state import cross
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.physics.modes import mass_matrix
+from carosac_toolkit.physics.statics import Equilibrium, forward_kinematics
+from carosac_toolkit.robot import Robot
+
+STEP = 1e-3  # [m]: difference of lengths for derivatives
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RestPose:
+    """A stable equilibrium of one robot of n cables.
+
+    Attributes:
+        position: Platform origin in W [m], shape (3,).
+        rotation: From P to W, shape (3, 3).
+        tension: At the platform [N], shape (n,).
+        per_length: Pose error [m, rad] per length error, shape (6, n).
+        per_center: Pose error per error of the centre of mass in P, shape (6, 3).
+        softness: K^-1, shape (6, 6).
+        lightness: M^-1, shape (6, 6).
+        solution: Where the next solve starts.
+    """
+
+    position: Array
+    rotation: Array
+    tension: Array
+    per_length: Array
+    per_center: Array
+    softness: Array
+    lightness: Array
+    solution: Equilibrium
+
+    def energy(self, sway: float) -> float:
+        """Energy per mode [J] at which the position sways by `sway`, root mean square [m]."""
+        return sway**2 / float(np.trace(self.softness[:3, :3]))
+
+
+def find_rest(
+    robot: Robot, lengths: Array, center: Array, guess: Equilibrium | None
+) -> RestPose | None:
+    """Solve for rest at lengths (n,) with the centre of mass shifted by `center` in P [m], (3,).
+
+    Returns:
+        None where there is no stable equilibrium.
+    """
+    n = robot.n
+    if (lengths <= 2.0 * STEP).any() or not np.isfinite(lengths).all():
+        return None
+    rows = np.concatenate([lengths[None], lengths + STEP * np.eye(n)])
+    found = forward_kinematics(robot, rows, guess=guess)
+    if guess is not None and not (found.converged & found.stable).all():
+        found = forward_kinematics(robot, rows)
+    if not (found.converged & found.stable).all():
+        return None
+    return _with_derivatives(robot, found, center)
+
+
+def _with_derivatives(robot: Robot, found: Equilibrium, center: Array) -> RestPose:
+    """Differences between the rows of a solve, and the shift of the centre of mass."""
+    import pinocchio
+
+    rotation = found.rotation[0]
+    shifts = found.position[1:] - found.position[0]
+    turns = [pinocchio.log3(other @ rotation.T) for other in found.rotation[1:]]
+    softness = np.linalg.inv(found.stiffness[0])
+    # (R dc) x (0, 0, -mg), per dc
+    moment = robot.weight * cross(np.array([0.0, 0.0, 1.0])) @ rotation
+    per_center = softness[:, 3:] @ moment
+    lean = per_center @ center
+    at = found.unstrained_length[:1]
+    return RestPose(
+        position=found.position[0] + lean[:3],
+        rotation=pinocchio.exp3(lean[3:]) @ rotation,
+        tension=found.tension[0],
+        per_length=np.concatenate([shifts, np.array(turns)], axis=1).T / STEP,
+        per_center=per_center,
+        softness=0.5 * (softness + softness.T),
+        lightness=np.linalg.inv(mass_matrix(robot, found.rotation[:1], at)[0]),
+        solution=found,
+    )

@@ -1,0 +1,112 @@
+"""Settings of the filter: noise of its sensors, priors, coupling, detection and gates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Literal, get_args
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array, check_rotations, frozen_array
+from carosac_toolkit.errors import InvalidField
+
+Coupling = Literal["loose", "tight"]
+NOT_NUMBERS = ("coupling", "imu_position", "imu_rotation", "rejections_max")
+MAY_BE_ZERO = ("center_of_mass_prior", "bias_walk", "length_walk", "initial_sway")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KsEkfSettings:
+    """Settings of `KsEkf`; noises and priors are one standard deviation.
+
+    Attributes:
+        coupling: What the lengths are to the filter: themselves the measurement (``"tight"``), or
+            through the pose of rest that they give (``"loose"``, as published).
+        imu_position: Where the IMU is on the platform, in P [m], shape (3,).
+        imu_rotation: Rotation from the axes of the IMU to P, shape (3, 3).
+        angular_rate_noise: Of a gyroscope sample, per axis [rad/s].
+        specific_force_noise: Of an accelerometer sample, per axis [m/s^2].
+        angular_rate_bias: Prior of the gyroscope's bias, per axis [rad/s].
+        specific_force_bias: Prior of the accelerometer's bias, per axis [m/s^2].
+        bias_walk: By how much both biases may walk in a minute, as a share of their priors.
+        imu_gap: Longest time without an inertial sample that is bridged by the last one [s].
+        rate_change: How fast the angular rate may change meanwhile [rad/s^2].
+        force_change: How fast the specific force may change meanwhile [m/s^3].
+        length_noise: Of a length [m].
+        tension_share: Error of the tensions behind sag and stretch, as a share of them.
+        tension_weight: What adds to that, as a share of the weight of the cable.
+        length_bias: Prior of the constant error of each length [m].
+        length_walk: By how much that error walks in a minute [m]: exit points that are off change
+            it as the platform moves. 0: it is constant, as that of an encoder is.
+        center_of_mass_prior: By how much the centre of mass may be elsewhere, per axis [m].
+        gate: Probability with which a good measurement passes its gate.
+        rejections_max: After so many rejections in a row the filter doubts itself: its covariance
+            grows with each further one, until lengths are believed again or the position is as
+            uncertain as by `sway`; then it starts anew.
+        rest_window: What must be quiet for so long is at rest [s].
+        rest_length: Largest range of a length in that window [m].
+        rest_rate: Largest angular rate in it, root mean square [rad/s].
+        rest_force: Largest standard deviation of the specific force in it [m/s^2].
+        rest_period: Time between two uses of the fact that the platform rests [s].
+        rest_position: By how much a platform at rest may be off its equilibrium, per axis [m].
+        rest_rotation: The same for its rotation [rad].
+        sway: Sway that is possible in motion, as the root mean square of the position [m]. Its
+            shape is that of equal energy in all modes.
+        initial_sway: The same at the first measurement.
+        sway_position: By how much the pose of rest is off besides, in large motion [m].
+        sway_rotation: The same for its rotation [rad].
+    """
+
+    coupling: Coupling = "tight"
+    imu_position: Array = field(default_factory=lambda: np.zeros(3))
+    imu_rotation: Array = field(default_factory=lambda: np.eye(3))
+    angular_rate_noise: float = 3.5e-3
+    specific_force_noise: float = 0.017
+    angular_rate_bias: float = 5e-3
+    specific_force_bias: float = 0.05
+    bias_walk: float = 0.02
+    imu_gap: float = 0.05
+    rate_change: float = 10.0
+    force_change: float = 40.0
+    length_noise: float = 0.3e-3
+    tension_share: float = 0.05
+    tension_weight: float = 1.0
+    length_bias: float = 5e-3
+    length_walk: float = 0.01
+    center_of_mass_prior: float = 0.01
+    gate: float = 0.9999
+    rejections_max: int = 10
+    rest_window: float = 1.0
+    rest_length: float = 3e-3
+    rest_rate: float = 0.02
+    rest_force: float = 0.1
+    rest_period: float = 0.5
+    rest_position: float = 3e-3
+    rest_rotation: float = 5e-3
+    sway: float = 0.15
+    initial_sway: float = 0.01
+    sway_position: float = 0.02
+    sway_rotation: float = 0.05
+
+    def __post_init__(self) -> None:
+        """Refuse unknown couplings and numbers out of range; freeze the mounting of the IMU."""
+        if self.coupling not in get_args(Coupling):
+            allowed = f"one of {list(get_args(Coupling))}"
+            raise InvalidField("coupling", repr(self.coupling), allowed)
+        for name, shape in (("imu_position", (3,)), ("imu_rotation", (3, 3))):
+            object.__setattr__(self, name, frozen_array(name, getattr(self, name), shape))
+        check_rotations("imu_rotation", self.imu_rotation[None])
+        if isinstance(self.rejections_max, bool) or not self.rejections_max >= 1:
+            raise InvalidField("rejections_max", self.rejections_max, "1 or more")
+        for entry in fields(self):
+            if entry.name not in NOT_NUMBERS:
+                self._check_number(entry.name)
+        if not self.gate < 1.0:
+            raise InvalidField("gate", self.gate, "0 < gate < 1")
+
+    def _check_number(self, name: str) -> None:
+        """Refuse what is not positive and finite; zero where it makes sense."""
+        value = getattr(self, name)
+        zero = value == 0.0 and name in MAY_BE_ZERO
+        if not (value > 0.0 or zero) or np.isinf(value):
+            raise InvalidField(name, value, f"{name} {'>=' if name in MAY_BE_ZERO else '>'} 0")

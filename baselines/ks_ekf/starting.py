@@ -1,0 +1,149 @@
+"""Start of the filter at a pose of rest, with what is not known about it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from baselines.ks_ekf.filter_state import (
+    CENTER,
+    FIXED,
+    FORCE_BIAS,
+    LENGTHS,
+    NO_SAMPLES,
+    POSE,
+    RATE_BIAS,
+    VELOCITY,
+    FilterState,
+)
+from baselines.ks_ekf.platform_motion import moved_to_imu
+from baselines.ks_ekf.rest_pose import RestPose
+from baselines.ks_ekf.settings import KsEkfSettings
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.robot import Robot
+
+LOST = (1.0, 0.5, 1.0)  # position [m], rotation [rad], velocity [m/s] where no pose was found
+
+
+def prior(robot: Robot, settings: KsEkfSettings) -> Array:
+    """Variances of the errors before anything is measured; pose and velocity unknown."""
+    n = robot.n
+    spread = np.zeros(FIXED + n)
+    spread[:9] = np.repeat(LOST, 3)
+    spread[RATE_BIAS] = settings.angular_rate_bias
+    spread[FORCE_BIAS] = settings.specific_force_bias
+    spread[CENTER] = settings.center_of_mass_prior
+    spread[LENGTHS] = settings.length_bias
+    return np.asarray(spread**2)
+
+
+def blank(robot: Robot, settings: KsEkfSettings, time: float) -> FilterState:
+    """A state at home of which nothing is known but the priors."""
+    lost = np.repeat((LOST[2], LOST[1]), 3)
+    return FilterState(
+        time=time,
+        position=robot.home_position,
+        rotation=robot.home_rotation,
+        velocity=np.zeros(3),
+        rate_bias=np.zeros(3),
+        force_bias=np.zeros(3),
+        center=np.zeros(3),
+        length_bias=np.zeros(robot.n),
+        covariance=np.diag(prior(robot, settings)),
+        inertial=False,
+        twist=np.zeros(6),
+        twist_covariance=np.diag(lost**2),
+        samples=NO_SAMPLES,
+    )
+
+
+def forgotten(robot: Robot, settings: KsEkfSettings, state: FilterState) -> FilterState:
+    """A state of which nothing is known, with the samples of another one."""
+    nothing = blank(robot, settings, state.time)
+    return replace(nothing, samples=state.samples)
+
+
+def doubted(
+    robot: Robot, settings: KsEkfSettings, state: FilterState, factor: float
+) -> FilterState:
+    """The same with larger standard deviations; constants are never less known than at first."""
+    first = prior(robot, settings)
+    growth = np.full(len(first), factor)
+    constant = slice(9, None)
+    now = np.maximum(np.diag(state.covariance)[constant], 1e-300)
+    growth[constant] = np.clip(np.sqrt(first[constant] / now), 1.0, factor)
+    return replace(state, covariance=growth[:, None] * state.covariance * growth)
+
+
+def placed(
+    state: FilterState, rest: RestPose, rates: Array, sway: float, time: float,
+    settings: KsEkfSettings,
+) -> FilterState:  # fmt: skip
+    """Put a state at a pose of rest; biases and what is known of them stay.
+
+    Args:
+        state: Whatever it was.
+        rest: At the lengths measured, without the biases that the state knows.
+        rates: Of the lengths [m/s], shape (n,); the pose moves from rest to rest.
+        sway: About it, root mean square of the position [m].
+        time: Of the lengths [s].
+        settings: Noise of the lengths.
+
+    Returns:
+        A state at the platform's origin, not inertial.
+    """
+    unknown = slice(9, None)
+    known = state.covariance[unknown, unknown]
+    size = len(state.covariance)
+    effect = np.zeros((6, size - 9))
+    effect[:, CENTER.start - 9 : CENTER.stop - 9] = rest.per_center
+    effect[:, LENGTHS.start - 9 :] = -rest.per_length
+    energy = rest.energy(sway)
+    least = np.diag(np.repeat([settings.rest_position**2, settings.rest_rotation**2], 3))
+    noise = settings.length_noise**2 * rest.per_length @ rest.per_length.T
+    covariance = np.zeros((size, size))
+    covariance[unknown, unknown] = known
+    covariance[POSE, unknown] = effect @ known
+    covariance[unknown, POSE] = covariance[POSE, unknown].T
+    covariance[POSE, POSE] = effect @ known @ effect.T + energy * rest.softness + noise + least
+    twist_covariance = energy * rest.lightness + least
+    covariance[VELOCITY, VELOCITY] = twist_covariance[:3, :3]
+    twist = rest.per_length @ rates
+    return replace(
+        state,
+        time=time,
+        position=rest.position,
+        rotation=rest.rotation,
+        velocity=twist[:3],
+        covariance=0.5 * (covariance + covariance.T),
+        inertial=False,
+        twist=twist,
+        twist_covariance=twist_covariance,
+        solution=rest.solution,
+    )
+
+
+def lost(robot: Robot, settings: KsEkfSettings, state: FilterState, time: float) -> FilterState:
+    """The same with a pose and a motion of which nothing is known any more."""
+    nothing = blank(robot, settings, time)
+    covariance = nothing.covariance.copy()
+    covariance[9:, 9:] = state.covariance[9:, 9:]
+    return replace(
+        state,
+        time=time,
+        velocity=nothing.velocity,
+        covariance=covariance,
+        inertial=False,
+        twist=nothing.twist,
+        twist_covariance=nothing.twist_covariance,
+        samples=NO_SAMPLES,
+        solution=None,
+    )
+
+
+def inertial(state: FilterState, settings: KsEkfSettings) -> FilterState:
+    """Let inertial samples carry a state that sits at the platform's origin."""
+    rate = state.rotation @ (state.samples.at(state.time)[0] - state.rate_bias)
+    moved = moved_to_imu(state, rate, settings.imu_position)
+    return replace(moved, inertial=True, samples=state.samples.after(state.time))

@@ -1,0 +1,244 @@
+"""The filter on a swaying robot: accuracy, consistency, latency, lever arm, faults."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pinocchio
+import pytest
+
+import carosac_toolkit as ct
+from baselines.ks_ekf import KsEkf, KsEkfSettings
+from carosac_toolkit import conformance
+from carosac_toolkit.consistency import band
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.physics import statics
+from carosac_toolkit.values import Belief, Command, Imu, Measurement, Stamped
+from tests.baselines.ks_ekf.scenes import (
+    STEPS,
+    Run,
+    beliefs,
+    errors,
+    nominal,
+    rms,
+    squares,
+    swaying,
+)
+
+SEEDS = (0, 1, 2)
+LOST = slice(60, 150)
+
+
+def position_error(scene: Run, found: Sequence[Belief]) -> float:
+    return rms(errors(scene, found)[:, :3])
+
+
+@pytest.mark.parametrize("check", conformance.ESTIMATOR_CHECKS.values(), ids=lambda c: c.__name__)
+@pytest.mark.parametrize("robot", ["carosac", "cogiro"])
+def test_conformance(check, robot):
+    check(KsEkf.build, ct.load_robot(robot))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_sway_is_seen_that_the_solver_cannot_see(seed):
+    scene = swaying(seed)
+    tight = position_error(scene, nominal(scene))
+    assert tight < 0.2 * scene.solver_error
+    assert tight < 0.01
+    if seed == 0:
+        loose = position_error(scene, beliefs(scene, KsEkfSettings(coupling="loose")))
+        assert tight < loose < 0.5 * scene.solver_error
+
+
+def test_errors_are_as_large_as_the_covariance_says():
+    matched = KsEkfSettings(length_walk=0.0)  # the plant is the model, its biases are constant
+    scenes = [swaying(seed) for seed in SEEDS]
+    found = [squares(scene, beliefs(scene, matched))[25:].mean() for scene in scenes]
+    # Errors of a run go together, as biases are constant: hardly more than one sample each.
+    low, high = band(12, len(SEEDS), level=0.95)
+    assert low < np.mean(found) < high
+
+
+def test_imu_off_the_origin_and_turned_gives_the_same_pose():
+    scene = swaying(0, perfect=True)
+    lever = np.array([0.15, -0.1, 0.2])
+    turn = pinocchio.exp3(np.array([0.5, -1.0, 2.0]))
+    samples = [m.imu for m, _, _ in scene.steps]
+    rate = np.concatenate([s.angular_rate[0] for s in samples])
+    spin = np.gradient(rate, 0.005, axis=0, edge_order=2)
+    extra = np.cross(spin, lever) + np.cross(rate, np.cross(rate, lever))
+    ends = np.cumsum([s.time.shape[1] for s in samples])
+
+    def moved(k: int, measurement: Measurement) -> Measurement:
+        imu = measurement.imu
+        part = extra[ends[k] - imu.time.shape[1] : ends[k]]
+        there = Imu(
+            time=imu.time,
+            angular_rate=imu.angular_rate @ turn,
+            specific_force=(imu.specific_force + part) @ turn,
+        )
+        return replace(measurement, imu=there)
+
+    mounted = KsEkfSettings(imu_position=lever, imu_rotation=turn)
+    there, here = errors(scene, beliefs(scene, mounted, moved)), errors(scene, nominal(scene))
+    assert rms((there - here)[:, :3]) < 1e-3
+    assert rms((there - here)[:, 6:9]) < 5e-3
+
+
+def test_late_lengths_count_for_their_own_time():
+    scene = swaying(1, perfect=True)
+    behind = 4
+
+    def late(k: int, measurement: Measurement) -> Measurement:
+        then = scene.steps[max(k - behind, 0)][0]
+        lengths = then.unstrained_length
+        return replace(measurement, unstrained_length=lengths, length_rate=then.length_rate)
+
+    def unstamped(k: int, measurement: Measurement) -> Measurement:
+        return replace(late(k, measurement), length_rate=None)
+
+    prompt = position_error(scene, nominal(scene))
+    assert position_error(scene, beliefs(scene, edit=late)) < prompt + 2e-3
+    assert position_error(scene, beliefs(scene, edit=unstamped)) > 5.0 * prompt
+
+    delayed = replace(scene, robot=replace(scene.robot, length_delay=-0.08))
+
+    def said_by_the_robot(k: int, measurement: Measurement) -> Measurement:
+        then = late(k, measurement)
+        stamp = Stamped(time=then.length_rate.time + 0.08, value=then.length_rate.value)
+        return replace(then, length_rate=stamp)
+
+    assert position_error(delayed, beliefs(delayed, edit=said_by_the_robot)) < prompt + 2e-3
+
+
+def test_without_imu_it_is_the_pose_of_rest_and_comes_back():
+    scene = swaying(1)
+
+    def blind(k: int, measurement: Measurement) -> Measurement:
+        return replace(measurement, imu=None) if LOST.start <= k < LOST.stop else measurement
+
+    found = beliefs(scene, edit=blind)
+    memory = found[-1].memory
+    assert memory.coasted == LOST.stop - LOST.start - 2  # up to 0.05 s are bridged
+    assert memory.restarts == 1
+    coasting = found[LOST.stop - 1]
+    known = coasting.memory.state
+    lengths = scene.steps[LOST.stop - 1][0].unstrained_length - known.length_bias
+    rest = statics.forward_kinematics(scene.robot, lengths)
+    assert coasting.position == pytest.approx(rest.position, abs=0.02)
+    assert squares(scene, found)[LOST].mean() < 3.0
+    usual = position_error(scene, nominal(scene))
+    assert rms(errors(scene, found)[LOST.stop + 100 :, :3]) < 1.5 * usual
+
+
+@pytest.mark.parametrize(
+    ("cables", "duration"),
+    [((0.5, -0.3, 0.4, -0.2), 1), ((0.5, -0.3, 0.4, -0.2), 50), ((0.5, 0.0, 0.0, 0.0), 50)],
+)
+def test_wrong_lengths_are_rejected_and_got_over(cables, duration):
+    scene = swaying(2)
+    end = LOST.start + duration
+
+    def corrupt(k: int, measurement: Measurement) -> Measurement:
+        if not LOST.start <= k < end:
+            return measurement
+        return replace(
+            measurement, unstrained_length=measurement.unstrained_length + np.array(cables)
+        )
+
+    found = beliefs(scene, edit=corrupt)
+    memory, error = found[-1].memory, errors(scene, found)
+    usual = position_error(scene, nominal(scene))
+    assert rms(error[end + 100 :, :3]) < 1.5 * usual
+    if sum(c != 0.0 for c in cables) == 1:
+        assert memory.excluded >= duration and memory.restarts == 0
+        assert rms(error[LOST.start : end, :3]) < 0.03  # the other cables and the IMU go on
+    else:
+        assert memory.rejected >= min(duration, 10)
+
+
+def test_lengths_alone_give_the_solver_and_an_honest_covariance():
+    scene = swaying(0)
+    found = beliefs(scene, edit=lambda k, m: replace(m, imu=None))
+    assert found[-1].memory.coasted == STEPS - 1
+    assert position_error(scene, found) == pytest.approx(scene.solver_error, rel=0.1)
+    assert 0.1 < squares(scene, found)[25:].mean() < 3.0
+
+
+def test_rest_is_found_and_gives_the_biases():
+    scene = swaying(0)
+    measurement = scene.steps[0][0]
+    estimator = KsEkf.build(scene.robot)
+    bias, time = np.array([0.01, -0.008, 0.005]), np.arange(1, 151) * 0.02
+    belief = estimator.reset(measurement)
+    rest = statics.forward_kinematics(scene.robot, measurement.unstrained_length)
+    force = rest.rotation[0].T @ [0.0, 0.0, 9.81]
+    rng = np.random.default_rng(0)
+    for now in time:
+        when = now - 0.015 + 0.005 * np.arange(4)
+        imu = Imu(
+            time=when[None],
+            angular_rate=(bias + 3.5e-3 * rng.standard_normal((4, 3)))[None],
+            specific_force=(force + 0.017 * rng.standard_normal((4, 3)))[None],
+        )
+        lengths = measurement.unstrained_length
+        rate = Stamped(time=[now - 0.01] * np.ones(1), value=0.0 * lengths)
+        new = replace(measurement, time=now * np.ones(1), imu=imu, length_rate=rate)
+        belief = estimator.update(belief, Command(time=new.time, unstrained_length=lengths), new)
+    assert belief.memory.resting
+    assert belief.memory.state.rate_bias == pytest.approx(bias, abs=3e-3)  # prior 5e-3
+    assert np.linalg.norm(belief.twist[0]) < 0.01
+    assert belief.position == pytest.approx(rest.position, abs=0.01)
+
+
+def test_innovations_are_as_large_as_expected_and_counted():
+    scene = swaying(1)
+    found = [belief.memory.innovations for belief in nominal(scene)]
+    share = sum(i.squares[0] for i in found) / sum(i.dof[0] for i in found)
+    assert 0.2 < share < 1.5
+
+
+def test_a_belief_can_be_updated_again():
+    scene = swaying(0)
+    estimator = KsEkf.build(scene.robot)
+    first, second = scene.steps[0][0], scene.steps[1][0]
+    start = estimator.reset(first)
+    command = Command(time=second.time, unstrained_length=second.unstrained_length)
+    one, two = (estimator.update(start, command, second) for _ in range(2))
+    assert (one.position == two.position).all()
+    assert (one.covariance == two.covariance).all()
+
+
+def test_other_beliefs_and_earlier_measurements_are_refused():
+    scene = swaying(0)
+    estimator = KsEkf.build(scene.robot)
+    first, _, solver = scene.steps[0]
+    later = scene.steps[5][0]
+    command = Command(time=first.time, unstrained_length=first.unstrained_length)
+    with pytest.raises(CarosacError, match="not from this estimator"):
+        estimator.update(solver, command, later)
+    belief = estimator.update(estimator.reset(first), command, later)
+    with pytest.raises(InvalidField, match=r"measurement\.time"):
+        estimator.update(belief, command, first)
+    both = np.concatenate([first.unstrained_length] * 2)
+    with pytest.raises(InvalidField, match="one robot at a time"):
+        estimator.reset(Measurement(time=np.zeros(2), unstrained_length=both))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("coupling", "medium"),
+        ("length_noise", 0.0),
+        ("gate", 1.0),
+        ("rejections_max", 0),
+        ("imu_rotation", 2.0 * np.eye(3)),
+        ("imu_position", np.zeros(2)),
+        ("sway", np.nan),
+    ],
+)
+def test_settings_out_of_range_are_refused(name, value):
+    with pytest.raises(InvalidField, match=name):
+        KsEkfSettings(**{name: value})

@@ -1,0 +1,239 @@
+"""Propagation, lengths and poses of rest against finite differences and other solvers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio
+import pytest
+
+import carosac_toolkit as ct
+from baselines.ks_ekf import KsEkfSettings, starting
+from baselines.ks_ekf.cable_model import expected_lengths
+from baselines.ks_ekf.error_filter import ErrorFilter
+from baselines.ks_ekf.filter_state import FIXED, LENGTHS, POSE, FilterState, Samples
+from baselines.ks_ekf.inertial import InertialMotion, slope
+from baselines.ks_ekf.platform_motion import carried, moved_to_imu, origin
+from baselines.ks_ekf.rest_detection import Window, detect_rest
+from baselines.ks_ekf.rest_pose import find_rest
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.physics import statics
+
+ROBOT = ct.load_robot("carosac")
+SIZE = FIXED + ROBOT.n
+SETTINGS = KsEkfSettings(imu_position=np.array([0.1, -0.05, 0.2]))
+
+
+def moving_state() -> FilterState:
+    """A rotated, turning and accelerating platform, with all biases."""
+    rng = np.random.default_rng(1)
+    time = np.array([0.0, 0.004, 0.01, 0.015])
+    samples = Samples(
+        time=time,
+        rate=rng.normal(0.0, 0.5, (4, 3)),
+        force=rng.normal([0.0, 0.0, 9.8], 2.0, (4, 3)),
+    )
+    return replace(
+        starting.blank(ROBOT, SETTINGS, 0.0),
+        position=np.array([0.5, -1.5, 3.0]),
+        rotation=pinocchio.exp3(np.array([0.4, -0.3, 0.7])),
+        velocity=np.array([0.3, -0.6, 0.2]),
+        rate_bias=np.array([0.02, -0.01, 0.03]),
+        force_bias=np.array([0.1, 0.2, -0.1]),
+        length_bias=rng.normal(0.0, 5e-3, ROBOT.n),
+        inertial=True,
+        samples=samples,
+    )
+
+
+def difference(one: FilterState, other: FilterState) -> Array:
+    """Error that leads from one state to another, shape (18 + n,)."""
+    return np.concatenate(
+        [
+            other.position - one.position,
+            pinocchio.log3(other.rotation @ one.rotation.T),
+            other.velocity - one.velocity,
+            other.rate_bias - one.rate_bias,
+            other.force_bias - one.force_bias,
+            other.center - one.center,
+            other.length_bias - one.length_bias,
+        ]
+    )
+
+
+def test_covariance_is_carried_as_small_errors_are():
+    kalman = ErrorFilter(SIZE, 0.99)
+    quiet = replace(
+        SETTINGS, angular_rate_noise=1e-12, specific_force_noise=1e-12, bias_walk=0.0,
+        rate_change=1e-9, force_change=1e-9,
+    )  # fmt: skip
+    motion = InertialMotion(9.81, quiet, SIZE, kalman)
+    state = moving_state()
+    after = motion.advance(state, 0.0185)
+    assert after.time == pytest.approx(0.0185)
+    step, columns = 1e-6, []
+    for row in step * np.eye(SIZE):
+        up = motion.advance(state.injected(row, state.covariance), 0.0185)
+        down = motion.advance(state.injected(-row, state.covariance), 0.0185)
+        columns.append((difference(after, up) - difference(after, down)) / (2.0 * step))
+    jacobian = np.array(columns).T
+    expected = jacobian @ state.covariance @ jacobian.T
+    # Terms of the third order in the step are left out.
+    assert after.covariance == pytest.approx(expected, abs=2e-5)
+
+
+def test_injected_error_moves_the_origin_of_the_rotation_error():
+    state, error = moving_state(), np.zeros(SIZE)
+    error[3:6] = [0.3, -0.2, 0.25]
+    after = state.injected(error, state.covariance)
+    step, columns = 1e-6, []
+    for row in step * np.eye(3):
+        turns = [pinocchio.exp3(error[3:6] + s * row) @ state.rotation for s in (1.0, -1.0)]
+        both = [pinocchio.log3(turn @ after.rotation.T) for turn in turns]
+        columns.append((both[0] - both[1]) / (2.0 * step))
+    jacobian = np.array(columns).T
+    block = jacobian @ state.covariance[3:6, 3:6] @ jacobian.T
+    assert after.covariance[3:6, 3:6] == pytest.approx(block, abs=1e-8)
+
+
+def test_free_fall_and_rest_are_integrated_exactly():
+    motion = InertialMotion(9.81, SETTINGS, SIZE, ErrorFilter(SIZE, 0.99))
+    time = np.arange(0.0, 0.105, 0.005)
+    none = np.zeros((len(time), 3))
+    still = replace(
+        moving_state(), rate_bias=np.zeros(3), force_bias=np.zeros(3), velocity=np.ones(3)
+    )
+    falling = replace(still, samples=Samples(time=time, rate=none, force=none))
+    after = motion.advance(falling, 0.1)
+    assert after.velocity == pytest.approx([1.0, 1.0, 1.0 - 0.981])
+    assert after.position - still.position == pytest.approx([0.1, 0.1, 0.1 - 0.5 * 9.81 * 0.01])
+    held = none + still.rotation.T @ [0.0, 0.0, 9.81]
+    after = motion.advance(replace(still, samples=Samples(time=time, rate=none, force=held)), 0.1)
+    assert after.velocity == pytest.approx(still.velocity)
+
+
+def test_map_from_imu_to_origin_is_that_of_small_errors():
+    state = moving_state()
+    twist, covariance = carried(state, SETTINGS)
+    quiet = replace(SETTINGS, angular_rate_noise=1e-12)
+
+    def outputs(s: FilterState) -> Array:
+        moved, _ = carried(s, quiet)
+        turn = pinocchio.log3(s.rotation @ state.rotation.T)
+        return np.concatenate([origin(s, SETTINGS.imu_position), turn, moved])
+
+    step = 1e-6
+    columns = []
+    for row in step * np.eye(SIZE):
+        up, down = (outputs(state.injected(s * row, state.covariance)) for s in (1.0, -1.0))
+        columns.append((up - down) / (2.0 * step))
+    jacobian = np.array(columns).T
+    expected = jacobian @ state.covariance @ jacobian.T
+    assert carried(state, quiet)[1] == pytest.approx(expected, abs=1e-6)
+    assert (np.diag(covariance) >= np.diag(expected) - 1e-9).all()
+    rate = state.rotation @ (state.samples.rate[0] - state.rate_bias)
+    assert twist[3:] == pytest.approx(rate)
+    at_origin = replace(state, position=origin(state, SETTINGS.imu_position), velocity=twist[:3])
+    back = moved_to_imu(at_origin, rate, SETTINGS.imu_position)
+    assert back.position == pytest.approx(state.position)
+    assert back.velocity == pytest.approx(state.velocity)
+
+
+def state_at_rest(settings: KsEkfSettings) -> tuple[FilterState, statics.Equilibrium]:
+    """An equilibrium away from home, as the filter sees it."""
+    rest = statics.inverse_kinematics(ROBOT, np.array([[1.2, -3.0, 2.4]]))
+    force = rest.rotation[0].T @ [0.0, 0.0, 9.81]
+    state = replace(
+        moving_state(),
+        position=rest.position[0] + rest.rotation[0] @ settings.imu_position,
+        rotation=rest.rotation[0],
+        rate_bias=np.zeros(3),
+        force_bias=np.zeros(3),
+        covariance=1e-8 * np.eye(SIZE),
+        samples=Samples(time=np.zeros(1), rate=np.zeros((1, 3)), force=force[None]),
+    )
+    return state, rest
+
+
+def test_lengths_at_rest_are_those_of_the_statics():
+    state, rest = state_at_rest(SETTINGS)
+    found = expected_lengths(ROBOT, state, np.zeros(3), SETTINGS)
+    assert found.valid.all()
+    assert found.tension == pytest.approx(rest.tension[0], rel=0.02)
+    assert found.length == pytest.approx(rest.unstrained_length[0], abs=1e-4)
+
+
+def test_length_jacobian_is_that_of_small_errors():
+    state, _ = state_at_rest(SETTINGS)
+    found = expected_lengths(ROBOT, state, np.zeros(3), SETTINGS)
+    step, columns = 1e-5, []
+    for row in step * np.eye(SIZE):
+        both = [
+            expected_lengths(ROBOT, s, np.zeros(3), SETTINGS).length + s.length_bias
+            for s in (state.injected(row, state.covariance), state.injected(-row, state.covariance))
+        ]
+        columns.append((both[0] - both[1]) / (2.0 * step))
+    jacobian = np.array(columns).T
+    # Tensions follow the pose too, which the filter leaves out: parts per thousand.
+    assert found.jacobian[:, POSE] == pytest.approx(jacobian[:, POSE], abs=5e-3)
+    assert found.jacobian[:, LENGTHS] == pytest.approx(np.eye(ROBOT.n))
+
+
+def test_slack_cable_says_nothing():
+    state, _ = state_at_rest(SETTINGS)
+    falling = Samples(time=np.zeros(1), rate=np.zeros((1, 3)), force=np.zeros((1, 3)))
+    found = expected_lengths(ROBOT, replace(state, samples=falling), np.zeros(3), SETTINGS)
+    assert not found.valid.any()
+
+
+def test_pose_of_rest_moves_with_lengths_and_centre_of_mass():
+    rest = statics.inverse_kinematics(ROBOT, np.array([[1.0, -3.0, 2.5]]))
+    lengths = rest.unstrained_length[0]
+    found = find_rest(ROBOT, lengths, np.zeros(3), None)
+    assert found is not None
+    assert found.position == pytest.approx(rest.position[0], abs=1e-6)
+    change = np.array([4e-3, -2e-3, 1e-3, 3e-3])
+    other = statics.forward_kinematics(ROBOT, (lengths + change)[None], guess=rest)
+    moved = found.position + (found.per_length @ change)[:3]
+    assert moved == pytest.approx(other.position[0], abs=2e-4)
+    shift = np.array([4e-3, -3e-3, 2e-3])
+    shifted = replace(ROBOT, center_of_mass=ROBOT.center_of_mass + shift)
+    other = statics.forward_kinematics(shifted, lengths[None])
+    moved_by_center = find_rest(ROBOT, lengths, shift, None)
+    assert moved_by_center is not None
+    turn = pinocchio.log3(moved_by_center.rotation @ other.rotation[0].T)
+    lean = pinocchio.log3(found.rotation @ other.rotation[0].T)
+    assert np.linalg.norm(turn) < 0.1 * np.linalg.norm(lean)
+    assert moved_by_center.position == pytest.approx(other.position[0], abs=1e-3)
+
+
+def test_rest_is_quiet_encoders_and_quiet_imu():
+    settings = KsEkfSettings()
+    time = np.arange(0.0, 1.2, 0.005)
+    bias, still = np.array([0.01, -0.02, 0.0]), np.zeros((len(time), 3))
+    window = Window(time=np.zeros(0), lengths=np.zeros((0, 4)))
+
+    def seen(sway: float, wind: float) -> Window:
+        rate = still + bias
+        rate[:, 0] += sway * np.sin(2.8 * time)
+        samples = Samples(time=time, rate=rate, force=still + np.array([0.0, 0.0, 9.81]))
+        found = window
+        for k in range(0, len(time), 4):
+            part = samples.keep(slice(k, k + 4))
+            found = found.extended(time[k], 8.0 + wind * time[k] * np.ones(4), part, 1.0)
+        return found
+
+    quiet = detect_rest(seen(0.0, 0.0), bias, settings)
+    assert quiet is not None
+    assert quiet.rate == pytest.approx(bias)
+    assert detect_rest(seen(0.1, 0.0), bias, settings) is None
+    assert detect_rest(seen(0.0, 0.1), bias, settings) is None
+    assert detect_rest(Window(time=time, lengths=np.zeros((len(time), 4))), bias, settings) is None
+
+
+def test_slope_is_the_angular_acceleration():
+    time = np.arange(0.0, 0.05, 0.005)
+    samples = Samples(time=time, rate=np.outer(time, [1.0, -2.0, 0.5]), force=np.zeros((10, 3)))
+    assert slope(samples, 0.02, 0.0125) == pytest.approx([1.0, -2.0, 0.5])
+    assert slope(samples, 9.0, 0.0125) == pytest.approx(np.zeros(3))
