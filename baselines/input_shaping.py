@@ -1,0 +1,254 @@
+r"""Input shaping on the catenary inverse kinematics: the reference, moved so that it ends calm.
+
+A suspended platform on few cables sways: four cables leave two slow modes, which hardly anything
+damps. A shaper convolves the reference with impulses that cancel a mode (`baselines.shapers`). The
+frequencies differ from pose to pose, by a factor of two in the workspace of ``carosac``. They are
+those of the pose of rest at the reference at this moment, and impulses are set apart by the phase
+that a mode has gone through since, not by a time: the second one comes when the mode has swung by
+half a period, however its frequency has changed meanwhile, and as the frequency is as smooth as the
+reference, so is the shaped one. Sway lives on the tension, so its stiffness is that of a pendulum:
+a platform that accelerates upwards swings faster.
+
+Only motion along its own direction excites a mode. With its excitation :math:`g_k` (a row of
+`SwayModes.excitation`) and the shaped reference :math:`s_k`, the platform is sent to
+
+.. math:: u = r + \sum_k d_k\, g_k^\top (s_k - r), \qquad
+    [d_1 \dots d_K] = G (G^\top G + \epsilon m 1)^{-1}, \quad G = [g_1 \dots g_K],
+
+so that :math:`g_k^\top u = g_k^\top s_k`, and motion that excites nothing is left as it is. The
+small :math:`\epsilon` lets a mode go smoothly where translation hardly excites it.
+
+The impulse times lie about the present: with preview, what a shaper gets is the reference read
+ahead by its mean delay, so the shaped path is late by nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, Self, get_args
+
+import numpy as np
+
+from baselines.kinematic_solver_controller import UnreachableReference
+from baselines.reference_ahead import AheadSettings
+from baselines.shaped_signal import Past, ShapedSignal, interpolated
+from baselines.shapers import SHAPERS, Shaper, impulses, mean_delay
+from baselines.sway_modes import SwayModes, sway_modes
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics import statics
+from carosac_toolkit.physics.statics import Equilibrium
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Belief, Command, Reference
+
+Directions = Literal["modal", "all"]
+FADE = 2e-3  # epsilon: share of the platform's mass below which a mode counts as not excited
+GRID = 5  # poses along each side of the workspace box in which the slowest sway is looked for
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputShapingSettings(AheadSettings):
+    """Settings of `InputShaping`.
+
+    Attributes:
+        shaper: ``zv`` or, wider and slower, ``zvd``.
+        frequency_max: Modes that are slower at home are shaped [Hz]; 0 shapes none.
+        directions: ``modal``: each shaper acts on motion that excites its mode; ``all``: all
+            shapers, one after the other, act on all motion.
+        preview: Whether the reference is read ahead by the mean delay of the shapers.
+        start_time: In this time after the reset the look ahead grows from 0 to its full size [s]:
+            a motion that begins at once cannot have been prepared.
+    """
+
+    shaper: Shaper = "zv"
+    frequency_max: float = 3.0
+    directions: Directions = "modal"
+    preview: bool = True
+    start_time: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        super().__post_init__()
+        for name, allowed in (("shaper", SHAPERS), ("directions", get_args(Directions))):
+            if getattr(self, name) not in allowed:
+                raise InvalidField(name, repr(getattr(self, name)), f"one of {list(allowed)}")
+        if not isinstance(self.preview, bool):
+            raise InvalidField("preview", repr(self.preview), "true or false")
+        if not 0.0 <= self.frequency_max < np.inf:
+            raise InvalidField("frequency_max", f"{self.frequency_max} Hz", "frequency_max >= 0")
+        if not 0.0 < self.start_time < np.inf:
+            raise InvalidField("start_time", f"{self.start_time} s", "start_time > 0")
+
+
+class InputShaping:
+    """Sends the lengths of rest at the shaped reference, as the kinematic solver does at its own.
+
+    Attributes:
+        period: Time between two commands [s].
+        horizon: How far ahead of now it needs the reference [s].
+        lag: Mean delay of each shaper in the slowest pose of the workspace [s], shape (K,), one for
+            each mode that is shaped, or a single one for all directions: without preview the
+            platform is late by it along the shaped direction.
+        modes: How many modes it shapes.
+    """
+
+    Settings: ClassVar = InputShapingSettings
+    _correction: Array
+    _start: Array | None
+
+    def __init__(self, robot: Robot, settings: InputShapingSettings) -> None:
+        delay = settings.delay
+        if delay is None:
+            delay = float(robot.winch_lag.mean()) + 0.5 * settings.period
+        self._robot, self._settings = robot, settings
+        self._delay = delay
+        self.modes = _slow_modes(robot, settings.frequency_max)
+        self.lag = self._largest_delays()
+        self.period = settings.period
+        lead = delay + (float(self.lag.max(initial=0.0)) if settings.preview else 0.0)
+        self.horizon = settings.period * float(np.ceil(lead / settings.period + 1e-9))
+        self._forget(1)
+
+    @classmethod
+    def build(
+        cls, robot: Robot, settings: InputShapingSettings | None = None, *, seed: int = 0
+    ) -> Self:
+        """Make one for the nominal robot; it draws no random numbers, so `seed` has no effect."""
+        return cls(robot, settings or InputShapingSettings())
+
+    def reset(self, belief: Belief) -> None:
+        """Forget the correction and all of the reference that has gone by."""
+        self._forget(len(belief.position))
+
+    def command(self, belief: Belief, reference: Reference) -> Command:
+        """Lengths of rest at the shaped reference.
+
+        Raises:
+            UnreachableReference: There is no stable rest within the tension limits there.
+            InvalidField: The time of the reference does not go on.
+        """
+        error = reference.position[:, 0] - belief.position
+        self._correction = self._correction + self._settings.gain * self.period * error
+        when = (reference.time[:, 0] + self._delay)[:, None]
+        aim = interpolated(when, reference.time, reference.position)[:, 0]
+        if self.modes:
+            aim = self._shaped(aim, reference)
+        rest = self._rest(aim + self._correction)
+        return Command(time=belief.time, unstrained_length=rest.unstrained_length)
+
+    def _forget(self, size: int) -> None:
+        """Start anew with B robots at rest."""
+        self._correction = np.zeros((size, 3))
+        self._start = None
+        self._past = [Past() for _ in self.lag]
+        self._signals = [ShapedSignal(self._settings.shaper) for _ in range(self.modes)]
+
+    def _shaped(self, aim: Array, reference: Reference) -> Array:
+        """The reference after the shapers [m], (B, 3), whose unshaped value is `aim`."""
+        now = reference.time[:, 0]
+        if self._start is None:
+            self._start = now
+        elif not (now > self._past[0].last).all():
+            allowed = "later than in the last call, or reset() in between"
+            raise InvalidField("reference.time[0]", f"{now} s", allowed)
+        modes = sway_modes(self._robot, self._rest(aim), self.modes)
+        if not (modes.frequency > 0.0).all():
+            row = int((~(modes.frequency > 0.0)).any(axis=1).argmax())
+            raise UnreachableReference(
+                f"input_shaping: position {aim[row].round(4)} m: rest is not stable there"
+            )
+        modes = replace(modes, frequency=modes.frequency * self._stiffening(reference))
+        signals = self._prepared(reference, self._delays(modes), now - self._start)
+        chained = self._settings.directions == "all"
+        made: list[Array] = []
+        for k, shaper in enumerate(self._signals):
+            value = (made or signals)[-1] if chained else signals[k]
+            made.append(shaper.next(now, value, modes.frequency[:, k], modes.damping[:, k]))
+        return made[-1] if chained else self._joined(aim, np.stack(made, axis=1), modes.excitation)
+
+    def _stiffening(self, reference: Reference) -> Array:
+        """How much faster a pendulum swings in a frame that accelerates upwards, shape (B, 1).
+
+        Within a quarter of gravity and four times as much: half and twice the frequency.
+        """
+        when = (reference.time[:, 0] + self._delay)[:, None]
+        rise = interpolated(when, reference.time, reference.acceleration)[:, 0, 2:]
+        return np.asarray(np.sqrt(np.clip(1.0 + rise / self._robot.gravity, 0.25, 4.0)))
+
+    def _prepared(self, reference: Reference, delays: list[Array], elapsed: Array) -> list[Array]:
+        """What each shaper gets, (B, 3) each: read ahead, so that what it makes is centred in time.
+
+        The look ahead grows smoothly after the reset. It is as long as the slowest pose of the
+        workspace needs; where the mode is faster, the rest is waited for.
+        """
+        now = reference.time[:, 0]
+        share = np.clip(elapsed / self._settings.start_time, 0.0, 1.0)
+        smooth = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+        made = []
+        for past, lag, delay in zip(self._past, self.lag, delays, strict=True):
+            lead = self._delay + (lag if self._settings.preview else 0.0)
+            when = (now + lead * smooth)[:, None]
+            read = interpolated(when, reference.time, reference.position)[:, 0]
+            past.add(now, read, keep=float(lag))
+            made.append(past.at((now - np.maximum(lag - delay, 0.0))[:, None])[:, 0])
+        return made
+
+    def _joined(self, aim: Array, shaped: Array, excitation: Array) -> Array:
+        """Replace the part of `aim` that excites each mode by its shaped one: (B, 3) [m].
+
+        Args:
+            aim: (B, 3) [m].
+            shaped: The reference after the shaper of each mode [m], (B, K, 3).
+            excitation: Of each mode, (B, K, 3).
+        """
+        along = np.einsum("bki,bki->bk", excitation, shaped - aim[:, None])
+        gram = excitation @ excitation.swapaxes(1, 2)
+        small = FADE * self._robot.mass * np.eye(self.modes)
+        weights = np.linalg.solve(gram + small, along[..., None])
+        return aim + np.asarray((excitation.swapaxes(1, 2) @ weights)[..., 0])
+
+    def _delays(self, modes: SwayModes) -> list[Array]:
+        """Mean delay of each shaper [s], (B,) each; of all together where they act on all."""
+        kind, columns = self._settings.shaper, range(modes.frequency.shape[1])
+        each = [
+            mean_delay(impulses(kind, modes.frequency[:, k], modes.damping[:, k])) for k in columns
+        ]
+        return [np.sum(each, axis=0)] if self._settings.directions == "all" else each
+
+    def _rest(self, position: Array) -> Equilibrium:
+        """Poses of rest at positions (B, 3) [m]."""
+        rest = statics.inverse_kinematics(self._robot, position)
+        if not rest.converged.all():
+            row = int((~rest.converged).argmax())
+            raise UnreachableReference(
+                f"input_shaping: position {position[row].round(4)} m: "
+                f"{statics.REASONS[rest.status[row]]}"
+            )
+        return rest
+
+    def _largest_delays(self) -> Array:
+        """Mean delay of each shaper where the workspace box has its slowest sway [s]."""
+        if self.modes == 0:
+            return np.zeros(0)
+        box = zip(self._robot.workspace_min, self._robot.workspace_max, strict=True)
+        sides = [np.linspace(low, high, GRID) for low, high in box]
+        poses = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+        rest = statics.inverse_kinematics(self._robot, poses)
+        usable = rest.converged & rest.stable
+        poses = np.vstack([self._robot.home_position, poses[usable]])
+        delays = self._delays(sway_modes(self._robot, self._rest(poses), self.modes))
+        return np.array([delay.max() for delay in delays])
+
+
+def _slow_modes(robot: Robot, frequency_max: float) -> int:
+    """How many modes at home are slower than a limit.
+
+    Raises:
+        UnreachableReference: The robot cannot rest at home.
+    """
+    rest = statics.inverse_kinematics(robot, robot.home_position[None])
+    if not rest.converged[0]:
+        reason = statics.REASONS[rest.status[0]]
+        raise UnreachableReference(f"input_shaping: {robot.name} at home: {reason}")
+    frequency = sway_modes(robot, rest, 6).frequency[0]
+    return int((frequency < frequency_max).sum())
