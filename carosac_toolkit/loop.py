@@ -6,9 +6,9 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
+from carosac_toolkit.consistency import Innovations
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.protocols import Controller, Driver, Estimator, TruthSource
 from carosac_toolkit.trajectories import Trajectory
@@ -60,6 +60,11 @@ class Log:
         latency: Wall time of estimator and controller per cycle [s], shape (T,).
         limited: Every limit that changed a command, with the index of its cycle.
         completed: Whether the driver went on to the end.
+        twist: True twist in W at the platform origin [m/s, rad/s], shape (T, B, 6), or None.
+        belief_twist: Believed twist, shape (T, B, 6); None where the estimator has none.
+        belief_covariance: Of the belief, as `Belief.covariance`, shape (T, B, 12, 12), or None.
+        innovations: What measurements said against the beliefs, each of shape (T, B); None where
+            the estimator has none.
     """
 
     time: Array
@@ -75,6 +80,10 @@ class Log:
     latency: Array
     limited: tuple[tuple[int, LimitHit], ...]
     completed: bool
+    twist: Array | None = None
+    belief_twist: Array | None = None
+    belief_covariance: Array | None = None
+    innovations: Innovations | None = None
 
 
 def run(
@@ -201,27 +210,56 @@ def _checked_command(command: object, measurement: Measurement) -> Command:
 
 def _log(steps: list[Step], completed: bool) -> Log:
     """Stack the cycles."""
-
-    def stack(values: list[NDArray[np.float64]]) -> Array:
-        return np.stack(values)
-
     size = len(steps[0].measurement.unstrained_length)
-    truths = [s.truth for s in steps if s.truth is not None]
-    known = len(truths) == len(steps)
-    tensions = [t.tension for t in truths if t.tension is not None]
+    beliefs = [s.belief for s in steps]
     start = float(steps[0].measurement.time[0])
     return Log(
         time=np.array([s.measurement.time[0] for s in steps]) - start,
-        reference=stack([np.broadcast_to(s.reference.position[:, 0], (size, 3)) for s in steps]),
-        position=stack([t.position for t in truths]) if known else None,
-        rotation=stack([t.rotation for t in truths]) if known else None,
-        tension=stack(tensions) if len(tensions) == len(steps) else None,
-        belief_position=stack([s.belief.position for s in steps]),
-        belief_rotation=stack([s.belief.rotation for s in steps]),
-        unstrained_length=stack([s.measurement.unstrained_length for s in steps]),
-        asked=stack([s.asked.unstrained_length for s in steps]),
-        command=stack([s.command.unstrained_length for s in steps]),
+        reference=np.stack([np.broadcast_to(s.reference.position[:, 0], (size, 3)) for s in steps]),
+        belief_position=np.stack([belief.position for belief in beliefs]),
+        belief_rotation=np.stack([belief.rotation for belief in beliefs]),
+        belief_twist=_stacked([belief.twist for belief in beliefs]),
+        belief_covariance=_stacked([belief.covariance for belief in beliefs]),
+        innovations=_innovations(beliefs),
+        unstrained_length=np.stack([s.measurement.unstrained_length for s in steps]),
+        asked=np.stack([s.asked.unstrained_length for s in steps]),
+        command=np.stack([s.command.unstrained_length for s in steps]),
         latency=np.array([s.latency for s in steps]),
         limited=tuple((k, hit) for k, s in enumerate(steps) for hit in s.command.limited),
         completed=completed,
+        **_truth([s.truth for s in steps]),
     )
+
+
+def _truth(truths: list[State | None]) -> dict[str, Array | None]:
+    """The truth over all cycles; None where it is not known in each of them."""
+    known = [truth for truth in truths if truth is not None]
+    names = ("position", "rotation", "twist", "tension")
+    if len(known) < len(truths):
+        return dict.fromkeys(names)
+    return {name: _stacked([getattr(truth, name) for truth in known]) for name in names}
+
+
+def _stacked(values: list[Array | None]) -> Array | None:
+    """Values of all cycles, shape (T, ...), or None where some have none."""
+    known = [value for value in values if value is not None]
+    return np.stack(known) if len(known) == len(values) else None
+
+
+def _innovations(beliefs: list[Belief]) -> Innovations | None:
+    """Innovations of all cycles, where the memory of any belief has some; none count as 0."""
+    found = [getattr(belief.memory, "innovations", None) for belief in beliefs]
+    if not any(isinstance(one, Innovations) for one in found):
+        return None
+    size = len(beliefs[0].position)
+    names = ("squares", "dof", "rejected")
+    columns = {
+        name: np.stack(
+            [
+                np.broadcast_to(np.asarray(getattr(one, name, 0.0), dtype=float), (size,))
+                for one in found
+            ]
+        )
+        for name in names
+    }
+    return Innovations(**columns)

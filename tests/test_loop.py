@@ -1,11 +1,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from carosac_toolkit import trajectories
+from carosac_toolkit.consistency import Innovations
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.loop import BadPlugin, run
 from carosac_toolkit.values import Belief, Command, LimitHit, Measurement, State
@@ -262,3 +264,34 @@ def test_a_negative_horizon_is_refused_and_the_driver_closed(calls):
     with pytest.raises(CarosacError, match="horizon"):
         run(Driver(calls), Estimator(calls), controller, PATH)
     assert calls[-2:] == ["stop", "close"]
+
+
+class Sure(Estimator):
+    """It has a twist, a covariance and, from the second belief on, innovations."""
+
+    def belief(self, measurement):
+        size = len(measurement.time)
+        count = len(self.applied)
+        found = Innovations(squares=np.full(size, 3.0 * count), dof=np.full(size, 4.0),
+                            rejected=np.zeros(size))  # fmt: skip
+        return replace(
+            super().belief(measurement),
+            twist=np.full((size, 6), 0.1 * count),
+            covariance=np.tile(np.eye(12) * (1.0 + count), (size, 1, 1)),
+            memory=SimpleNamespace(innovations=found) if count else None,
+        )
+
+
+def test_the_log_keeps_what_an_estimator_says_about_itself():
+    log = run(Knowing([], size=2), Sure([]), Controller([]), PATH, duration=0.3)
+    count = len(log.time)
+    assert log.belief_twist[:, 1, 0] == pytest.approx(0.1 * np.arange(count))
+    assert log.belief_covariance[:, 0, 3, 3] == pytest.approx(1.0 + np.arange(count))
+    assert log.innovations.squares[:, 0] == pytest.approx(3.0 * np.arange(count))
+    assert log.innovations.dof[:, 1].tolist() == [0.0] + [4.0] * (count - 1)
+    assert log.twist is None  # this driver does not know it
+
+
+def test_what_an_estimator_does_not_say_is_none():
+    log = run(Knowing([]), Estimator([]), Controller([]), PATH, duration=0.3)
+    assert log.belief_twist is log.belief_covariance is log.innovations is None

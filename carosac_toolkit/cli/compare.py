@@ -1,9 +1,9 @@
 """Compare controllers and estimators on the same draws of plants, paths and noise.
 
 Every combination is a case; cases run on all cores, or on a dask cluster. Prints a table of
-tracking and estimation errors, what failed and why, and who is better; writes pictures, one
-self-contained report.html and the row of every case in Parquet. Interrupted, the same command with
-the same --output goes on.
+tracking and estimation errors, how far estimators are right about their own errors, what failed and
+why, and who is better; writes pictures, one self-contained report.html and the row of every case in
+Parquet. Interrupted, the same command with the same --output goes on.
 
 Exit status 1 means that a row of the table is empty: none of its cases succeeded.
 """
@@ -18,6 +18,7 @@ import tyro
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.report_page import check_folder
+from carosac_toolkit.studies.chosen_settings import chosen_settings
 from carosac_toolkit.studies.engine import TIMEOUT
 from carosac_toolkit.studies.findings import conclusions
 from carosac_toolkit.studies.report import write_report
@@ -42,7 +43,8 @@ class Options(CommonOptions):
     estimators: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--estimator"])] = (
         "kinematic_solver",
     )
-    """Estimators by name, or `module:Class`; `truth` is what a simulated driver knows."""
+    """Estimators by name, or `module:Class`; `truth` is what a simulated driver knows. NAME@LABEL
+    is NAME with settings of its own, here and among the controllers."""
     suites: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--suite"])] = ("lengths",)
     """Sensor suites of the driver."""
     trajectories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--trajectory"])] = TRAJECTORIES
@@ -60,6 +62,11 @@ class Options(CommonOptions):
     """Largest speed of the trajectories [m/s]."""
     acceleration: float = 1.0
     """Largest acceleration of the trajectories [m/s^2]."""
+    settings: Annotated[
+        tuple[str, ...], tyro.conf.arg(name="set", metavar="SETTING"), tyro.conf.UseAppendAction
+    ] = ()
+    """Setting of a plug-in: controller.NAME.FIELD=VALUE, estimator.NAME.FIELD=VALUE or
+    driver.FIELD=VALUE, VALUE as JSON or text; may be given several times."""
     quick: tyro.conf.FlagCreatePairsOff[bool] = False
     """Two draws, unless --seeds says otherwise: in under a minute. A full run in the same folder
     goes on from there."""
@@ -118,6 +125,9 @@ def _study(options: Options) -> Study:
         workers=options.workers,
         timeout=options.timeout,
         retry=options.retry,
+        **chosen_settings(
+            options.settings, controllers=options.controllers, estimators=options.estimators
+        ),
     )
 
 
@@ -129,7 +139,7 @@ def _words(options: Options, study: Study) -> list[str]:
     words += ["--seed", str(options.seed), "--seeds", str(len(study.seed_list))]
     words += ["--driver", options.driver, "--timeout", f"{options.timeout:g}"]
     words += ["--speed", f"{options.speed:g}", "--acceleration", f"{options.acceleration:g}"]
-    return words
+    return words + [word for text in options.settings for word in ("--set", text)]
 
 
 def _what(study: Study) -> str:

@@ -19,6 +19,7 @@ from carosac_toolkit.pictures.drawing import (
     put_patches,
     set_space,
 )
+from carosac_toolkit.pictures.estimates import draw_estimates
 from carosac_toolkit.studies.examples import MM, Example, examples_of
 from carosac_toolkit.studies.results import NAMES, StudyResults, tracked
 from carosac_toolkit.studies.rows import Row
@@ -166,12 +167,18 @@ def draw_bars(results: StudyResults) -> Figure:
     return figure
 
 
+def draw_beliefs(results: StudyResults) -> Figure:
+    """Draw estimation errors, and how far estimators are right about them."""
+    return draw_estimates(_groups(results), _left_out(results))
+
+
 PICTURES: Mapping[str, Callable[[StudyResults], Figure]] = {
     "paths": draw_paths,
     "error_over_time": draw_time,
     "error_violins": draw_violins,
     "rmse_gaussians": draw_gaussians,
     "regions_and_estimates": draw_bars,
+    "estimation": draw_beliefs,
 }
 
 

@@ -15,7 +15,7 @@ from carosac_toolkit.perturbations import CONDITIONS
 from carosac_toolkit.protocols import replays
 from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.studies.folder import check_statuses
-from carosac_toolkit.studies.run_case import GIVEN
+from carosac_toolkit.studies.run_case import GIVEN, filled, plugin_name
 
 if TYPE_CHECKING:
     from carosac_toolkit.studies.study import Study
@@ -97,7 +97,7 @@ def _plugin(kind: Any, name: str) -> Any:
         CarosacError: It is not there, cannot be imported or has no `build`.
     """
     try:
-        plugin = registry.load(kind, name)
+        plugin = registry.load(kind, plugin_name(name))
     except CarosacError:
         raise
     except Exception as error:
@@ -131,7 +131,7 @@ def _check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any
         raise InvalidField(field, repr(dict(wanted)), f"nothing: {name} has no settings")
     _known(f"{field} of {name}", wanted, sorted(item.name for item in fields(kinds)))
     try:
-        kinds(**{name: x for name, x in wanted.items() if not isinstance(x, Mapping)})  # type: ignore[operator]
+        filled(f"{field} of {name}", kinds(), wanted)  # type: ignore[operator]
     except TypeError as error:
         raise InvalidField(field, repr(dict(wanted)), f"settings of {name}: {error}") from error
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from carosac_toolkit.arrays import Array
-from carosac_toolkit.studies.results import tracked
+from carosac_toolkit.studies.results import scored, tracked
 from carosac_toolkit.studies.rows import Row
 
 MM = 1e3
@@ -27,6 +27,7 @@ class Example:
         time: From the start [s], shape (S,).
         reference: Platform origin asked for in W [m], shape (S, 3).
         position: True platform origin in W [m], shape (S, 3).
+        belief: Believed platform origin in W [m], shape (S, 3); None where it was not kept.
     """
 
     trajectory: str
@@ -34,12 +35,18 @@ class Example:
     time: Array
     reference: Array
     position: Array
+    belief: Array | None = None
 
     @property
     def error(self) -> Array:
         """Absolute tracking error per axis and in norm [mm], shape (S, 4)."""
-        error = MM * (self.position - self.reference)
-        return np.column_stack([np.abs(error), np.linalg.norm(error, axis=1)])
+        return _absolute(self.position - self.reference)
+
+    @property
+    def estimation_error(self) -> Array:
+        """Absolute estimation error per axis and in norm [mm], shape (S, 4), where it was kept."""
+        assert self.belief is not None
+        return _absolute(self.belief - self.position)
 
     def rests(self) -> list[tuple[float, float]]:
         """Start and end of each rest of the reference [s]."""
@@ -55,6 +62,17 @@ def examples_of(rows: Sequence[Row]) -> list[Example]:
     return [example for row in tracked(rows) if (example := _example(row)) is not None]
 
 
+def estimates_of(rows: Sequence[Row]) -> list[Example]:
+    """Cases whose course was kept with what was believed, also those that track nothing."""
+    examples = (_example(row) for row in scored(rows))
+    return [one for one in examples if one is not None and one.belief is not None]
+
+
+def _absolute(error: Array) -> Array:
+    """Error (S, 3) [m] per axis and in norm [mm], shape (S, 4)."""
+    return MM * np.column_stack([np.abs(error), np.linalg.norm(error, axis=1)])
+
+
 def _example(row: Row) -> Example | None:
     """The course of a case, or None where it was not kept."""
     if row.get("series") is None:
@@ -68,4 +86,5 @@ def _example(row: Row) -> Example | None:
         time=np.array(series["time_s"]),
         reference=np.array(series["reference_m"]),
         position=np.array(series["position_m"]),
+        belief=np.array(series["belief_m"]) if series.get("belief_m") is not None else None,
     )

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
-from carosac_toolkit.studies.results import PAIR, StudyResults, pooled, steps, tracked
+from carosac_toolkit.studies.results import (
+    PAIR,
+    StudyResults,
+    estimated,
+    pooled,
+    steps,
+    tracked,
+)
+from carosac_toolkit.studies.rows import Row
 from carosac_toolkit.validation.quantities import say_length
 
 SWAY_MIN = 1e-3  # [m]: a smaller swing is not worth a sentence
@@ -13,8 +22,30 @@ WAYS = ("controller", "estimator", "suite")  # what is compared
 BLOCKS = 3  # robots and perturbations that get sentences
 
 
+@dataclass(frozen=True)
+class _Compared:
+    """An error that groups are compared by."""
+
+    error: str
+    verb: str
+    column: str
+    summary: str
+    rows: Callable[[Sequence[Row]], list[Row]]
+
+    def errors(self, results: StudyResults, members: Sequence[int]) -> dict[int, float]:
+        """The RMSE in norm of those groups that have one [m]."""
+        found = {k: results.summary[k][self.summary]["norm"] for k in members}
+        return {k: error for k, error in found.items() if error is not None}
+
+
+TRACKING = _Compared("tracking", "track", "tracking_rmse_norm_m", "tracking_rmse_m", tracked)
+ESTIMATION = _Compared(
+    "estimation", "estimate", "estimation_rmse_norm_m", "estimation_rmse_m", estimated
+)
+
+
 def conclusions(results: StudyResults) -> list[str]:
-    """Say who tracks best and by how much, over cases that the compared ones share."""
+    """Say who estimates and tracks best and by how much, over cases that they share."""
     blocks: dict[tuple[str, str], list[int]] = {}
     for k, line in enumerate(results.summary):
         blocks.setdefault((line["robot"], line["perturbation"]), []).append(k)
@@ -27,20 +58,15 @@ def conclusions(results: StudyResults) -> list[str]:
 
 def _of_block(results: StudyResults, members: list[int]) -> Iterator[str]:
     """Compare the groups of one robot and perturbation."""
-    errors = {
-        k: results.summary[k]["tracking_rmse_m"]["norm"]
-        for k in members
-        if results.summary[k]["tracking_rmse_m"]["norm"] is not None
-    }
+    if len({results.summary[k]["estimator"] for k in members}) > 1:
+        yield from _compared(results, members, ESTIMATION)
+    yield from (text for k in members if (text := _consistency(results, k)))
+    yield from _compared(results, members, TRACKING)
+    errors = TRACKING.errors(results, members)
     ranked = sorted(errors, key=lambda k: errors[k])
+    if len(ranked) < 2 or errors[ranked[-1]] <= ALIKE * errors[ranked[0]]:
+        return
     labels = results.labels_of(WAYS)
-    if not ranked:
-        return
-    if len(ranked) == 1:
-        yield f"{labels[ranked[0]]} tracks with {say_length(errors[ranked[0]])} RMSE."
-        return
-    for other in dict.fromkeys((ranked[1], ranked[-1])):
-        yield _pair(results, ranked[0], other)
     spread = [
         f"{say_length(results.summary[k]['tracking_std_m'])} for {labels[k]}"
         for k in (ranked[0], ranked[-1])
@@ -54,15 +80,31 @@ def _of_block(results: StudyResults, members: list[int]) -> Iterator[str]:
         yield f"At the end the platform still swings: by {swings} (RMS)."
 
 
-def _pair(results: StudyResults, one: int, two: int) -> str:
-    """Compare two groups over the cases in which both have a tracking error."""
+def _compared(results: StudyResults, members: list[int], what: _Compared) -> Iterator[str]:
+    """Compare the best group with the second and with the last one."""
+    errors = what.errors(results, members)
+    ranked = sorted(errors, key=lambda k: errors[k])
+    if len(ranked) == 1:
+        label = results.labels_of(WAYS)[ranked[0]]
+        yield f"{label} {what.verb}s with {say_length(errors[ranked[0]])} RMSE."
+    if len(ranked) > 2 and errors[ranked[-1]] <= ALIKE * errors[ranked[0]]:
+        names = ", ".join(results.labels_of(WAYS)[k] for k in ranked)
+        size = f"{say_length(errors[ranked[0]])} to {say_length(errors[ranked[-1]])}"
+        yield f"All {what.verb} alike: {size} RMSE ({names})."
+    elif len(ranked) > 1:
+        for other in dict.fromkeys((ranked[1], ranked[-1])):
+            yield _pair(results, ranked[0], other, what)
+
+
+def _pair(results: StudyResults, one: int, two: int, what: _Compared) -> str:
+    """Compare two groups over the cases in which both have an error."""
     by_case = [
-        {tuple(row[name] for name in PAIR): row for row in tracked(results.groups[k])}
+        {tuple(row[name] for name in PAIR): row for row in what.rows(results.groups[k])}
         for k in (one, two)
     ]
     common = [key for key in by_case[0] if key in by_case[1]]
     rows = [[table[key] for key in common] for table in by_case]
-    size = [pooled(part, "tracking_rmse_norm_m", steps(part)) for part in rows]
+    size = [pooled(part, what.column, steps(part)) for part in rows]
     labels = results.labels_of(WAYS)
     names = [labels[one], labels[two]]
     if size[0] is None or size[1] is None:
@@ -73,16 +115,36 @@ def _pair(results: StudyResults, one: int, two: int) -> str:
     over = f"RMSE over the same {len(common)} case" + ("s" if len(common) > 1 else "")
     if high <= ALIKE * low:
         texts = f"{say_length(low)} and {say_length(high)}"
-        return f"{names[0]} and {names[1]} track alike: {texts} {over}."
+        return f"{names[0]} and {names[1]} {what.verb} alike: {texts} {over}."
     worse = sum(
-        float(b["tracking_rmse_norm_m"] or 0.0) > float(a["tracking_rmse_norm_m"] or 0.0)
+        float(b[what.column] or 0.0) > float(a[what.column] or 0.0)
         for a, b in zip(*rows, strict=True)
     )
     factor = f"{high / low:.2g} times" if low > 0.0 else "larger than"
     return (
-        f"The tracking error of {names[1]} is {factor} that of {names[0]}: "
+        f"The {what.error} error of {names[1]} is {factor} that of {names[0]}: "
         f"{say_length(high)} against {say_length(low)} {over}, larger in {worse} of them."
     )
+
+
+def _consistency(results: StudyResults, group: int) -> str | None:
+    """Whether an estimator is as good as it says."""
+    line, label = results.summary[group], results.labels_of(WAYS)[group]
+    square = line["nees_pose"]
+    if line["covariance_faults"]:
+        return (
+            f"In {line['covariance_faults']} cycles the covariance of {label} was not positive "
+            "definite: its NEES leaves them out."
+        )
+    if square is None:
+        return None
+    mean, (low, high) = square["mean"], square["band"]
+    seeds = f"{square['seeds']} seed" + ("s" if square["seeds"] > 1 else "")
+    band = f"95 % band {low:.2f} to {high:.2f} of {seeds}"
+    if low <= mean <= high:
+        return f"{label} is as good as it says: NEES of the pose {mean:.2f}, in the {band}."
+    sure = "too sure of itself" if mean > high else "better than it says"
+    return f"{label} is {sure}: NEES of the pose {mean:.3g}, outside the {band}."
 
 
 def _notes(results: StudyResults) -> list[str]:

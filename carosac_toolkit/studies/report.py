@@ -18,8 +18,8 @@ from carosac_toolkit.report_page import (
     table,
     write_files,
 )
-from carosac_toolkit.studies.results import StudyResults, tracked
-from carosac_toolkit.studies.tables import UNITS, failures, header, name_columns, rows
+from carosac_toolkit.studies.results import StudyResults, estimated, tracked
+from carosac_toolkit.studies.tables import failures, header, name_columns, rows, units
 
 CAPTIONS = {
     "paths": "One case: where the platform origin went, against the reference.",
@@ -30,6 +30,9 @@ CAPTIONS = {
     "seeds: the narrower, the more one case says about the next.",
     "regions_and_estimates": "Tracking error in the centre and near the boundary of the workspace "
     "box, and estimation error per axis, over all cases.",
+    "estimation": "Distribution of the absolute estimation error over the samples of all "
+    "trajectories, first seed; where an estimator has a covariance, also whether its errors are as "
+    "large as it says.",
 }
 
 
@@ -46,8 +49,10 @@ def write_report(results: StudyResults, said: Sequence[str], words: Sequence[str
     """
     from carosac_toolkit.pictures.comparison import PICTURES
 
-    drawn = PICTURES.items() if tracked(results.rows) else ()
-    images = {f"{name}.png": png(draw(results)) for name, draw in drawn}
+    names = list(PICTURES) if tracked(results.rows) else []
+    if not names and estimated(results.rows):  # nothing follows commands on a recording
+        names = ["estimation"]
+    images = {f"{name}.png": png(PICTURES[name](results)) for name in names}
     document = _html(results, said, words, images)
     return write_files(results.folder, {**images, "report.html": document.encode()})
 
@@ -60,7 +65,7 @@ def _html(
     lost = "\n".join(failures(results))
     parts = [
         bullets(said),
-        f"<h2>Errors</h2><p>{escape(UNITS)}</p>",
+        f"<h2>Errors</h2><p>{escape(units(results))}</p>",
         table(header(results), rows(results), left=name_columns(results)),
         f"<h2>Cases without a score</h2><pre>{escape(lost)}</pre>" if lost else "",
         *(picture(image, CAPTIONS[Path(file).stem]) for file, image in images.items()),

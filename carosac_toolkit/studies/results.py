@@ -6,6 +6,10 @@ How rows become one line:
   weighted with their numbers of steps, so that it is the RMSE of all steps together. Centre and
   boundary are weighted with their own steps; the sway after the end is weighted evenly.
 * The standard deviation is that of the cases' RMSEs in norm (trajectories and seeds alike).
+* NEES and NIS are means over the cases, each the mean of one run. Samples of a run depend on each
+  other, and runs of one seed have plant and sensor biases in common, so the band in which 95 % of
+  such means lie is that of as many independent draws as there are seeds: wider than it could be,
+  never narrower.
 * Latency is the median over the cases of their 95th percentile.
 * Cases that failed, crashed or timed out have no errors; they are counted, with their reasons.
 """
@@ -21,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from carosac_toolkit.consistency import POSE_SIZE, STATE_SIZE, band
 from carosac_toolkit.studies.rows import Row
 
 GROUP = ("robot", "controller", "estimator", "suite", "perturbation")
@@ -87,6 +92,11 @@ def tracked(rows: Sequence[Row]) -> list[Row]:
     return [row for row in scored(rows) if row.get("tracking_rmse_norm_m") is not None]
 
 
+def estimated(rows: Sequence[Row]) -> list[Row]:
+    """Rows with an estimation error: cases that succeeded, and a known truth."""
+    return [row for row in scored(rows) if row.get("estimation_rmse_norm_m") is not None]
+
+
 def pooled(rows: Sequence[Row], name: str, weights: Sequence[float]) -> float | None:
     """Root of the weighted mean of squares of a column, None where no row has it."""
     pairs = [(row.get(name), w) for row, w in zip(rows, weights, strict=True)]
@@ -130,6 +140,13 @@ def _line(rows: Sequence[Row]) -> dict[str, Any]:
         "tracking_rmse_m": _per_axis(moved, "tracking"),
         "tracking_std_m": float(np.std(norms, ddof=1)) if len(norms) > 1 else None,
         "estimation_rmse_m": _per_axis(good, "estimation"),
+        "estimation_p95_m": _mean(good, "estimation_p95_m"),
+        "orientation_rmse_rad": pooled(good, "orientation_rmse_rad", steps(good)),
+        "nees_pose": _normalised(good, "nees_pose", POSE_SIZE),
+        "nees": _normalised(good, "nees", STATE_SIZE),
+        "nis": _normalised(good, "nis", _mean(good, "nis_dof")),
+        "rejected_share": _mean(good, "rejected_share"),
+        "covariance_faults": int(sum(_number(row, "covariance_faults") for row in good)),
         "tracking_centre_m": pooled(moved, "tracking_centre_m", inside),
         "tracking_boundary_m": pooled(moved, "tracking_boundary_m", outside),
         "residual_sway_m": pooled(moved, "residual_sway_m", [1.0] * len(moved)),
@@ -143,6 +160,20 @@ def _line(rows: Sequence[Row]) -> dict[str, Any]:
 def _per_axis(rows: Sequence[Row], what: str) -> dict[str, float | None]:
     """Pooled error per axis and in norm [m]."""
     return {axis: pooled(rows, f"{what}_rmse_{axis}_m", steps(rows)) for axis in NAMES}
+
+
+def _mean(rows: Sequence[Row], name: str) -> float | None:
+    """Mean of a column, None where no row has it."""
+    known = [float(value) for row in rows if (value := row.get(name)) is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _normalised(rows: Sequence[Row], name: str, dof: float | None) -> dict[str, Any] | None:
+    """Mean of normalised squares over cases, with the band that 95 % of such means lie in."""
+    mean, seeds = _mean(rows, name), len({x["seed"] for x in rows if x.get(name) is not None})
+    if mean is None or dof is None:
+        return None
+    return {"mean": mean, "band": list(band(dof, seeds)), "seeds": seeds}
 
 
 def _number(row: Row, name: str) -> float:

@@ -20,6 +20,7 @@ from carosac_toolkit.protocols import TruthSource, replays
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import load_robot, robot_text
 from carosac_toolkit.studies.case import Case
+from carosac_toolkit.studies.estimation_scores import estimation_scores
 from carosac_toolkit.values import Belief, Command, Measurement
 
 DRIVER = "simulator"
@@ -126,8 +127,8 @@ def score(log: Log, robot: Robot, duration: float, *, replayed: bool = False) ->
 
     Returns:
         Difference of the lengths asked and sent; tracking error (truth minus reference) and
-        estimation error (belief minus truth) as root mean squares per axis and in norm [m]; None
-        where nobody knows.
+        estimation error (belief minus truth) as root mean squares per axis and in norm [m], and
+        what `estimation_scores` says; None where nobody knows.
     """
     row: dict[str, Any] = {
         "latency_median_s": float(np.median(log.latency)),
@@ -136,7 +137,7 @@ def score(log: Log, robot: Robot, duration: float, *, replayed: bool = False) ->
         "limited": len({cycle for cycle, _ in log.limited}),
         "completed": log.completed,
         "steps": len(log.time),
-    }
+    } | estimation_scores(log)
     if log.position is None:
         return row | _errors("tracking", None) | _errors("estimation", None)
     row |= _errors("estimation", log.belief_position - log.position)
@@ -206,7 +207,7 @@ def _build(
     kind: registry.Kind, name: str, robot: Robot, case: Case, key: str, given: Mapping[str, Any]
 ) -> Any:
     """Make a plug-in by name, with its own settings."""
-    plugin = registry.load(kind, name)
+    plugin = registry.load(kind, plugin_name(name))
     kinds = getattr(plugin, "Settings", None)
     seed = case.sensor_seed if kind == "drivers" else case.rng_seed
     asked = dict(case.settings.get(key, {}))
@@ -218,10 +219,15 @@ def _build(
     for taken in sorted(set(given) & set(asked)):
         raise InvalidField(f"{key}.{taken}", repr(asked[taken]), "none: the case itself says it")
     wanted = {k: v for k, v in given.items() if k in known} | asked
-    return plugin.build(robot, _filled(key, kinds(), wanted), seed=seed)
+    return plugin.build(robot, filled(key, kinds(), wanted), seed=seed)
 
 
-def _filled(where: str, settings: Any, values: Mapping[str, Any]) -> Any:
+def plugin_name(name: str) -> str:
+    """The plug-in that a name stands for: ``ks_ekf`` for its variant ``ks_ekf@tight``."""
+    return name.partition("@")[0]
+
+
+def filled(where: str, settings: Any, values: Mapping[str, Any]) -> Any:
     """Settings with some fields replaced; fields that are settings themselves are filled too."""
     known = {field.name for field in fields(settings)}
     chosen: dict[str, Any] = {}
@@ -230,7 +236,7 @@ def _filled(where: str, settings: Any, values: Mapping[str, Any]) -> Any:
             raise InvalidField(f"{where}.{name}", repr(value), f"one of {sorted(known)}")
         inner = getattr(settings, name)
         nested = is_dataclass(inner) and isinstance(value, Mapping)
-        chosen[name] = _filled(f"{where}.{name}", inner, value) if nested else value
+        chosen[name] = filled(f"{where}.{name}", inner, value) if nested else value
     return replace(settings, **chosen)
 
 

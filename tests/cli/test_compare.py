@@ -167,6 +167,35 @@ def test_the_seed_moves_the_draws_and_their_pictures():
     assert "--seed 7" in Path("7/report.html").read_text()
 
 
+def test_settings_and_variants_of_one_plug_in(capsys):
+    names = ["kinematic_solver", "kinematic_solver@slow"]
+    chosen = ["--set", "controller.kinematic_solver@slow.delay=0", "--set",
+              "driver.sensors.encoder_bias=0.0"]  # fmt: skip
+    words = [*ALONE, "--controllers", *names, *chosen, "--output", "o", "--json", "x.json"]
+    assert main(["compare", *words]) == 0
+    rows = {row["controller"]: json.loads(row["settings"]) for row in read_rows("o")}
+    assert rows["kinematic_solver@slow"]["controller_settings"] == {"delay": 0}
+    assert "controller_settings" not in rows["kinematic_solver"]
+    assert all(x["driver_settings"] == {"sensors": {"encoder_bias": 0.0}} for x in rows.values())
+    usual, slow = json.loads(Path("x.json").read_text())["summary"]
+    assert slow["tracking_rmse_m"]["norm"] != usual["tracking_rmse_m"]["norm"]
+    report = Path("o/report.html").read_text()
+    assert "--set controller.kinematic_solver@slow.delay=0" in report
+
+
+def test_estimators_are_compared(capsys):
+    words = [*ALONE, "--estimators", "kinematic_solver", "straight_line", "--controllers",
+             "kinematic_solver", "--output", "o", "--json", "x.json"]  # fmt: skip
+    assert main(["compare", *words]) == 0
+    data = json.loads(Path("x.json").read_text())
+    assert data["conclusions"][0].startswith("The estimation error of straight_line is")
+    for line in data["summary"]:
+        assert 0.0 < line["orientation_rmse_rad"] < 1.0
+        assert line["nees_pose"] is line["nis"] is None
+    assert "NEES" not in capsys.readouterr().out
+    assert Path("o/estimation.png").exists()
+
+
 def test_the_quick_preset_is_a_part_of_the_whole():
     from carosac_toolkit.cli.compare import Options, _study
 
@@ -186,6 +215,16 @@ def test_the_quick_preset_is_a_part_of_the_whole():
         (["--controllers", "straight_line", "straight_line"], "different values"),
         (["--estimators", "kinematic_solvr"], "did you mean 'kinematic_solver'"),
         (["--estimator", "json:loads"], "a class with build("),
+        (["--set", "gain=1"], "--set: got 'gain=1'; allowed: controller.NAME.FIELD=VALUE"),
+        (["--set", "controller.mpc.gain=1"], "with a NAME of ['straight_line', 'kinematic"),
+        (["--set", "controller.kinematic_solver.gian=1"], "did you mean 'gain'"),
+        (["--set", "controller.kinematic_solver.gain=-1"], "gain: got -1 1/s"),
+        (
+            ["--set", "driver.sensors.encoder_bais=0"],
+            "sensors.encoder_bais: got 0; allowed: one of",
+        ),
+        (["--set", "driver.suite=lengths"], "driver_settings.suite: got 'lengths'; allowed: none"),
+        (["--set", "driver.wind=NaN"], "--set: got 'driver.wind=NaN'; allowed: finite numbers"),
         (["--suite", "lenghts"], "suite: got 'lenghts'"),
         (["--suite", "lengths+imu", "--driver", "quasi_static"], "no inertia"),
         (["--trajectories", "spirall"], "did you mean 'spiral'"),
