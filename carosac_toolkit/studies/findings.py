@@ -17,6 +17,7 @@ from carosac_toolkit.studies.rows import Row
 from carosac_toolkit.validation.quantities import say_length
 
 SWAY_MIN = 1e-3  # [m]: a smaller swing is not worth a sentence
+CLOSE = 1.2  # ratio below which two digits do not tell what is between
 ALIKE = 1.01  # ratio of two errors below which they are not told apart
 WAYS = ("controller", "estimator", "suite")  # what is compared
 BLOCKS = 3  # robots and perturbations that get sentences
@@ -120,7 +121,8 @@ def _pair(results: StudyResults, one: int, two: int, what: _Compared) -> str:
         float(b[what.column] or 0.0) > float(a[what.column] or 0.0)
         for a, b in zip(*rows, strict=True)
     )
-    factor = f"{high / low:.2g} times" if low > 0.0 else "larger than"
+    ratio = high / low if low > 0.0 else None
+    factor = "larger than" if ratio is None else f"{ratio:.{3 if ratio < CLOSE else 2}g} times"
     return (
         f"The {what.error} error of {names[1]} is {factor} that of {names[0]}: "
         f"{say_length(high)} against {say_length(low)} {over}, larger in {worse} of them."
