@@ -91,7 +91,7 @@ class Filter:
         by[:, : where.moving] = move.felt_by
         by[:, where.imu] = np.eye(6)
         pulled = self._tension * move.pulled
-        stretched = self._settings.rate_noise * move.stretched
+        stretched = self._settings.stretch_rate * move.stretched
         unknown = np.diag(self._sensor / felt.samples + self._vibration)
         unknown += pulled @ pulled.T + stretched @ stretched.T
         return self._corrected(

@@ -27,7 +27,9 @@ class DynamicEstimatorSettings:
             and exit points are wrong across the cable too [m/sqrt(s)].
         stretch_noise: Of the lengths between readings and platform: noise of the readings, and
             vibrations of the stretch, which the model does not follow [m].
-        rate_noise: Of the rates of these lengths [m/s].
+        rate_noise: Of the rates of these lengths, in the twist of the belief [m/s].
+        stretch_rate: Of the same rates, where an IMU feels them: how little the gyroscope says of
+            the stretch [m/s].
         wind_force: Force of the wind on the platform per horizontal axis [N].
         wind_time: Its correlation time [s].
         start_speed: Speed at the start: each mode has the energy of the platform at it [m/s].
@@ -62,12 +64,13 @@ class DynamicEstimatorSettings:
     center_of_mass: float = 0.01
     length_bias: float = 7e-3
     length_bias_walk: float = 1e-3
-    stretch_noise: float = 1e-3
-    rate_noise: float = 0.06
+    stretch_noise: float = 0.6e-3
+    rate_noise: float = 0.02
+    stretch_rate: float = 0.06
     wind_force: float = 1.0
     wind_time: float = 2.0
     start_speed: float = 0.02
-    acceleration_noise: float = 0.01
+    acceleration_noise: float = 0.005
     stretch_damping: float = 0.04
     tension_noise: float = 0.4
     vibration: float = 0.2
