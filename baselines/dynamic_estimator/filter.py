@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from baselines.dynamic_estimator.model import Model, Transition
+from baselines.dynamic_estimator.model import Model, NoMotion, Transition
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.state import FilterState
 from carosac_toolkit.arrays import Array
@@ -146,6 +146,9 @@ class Filter:
             cross: Covariance of the errors with the innovation.
             total: Covariance of the innovation.
             innovation: Measured minus expected.
+
+        Raises:
+            NoMotion: It has no finite answer.
         """
         square = float(innovation @ np.linalg.solve(total, innovation))
         allowed = self._settings.gate * len(innovation)
@@ -153,5 +156,8 @@ class Filter:
             total = total * (square / allowed)
         gain = np.linalg.solve(total, cross.T).T
         left = state.covariance - gain @ cross.T
-        found = state.corrected(gain @ innovation, left)
+        error = gain @ innovation
+        if not np.isfinite(error).all():
+            raise NoMotion(f"the estimate is lost after {state.time:.3f} s")
+        found = state.corrected(error, left)
         return found, Tally(squares=square, dof=len(innovation), disturbed=int(square > allowed))

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from calibration.identification.measured import MeasuredPoses
 from calibration.identification.noise import Noise, look_at
-from calibration.identification.open_loop import LengthPath, OpenLoop, simulate
+from calibration.identification.open_loop import OpenLoop, simulate
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.unknowns import Unknowns
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.length_path import LengthPath
 from carosac_toolkit.robot import Robot
 
 STEP = 0.005  # of the coordinates, for differences

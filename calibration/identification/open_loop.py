@@ -16,35 +16,12 @@ from numpy.typing import NDArray
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.encoders import unstrained_lengths
 from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.length_path import LengthPath
 from carosac_toolkit.robot import Robot
 from sim_warp import Simulator
 
 GRID = 0.05  # [s]: lengths go straight over no longer time
 SHORTEST = 1e-9  # [s]: less is rounding
-
-
-class LengthPath:
-    """Readings as a smooth function of time, held before the first and after the last.
-
-    Attributes:
-        first: When the first was taken [s].
-    """
-
-    def __init__(self, recording: Recording) -> None:
-        """Fit a smoothing spline to each cable; cross-validation finds how smooth it is."""
-        from scipy.interpolate import make_interp_spline, make_smoothing_spline
-
-        self.first, self._last = float(recording.time[0]), float(recording.time[-1])
-        columns = recording.unstrained_length.T
-        smooth = len(recording.time) >= 5  # fewer samples tell no noise from motion
-        make = make_smoothing_spline if smooth else lambda t, y: make_interp_spline(t, y, k=1)
-        self._splines = [make(recording.time, column) for column in columns]
-
-    def at(self, time: Array) -> Array:
-        """Readings [m], shape (..., n), at times [s] of shape (...)."""
-        inside = np.clip(time, self.first, self._last)
-        return np.stack([spline(inside) for spline in self._splines], axis=-1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

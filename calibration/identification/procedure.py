@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from calibration.identification.fit import Fit, Fitter, Report
 from calibration.identification.measured import MeasuredPoses, poses_of
-from calibration.identification.open_loop import LengthPath, simulate
+from calibration.identification.open_loop import simulate
 from calibration.identification.result import Identification, Part, RestErrors
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.unknowns import Unknowns, choose_unknowns
@@ -16,6 +16,7 @@ from calibration.robot_update import updated
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.encoders import calibrated
 from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.length_path import LengthPath
 from carosac_toolkit.physics import statics
 from carosac_toolkit.recording import Recording
 from carosac_toolkit.robot import Robot

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from calibration.identification.open_loop import LengthPath, simulate
+from calibration.identification.open_loop import simulate
 from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.length_path import LengthPath
 from carosac_toolkit.recording import Recording
 from carosac_toolkit.values import Command
 from sim_warp.estimator import SimulatorEstimator, SimulatorSettings

@@ -1,0 +1,135 @@
+"""Smooth a recording: the best estimate of pose and twist, afterwards.
+
+The platform's dynamics go through the whole recording, driven by its lengths; what was measured
+later counts as well as what was measured before. Inertial samples are used where there are any.
+Measured poses are withheld, and the estimate is scored on them, unless --poses says otherwise.
+Writes a recording with the smoothed poses, a table with all that was found, and two pictures.
+
+Exit status 1 means that the passes did not settle: the estimate is the last one.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from baselines.smoother import Smoothed, SmootherSettings, smooth
+from baselines.smoother.output import recording_of, write
+from baselines.smoother.report import sentences, warnings
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, check_writable
+from carosac_toolkit.recording import load_recording
+from carosac_toolkit.recordings.bundled import find_recording
+from carosac_toolkit.recordings.robot import FoundRobot, find_robot
+from carosac_toolkit.report_page import check_folder
+from carosac_toolkit.text_tables import terminal_width, wrapped
+
+SUFFIXES = (".parquet", ".csv")
+KNOWN = ("mass", "center_of_mass", "length_bias", "length_bias_walk", "wind_force")  # as options
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(CommonOptions):
+    """Options of ``carosac smooth``."""
+
+    recording: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING")]
+    """A bundled recording such as `synthetic`, or a .parquet, .csv or .mat file."""
+    robot: str | None = None
+    """A bundled robot or a YAML file, best one that was calibrated; by default the one that the
+    recording names, or else the bundled one with the exit points measured in it."""
+    poses: Literal["withheld", "half", "used"] = "withheld"
+    """Measured poses: all withheld, to score with; every second one used, the others to score
+    with; all used."""
+    imu: bool = True
+    """Use inertial samples, where the recording has them."""
+    lag: float | None = None
+    """Use only what was measured up to so many seconds later; by default the whole recording."""
+    start: int = 0
+    """First sample to score; the estimate still rests on all."""
+    stop: int | None = None
+    """One past the last sample to score; by default all are scored."""
+    mass: float | None = None
+    """One sigma of the mass, over the mass; by default this and the next are those of the
+    condition nominal-1, which is far too much for a robot that was identified."""
+    center_of_mass: float | None = None
+    """One sigma of the centre of mass, per axis [m]."""
+    length_bias: float | None = None
+    """One sigma of what the readings of a cable say too much at the start [m]."""
+    length_bias_walk: float | None = None
+    """One sigma of its change in a second [m]."""
+    wind_force: float | None = None
+    """One sigma of the wind, or of what else pushes the platform, per horizontal axis [N]."""
+    output: OutputFile = None
+    """Write the smoothed recording to this .parquet or .csv file; never over the old one. By
+    default it goes beside the pictures."""
+    report: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder for table and pictures; by default one in carosac-results/smooth."""
+
+
+def run(options: Options) -> CommandResult:
+    """Smooth one recording."""
+    settings = _settings(options)
+    path = find_recording(options.recording)
+    check_writable("--output", options.output, SUFFIXES)
+    recording = load_recording(path)
+    found = find_robot(recording, path, options.robot)
+    folder = options.report or _default_folder(path, found, options.poses)
+    check_folder("--report", folder)
+    result = smooth(
+        recording, found.robot, settings,
+        start=options.start, stop=options.stop, report=_progress,
+    )  # fmt: skip
+    print()
+    for line in [*_head(options, found, result), *sentences(result)]:
+        print(wrapped(line, terminal_width(), "* "))
+    source = f"carosac smooth, poses {options.poses}, of {Path(options.recording).name}"
+    smoothed = recording_of(result, recording, found.robot, source)
+    output = options.output or folder / "smoothed.parquet"
+    files = write(folder, result, found.robot.name)
+    smoothed.save(output)
+    print(f"\nsmoothed recording: {output}\ntable and pictures: {files[0].parent}")
+    sys.stdout.flush()
+    for line in warnings(result):
+        print(f"carosac: warning: {line}", file=sys.stderr)
+    data = {"recording": options.recording, "robot": found.name, "robot_source": found.source}
+    return CommandResult(
+        data | result.data() | {"output": output}, status=0 if result.converged else 1
+    )
+
+
+def _settings(options: Options) -> SmootherSettings:
+    """Defaults, and what was asked for."""
+    usual = SmootherSettings()
+    asked = {name: getattr(options, name) for name in KNOWN}
+    dynamics = replace(
+        usual.dynamics, **{name: value for name, value in asked.items() if value is not None}
+    )
+    return replace(usual, poses=options.poses, imu=options.imu, lag=options.lag, dynamics=dynamics)
+
+
+def _progress(passes: int, change: float) -> None:
+    """Say how far it is."""
+    if passes == 1:
+        print("largest change of a position after each pass:")
+    print(f"  {passes:2d}: {change * 1e3:8.2f} mm", flush=True)
+
+
+def _head(options: Options, found: FoundRobot, result: Smoothed) -> list[str]:
+    """What was smoothed."""
+    recording = result.recording
+    guess = " (a guess from the exit points)" if found.source == "exit points" else ""
+    return [
+        f"{options.recording}: {len(recording.time)} samples, {recording.duration:.1f} s; "
+        f"robot {found.robot.name}{guess}"
+    ]
+
+
+def _default_folder(path: Path, found: FoundRobot, poses: str) -> Path:
+    """Where files go that were not sent anywhere."""
+    parts = [path.stem, found.robot.name, *([] if poses == "withheld" else [poses])]
+    name = re.sub(r"[^\w.-]+", "_", "-".join(parts))
+    return Path("carosac-results") / "smooth" / name

@@ -1,0 +1,211 @@
+"""What a recording holds, put in order for a smoother: its key frames and what was measured there.
+
+There is a key frame at each length sample, at each pose that is used, and where an inertial
+measurement begins and ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.dynamic_estimator.filter import Felt
+from baselines.dynamic_estimator.readings import SHORTEST, Readings
+from baselines.smoother.settings import SmootherSettings
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.encoders import calibrated
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.length_path import LengthPath
+from carosac_toolkit.recording import Recording
+from carosac_toolkit.recordings.columns import POSES_WANTED
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Pose
+
+GAP = 0.5  # [s] between two poses, at most, to interpolate
+BEFORE = 0.01  # [s] before an inertial sample, at most, where the step to it begins
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Measured:
+    """A recording for a smoother.
+
+    Attributes:
+        recording: As calibrated.
+        settings: What of it is used.
+        path: Of the lengths, without outliers.
+        delay: By how much readings lead [s].
+        time: Of the key frames [s], shape (K,).
+        samples: Key frame of each length sample, shape (N,).
+        felt: By the IMU, of the key frames that end a step of it.
+        poses: Measured, of the key frames where they are used: position (3,) and rotation (3, 3).
+        used: Which poses of the recording are used, shape (M,).
+        outliers: Length samples that were not believed.
+    """
+
+    recording: Recording
+    settings: SmootherSettings
+    path: LengthPath
+    delay: float
+    time: Array
+    samples: NDArray[np.int64]
+    felt: dict[int, Felt]
+    poses: dict[int, tuple[Array, Array]]
+    used: NDArray[np.bool_]
+    outliers: int
+
+    def reading(self, time: float) -> Array:
+        """Length reading that counts at a time [m], shape (n,)."""
+        return self.path.at(np.asarray(time - self.delay))
+
+    def withheld(self, start: int, stop: int) -> tuple[NDArray[np.int64], Pose] | None:
+        """Length samples start <= i < stop with measured poses that were not used, and these.
+
+        With all poses withheld they are interpolated to the samples; else only those that were
+        measured at a sample count, as others would have poses in them that were used.
+        """
+        poses = self.recording.poses
+        if poses is None or self.used.all():
+            return None
+        index = np.arange(start, stop)
+        when = self.recording.time[index]
+        found = poses.at(when, gap_max=GAP)
+        good = found.valid
+        if self.used.any():
+            good = np.isin(when, poses.time[~self.used])
+        if not good.any():
+            return None
+        return index[good], Pose(
+            position=found.pose.position[good],
+            rotation=found.pose.rotation[good],
+            time=when[good],
+        )
+
+
+def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> Measured:
+    """Put a recording in order.
+
+    Args:
+        recording: As it was recorded.
+        robot: As calibrated, with as many cables.
+        settings: What of it is used.
+
+    Raises:
+        InvalidField: Another number of cables, less than two samples, relative lengths, or no
+            poses where they are to be used.
+    """
+    recording.require_cables(robot)
+    run = calibrated(recording, robot)
+    _check(run, settings)
+    kept, outliers = _believed(run, robot, settings)
+    first, last = float(run.time[0]), float(run.time[-1])
+    used = _used(run, settings)
+    groups = _groups(run, settings, first, last)
+    stops = [run.time]
+    if run.poses is not None:
+        when = run.poses.time[used]
+        stops.append(when[(when >= first) & (when <= last)])
+    stops.append(np.array([when for when, _ in groups]))
+    time = _apart(np.sort(np.concatenate(stops)))
+    begins = [when - BEFORE for when, _ in groups if when - _previous(time, when) > BEFORE]
+    time = _apart(np.sort(np.concatenate([time, np.maximum(begins, first)])))
+    known = robot.length_delay or 0.0
+    delay = known if settings.dynamics.delay is None else settings.dynamics.delay
+    return Measured(
+        recording=run,
+        settings=settings,
+        path=LengthPath(kept),
+        delay=delay,
+        time=time,
+        samples=_nearest(time, run.time),
+        felt={int(_nearest(time, np.array([t]))[0]): felt for t, felt in groups},
+        poses=_poses(run, used, time),
+        used=used,
+        outliers=outliers,
+    )
+
+
+def _check(run: Recording, settings: SmootherSettings) -> None:
+    """Refuse what cannot be smoothed."""
+    if len(run.time) < 2:
+        raise InvalidField("recording", f"{len(run.time)} sample", "two length samples or more")
+    if run.metadata.length_kind != "unstrained":
+        allowed = "'unstrained': relative lengths fix no pose; calibrate the robot first"
+        raise InvalidField("length_kind", repr(run.metadata.length_kind), allowed)
+    if settings.poses != "withheld" and run.poses is None:
+        raise InvalidField("poses", "none in the recording", POSES_WANTED)
+
+
+def _believed(run: Recording, robot: Robot, settings: SmootherSettings) -> tuple[Recording, int]:
+    """The recording without readings that no winch can have wound, and how many there were."""
+    readings = Readings(time=run.time[:1], length=run.unstrained_length[:1])
+    keep = np.ones(len(run.time), dtype=np.bool_)
+    jump = settings.dynamics.reading_jump
+    for k in range(1, len(run.time)):
+        time, length = float(run.time[k]), run.unstrained_length[k]
+        after = readings.taken(time, length, robot.speed_max, jump, time)
+        keep[k] = after.rejected == readings.rejected
+        readings = after
+    if keep.all():
+        return run, 0
+    kept = replace(run, time=run.time[keep], unstrained_length=run.unstrained_length[keep])
+    return kept, int((~keep).sum())
+
+
+def _used(run: Recording, settings: SmootherSettings) -> NDArray[np.bool_]:
+    """Which poses are used."""
+    count = 0 if run.poses is None else len(run.poses.time)
+    used = np.full(count, settings.poses != "withheld")
+    if settings.poses == "half":
+        used[1::2] = False
+    return used
+
+
+def _groups(
+    run: Recording, settings: SmootherSettings, first: float, last: float
+) -> list[tuple[float, Felt]]:
+    """Inertial samples in groups, each with its mean time [s]."""
+    if run.imu is None or not settings.imu:
+        return []
+    inside = (run.imu.time > first + SHORTEST) & (run.imu.time <= last)
+    time = run.imu.time[inside]
+    values = np.hstack([run.imu.angular_rate[inside], run.imu.specific_force[inside]])
+    groups = []
+    start = 0
+    for k in range(1, len(time) + 1):
+        if k == len(time) or time[k] - time[start] > settings.imu_step - SHORTEST:
+            felt = Felt(values=values[start:k].mean(axis=0), samples=k - start)
+            groups.append((float(time[start:k].mean()), felt))
+            start = k
+    return groups
+
+
+def _poses(run: Recording, used: NDArray[np.bool_], time: Array) -> dict[int, tuple[Array, Array]]:
+    """Poses that are used, by key frame."""
+    if run.poses is None:
+        return {}
+    when = run.poses.time
+    rows = np.flatnonzero(used & (when >= time[0] - SHORTEST) & (when <= time[-1] + SHORTEST))
+    keys = _nearest(time, when[rows])
+    return {
+        int(key): (run.poses.position[row], run.poses.rotation[row])
+        for key, row in zip(keys, rows, strict=True)
+    }
+
+
+def _apart(time: Array) -> Array:
+    """Sorted times without those that follow another at once."""
+    return np.asarray(time[np.concatenate([[True], np.diff(time) > SHORTEST])])
+
+
+def _previous(time: Array, end: float) -> float:
+    """The last of sorted times before another."""
+    return float(time[max(0, int(np.searchsorted(time, end - SHORTEST)) - 1)])
+
+
+def _nearest(time: Array, when: Array) -> NDArray[np.int64]:
+    """Index of the sorted time that is nearest to each."""
+    right = np.clip(np.searchsorted(time, when), 1, len(time) - 1)
+    left_is_nearer = when - time[right - 1] <= time[right] - when
+    return np.where(left_is_nearer, right - 1, right)

@@ -1,0 +1,107 @@
+"""A smoothed recording as files."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from baselines.smoother.pictures import draw_estimate, draw_unknowns
+from baselines.smoother.result import Smoothed
+from carosac_toolkit import __version__
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.recording import Recording
+from carosac_toolkit.recordings.poses import PoseSamples
+from carosac_toolkit.report_page import png, write_files
+from carosac_toolkit.robot import Robot
+
+TABLE = "estimate.parquet"
+
+
+def recording_of(result: Smoothed, recording: Recording, robot: Robot, source: str) -> Recording:
+    """A recording as it was, with smoothed poses in place of measured ones.
+
+    All else is left as it was recorded, and poses are given in the frame of measured ones: the same
+    robot may be used with it again.
+
+    Args:
+        result: What was found.
+        recording: As it was recorded.
+        robot: That it was smoothed with.
+        source: What made it, for the metadata.
+    """
+    metadata = replace(
+        recording.metadata,
+        description=f"Smoothed: {recording.metadata.description}".strip(),
+        source="; ".join(part for part in (source, recording.metadata.source) if part),
+        created_by=f"carosac-toolkit {__version__}",
+    )
+    frame = np.eye(3) if robot.pose_rotation is None else robot.pose_rotation
+    poses = PoseSamples.from_rotation(
+        result.time, result.position @ frame, frame.T @ result.rotation
+    )
+    return replace(recording, poses=poses, metadata=metadata)
+
+
+def table_of(result: Smoothed) -> dict[str, Array]:
+    """All that was found at each sample, by columns with units."""
+    columns = {"time_s": result.time}
+    columns |= _columns("position_{}_m", result.position)
+    columns |= dict(zip(_QUATERNION, _quaternion(result).T, strict=True))
+    columns |= _columns("velocity_{}_m_per_s", result.twist[:, :3])
+    columns |= _columns("angular_velocity_{}_rad_per_s", result.twist[:, 3:])
+    sigma = result.sigma
+    columns |= _columns("position_sigma_{}_m", sigma[:, :3])
+    columns |= _columns("rotation_sigma_{}_rad", sigma[:, 3:6])
+    columns |= _columns("velocity_sigma_{}_m_per_s", sigma[:, 6:9])
+    columns |= _columns("angular_velocity_sigma_{}_rad_per_s", sigma[:, 9:])
+    for i in range(12):
+        for j in range(i, 12):
+            columns[f"covariance_{i + 1:02d}_{j + 1:02d}"] = result.covariance[:, i, j]
+    columns |= _columns("wind_{}_N", result.wind)
+    for i in range(result.length_bias.shape[1]):
+        columns[f"length_bias_{i + 1:02d}_m"] = result.length_bias[:, i]
+        columns[f"length_bias_sigma_{i + 1:02d}_m"] = result.length_bias_sigma[:, i]
+        columns[f"tension_{i + 1:02d}_N"] = result.tension[:, i]
+    return columns
+
+
+_QUATERNION = tuple(f"quaternion_{axis}" for axis in "wxyz")
+
+
+def _columns(name: str, values: Array) -> dict[str, Array]:
+    return dict(zip([name.format(axis) for axis in "xyz"], values.T, strict=False))
+
+
+def _quaternion(result: Smoothed) -> Array:
+    """Of the rotations, w x y z, shape (N, 4)."""
+    poses = PoseSamples.from_rotation(result.time, result.position, result.rotation)
+    return poses.quaternion
+
+
+def write(folder: Path, result: Smoothed, robot: str) -> list[Path]:
+    """Write table and pictures; every file appears whole, or nothing does.
+
+    Args:
+        folder: Made if need be; files of the same names are replaced.
+        result: What was found.
+        robot: Its name.
+    """
+    files = {
+        TABLE: _parquet(table_of(result)),
+        "estimate.png": png(draw_estimate(result, robot)),
+        "unknowns.png": png(draw_unknowns(result, robot)),
+    }
+    return write_files(folder, files)
+
+
+def _parquet(columns: dict[str, Array]) -> bytes:
+    """A table as the content of a Parquet file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    buffer = io.BytesIO()
+    pq.write_table(pa.table({name: np.array(value) for name, value in columns.items()}), buffer)
+    return buffer.getvalue()

@@ -1,0 +1,101 @@
+"""What a smoother found, in sentences."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from baselines.smoother.result import Smoothed
+from baselines.smoother.scores import Scores
+
+WORDS = {"all": "in all", "moving": "winches in motion", "resting": "winches at rest"}
+
+
+def sentences(result: Smoothed) -> list[str]:
+    """What was used, what was found, and how good it is."""
+    return [
+        _used(result),
+        _sigma(result),
+        *([] if result.scores is None else _scored(result, result.scores)),
+        _found(result),
+        _passes(result),
+    ]
+
+
+def warnings(result: Smoothed) -> list[str]:
+    """What must not be overlooked."""
+    found = []
+    if not result.converged:
+        found.append(
+            f"not settled after {result.passes} passes: the last one would still change a "
+            f"position by {result.change * 1e3:.2g} mm"
+        )
+    if result.outliers:
+        found.append(
+            f"{result.outliers} of {len(result.time)} length samples are not what winches can do "
+            "and were left out"
+        )
+    if result.doubted:
+        found.append(f"{result.doubted} of {result.poses} poses are far off and count little")
+    return found
+
+
+def _used(result: Smoothed) -> str:
+    """What went in."""
+    parts = ["lengths"]
+    if result.inertial:
+        parts.append(f"{result.inertial} inertial measurements")
+    if result.poses:
+        parts.append(f"{result.poses} measured poses")
+    lag = result.settings.lag
+    until = "of the whole recording" if lag is None else f"up to at least {lag:g} s later"
+    return f"Used: {', '.join(parts)}, {until}."
+
+
+def _sigma(result: Smoothed) -> str:
+    """How sure it is."""
+    sigma = np.sqrt((result.sigma**2).mean(axis=0))
+    position = " / ".join(f"{value * 1e3:.1f}" for value in sigma[:3])
+    turn = " / ".join(f"{np.degrees(value):.2f}" for value in sigma[3:6])
+    return f"One sigma of the estimate: {position} mm in x / y / z, {turn} degrees about them."
+
+
+def _scored(result: Smoothed, scores: Scores) -> list[str]:
+    """Errors against poses that were not used."""
+    found = []
+    for name, part in scores.parts.items():
+        axes = " / ".join(f"{value * 1e3:.1f}" for value in part.rmse[:3])
+        found.append(
+            f"RMSE on {part.samples} poses that were not used, {WORDS[name]}: {axes} mm in "
+            f"x / y / z, {part.rmse[3] * 1e3:.1f} mm in norm, "
+            f"{np.degrees(part.orientation_rmse):.2f} degrees; NEES {scores.nees[name]:.2f} "
+            "(1: as large as the covariance says)."
+        )
+    return found
+
+
+def _found(result: Smoothed) -> str:
+    """What was learnt beside the motion."""
+    bias = ", ".join(
+        f"{value * 1e3:+.1f} +-{sigma * 1e3:.1f}"
+        for value, sigma in zip(
+            result.length_bias.mean(axis=0),
+            np.sqrt((result.length_bias_sigma**2).mean(axis=0)),
+            strict=True,
+        )
+    )
+    center = ", ".join(
+        f"{value * 1e3:.1f} +-{sigma * 1e3:.1f}"
+        for value, sigma in zip(result.center_of_mass, result.center_sigma, strict=True)
+    )
+    wind = np.linalg.norm(result.wind, axis=1)
+    return (
+        f"Found: readings too long by {bias} mm; mass {result.mass:.3f} "
+        f"+-{result.mass_sigma:.3f} kg, its centre at {center} mm in P; wind "
+        f"{np.sqrt((wind**2).mean()):.2f} N RMS, {wind.max():.2f} N at most."
+    )
+
+
+def _passes(result: Smoothed) -> str:
+    """Whether it settled."""
+    state = "settled" if result.converged else "did not settle"
+    return f"It {state} in {result.passes} passes."

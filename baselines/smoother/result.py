@@ -1,0 +1,111 @@
+"""What a smoother found."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.smoother.scores import Scores
+from baselines.smoother.settings import SmootherSettings
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.recording import Recording
+from carosac_toolkit.values import Pose
+
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Smoothed:
+    """A smoothed recording, at its N length samples; sigma is one standard deviation.
+
+    Attributes:
+        recording: The run as calibrated: lengths are material, poses in W.
+        settings: Those it was smoothed with.
+        time: [s], shape (N,).
+        position: Platform origin in W [m], shape (N, 3).
+        rotation: From P to W, shape (N, 3, 3).
+        twist: Of the platform origin in W, linear first, shape (N, 6).
+        covariance: Of [dp; log(R R_hat^T); dv; dw] in W, truth minus estimate, shape (N, 12, 12).
+        tension: At the platform [N], shape (N, n).
+        wind: Force of the wind along x and y of W [N], shape (N, 2).
+        length_bias: What readings say too much, after calibration [m], shape (N, n).
+        length_bias_sigma: Shape (N, n).
+        mass: Of the platform [kg].
+        mass_sigma: [kg].
+        center_of_mass: In P [m], shape (3,).
+        center_sigma: Shape (3,).
+        imu_bias: Of gyroscope [rad/s] and accelerometer [m/s^2], shape (6,).
+        passes: Forward passes that were made.
+        change: What the last of them would still have changed in a position [m].
+        converged: Whether that is none.
+        inertial: Inertial measurements that were used.
+        poses: Measured poses that were used.
+        doubted: Those of them that are so far off that they count less than half.
+        outliers: Length samples that were not believed.
+        withheld: Length samples with a measured pose that was not used, shape (S,).
+        measured: These poses; None where there are none.
+        scores: How far the estimate is from them, or None.
+    """
+
+    recording: Recording
+    settings: SmootherSettings
+    time: Array
+    position: Array
+    rotation: Array
+    twist: Array
+    covariance: Array
+    tension: Array
+    wind: Array
+    length_bias: Array
+    length_bias_sigma: Array
+    mass: float
+    mass_sigma: float
+    center_of_mass: Array
+    center_sigma: Array
+    imu_bias: Array
+    passes: int
+    change: float
+    converged: bool
+    inertial: int
+    poses: int
+    doubted: int
+    outliers: int
+    withheld: NDArray[np.int64]
+    measured: Pose | None
+    scores: Scores | None
+
+    @property
+    def sigma(self) -> Array:
+        """Of pose and twist, shape (N, 12)."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)))
+
+    def data(self) -> dict[str, Any]:
+        """The numbers in short, under names with units, ready for JSON."""
+        mean = np.sqrt((self.sigma**2).mean(axis=0))
+        return {
+            "samples": len(self.time),
+            "converged": self.converged,
+            "passes": self.passes,
+            "change_m": self.change,
+            "inertial_measurements": self.inertial,
+            "poses": {"treatment": self.settings.poses, "used": self.poses,
+                      "doubted": self.doubted},
+            "length_outliers": self.outliers,
+            "lag_s": self.settings.lag,
+            "dynamics": asdict(self.settings.dynamics),
+            "position_sigma_m": dict(zip(AXES, mean[:3], strict=True)),
+            "orientation_sigma_rad": dict(zip(AXES, mean[3:6], strict=True)),
+            "wind_N": {"rms": float(np.sqrt((self.wind**2).sum(axis=1).mean())),
+                       "max": float(np.linalg.norm(self.wind, axis=1).max())},
+            "length_bias_m": self.length_bias.mean(axis=0),
+            "length_bias_sigma_m": np.sqrt((self.length_bias_sigma**2).mean(axis=0)),
+            "mass_kg": self.mass,
+            "mass_sigma_kg": self.mass_sigma,
+            "center_of_mass_m": self.center_of_mass,
+            "center_of_mass_sigma_m": self.center_sigma,
+            "imu_bias": self.imu_bias if self.inertial else None,
+            "scores": None if self.scores is None else self.scores.data(),
+        }  # fmt: skip

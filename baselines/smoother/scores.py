@@ -1,0 +1,72 @@
+"""How far a smoothed estimate is from measured poses that it did not see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.consistency import normalised_square
+from carosac_toolkit.recording import Recording
+from carosac_toolkit.validation.phases import find_phases
+from carosac_toolkit.validation.scores import PoseScores, rotation_angle, score_poses
+from carosac_toolkit.values import Pose
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scores:
+    """Errors in all, and apart with winches in motion and at rest.
+
+    Attributes:
+        parts: Errors by name: ``all``, ``moving``, ``resting``; without those that have no sample.
+        nees: Mean normalised square of the pose error by the same names, 1 where the covariance
+            tells the truth; the noise of the measured poses is in it.
+    """
+
+    parts: dict[str, PoseScores]
+    nees: dict[str, float]
+
+    def data(self) -> dict[str, Any]:
+        """All numbers, ready for JSON."""
+        return {name: {**part.data(), "nees": self.nees[name]} for name, part in self.parts.items()}
+
+
+def score(
+    recording: Recording,
+    index: NDArray[np.int64],
+    measured: Pose,
+    estimate: Pose,
+    covariance: Array,
+    settings: DynamicEstimatorSettings,
+) -> Scores:
+    """Score an estimate.
+
+    Args:
+        recording: N length samples, which say when the winches rest.
+        index: Length samples to score, shape (S,).
+        measured: Poses there.
+        estimate: Poses at all N samples.
+        covariance: Of pose and twist, shape (N, 12, 12).
+        settings: With the noise of measured poses.
+    """
+    from scipy.spatial.transform import Rotation
+
+    resting = find_phases(recording.time, recording.unstrained_length).resting[index]
+    error = estimate.position[index] - measured.position
+    rotation = estimate.rotation[index]
+    turn = Rotation.from_matrix(measured.rotation @ rotation.swapaxes(1, 2)).as_rotvec()
+    noise = np.repeat([settings.position_noise**2, settings.rotation_noise**2], 3)
+    square = normalised_square(
+        np.hstack([-error, turn]), covariance[index, :6, :6] + np.diag(noise)
+    )
+    angle = rotation_angle(measured.rotation, rotation)
+    parts = {"all": np.ones(len(index), dtype=np.bool_), "moving": ~resting, "resting": resting}
+    some = {name: mask for name, mask in parts.items() if mask.any()}
+    return Scores(
+        parts={name: score_poses(error[mask], angle[mask]) for name, mask in some.items()},
+        nees={name: float(square[mask].mean()) for name, mask in some.items()},
+    )

@@ -1,0 +1,69 @@
+"""Settings of the smoother."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
+from carosac_toolkit.errors import InvalidField
+
+POSES = ("withheld", "half", "used")
+
+
+def _dynamics() -> DynamicEstimatorSettings:
+    """Those of the estimator, but the path of the lengths is smooth: less noise, no damping."""
+    return DynamicEstimatorSettings(stretch_damping=0.0, stretch_noise=5e-4, rate_noise=0.05)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SmootherSettings:
+    """Settings of `smooth`.
+
+    Attributes:
+        poses: Measured poses: ``withheld``; every second one, the ``half`` of them, the others to
+            score with; or all ``used``.
+        imu: Whether inertial samples are used.
+        lag: An estimate rests on what is measured up to so much later, at least [s]; None: on the
+            whole recording.
+        grid: Lengths go straight over no longer time [s].
+        imu_step: Inertial samples within it are taken as one, at their mean time [s].
+        imu_damping: Where inertial samples are used, the least `stretch_damping`: vibrations of
+            the stretch, whose phase nobody knows, would be expected of the IMU otherwise [s].
+        huber: Distance of a pose from the estimate, in standard deviations of its noise, from
+            which on it pulls no more than there.
+        iterations: Forward passes at most.
+        tolerance: Change of the estimate from pass to pass that counts as none: of positions [m],
+            and of rotations in rad per m.
+        dynamics: What the dynamics take for granted, as for `DynamicEstimator`; `gate` and
+            `gap_max` have no effect.
+    """
+
+    poses: str = "withheld"
+    imu: bool = True
+    lag: float | None = None
+    grid: float = 0.05
+    imu_step: float = 0.01
+    imu_damping: float = 0.04
+    huber: float = 4.0
+    iterations: int = 8
+    tolerance: float = 2e-4
+    dynamics: DynamicEstimatorSettings = field(default_factory=_dynamics)
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no sense."""
+        if self.poses not in POSES:
+            raise InvalidField("poses", repr(self.poses), f"one of {list(POSES)}")
+        for name in ("grid", "huber", "tolerance", "lag"):
+            value = getattr(self, name)
+            if name == "lag" and value is None:
+                continue
+            if not (value > 0.0 and np.isfinite(value)):
+                raise InvalidField(name, value, f"{name} > 0, finite")
+        if not 0.0 <= self.imu_step < np.inf:
+            raise InvalidField("imu_step", f"{self.imu_step} s", ">= 0 s, finite")
+        if not 0.0 <= self.imu_damping < np.inf:
+            raise InvalidField("imu_damping", f"{self.imu_damping} s", ">= 0 s, finite")
+        if self.iterations < 1:
+            raise InvalidField("iterations", self.iterations, ">= 1")

@@ -1,0 +1,227 @@
+"""Smooth a recording: forward passes, each with the errors of the one before put right."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.dynamic_estimator.model import Model
+from baselines.dynamic_estimator.start import Rest
+from baselines.dynamic_estimator.state import FilterState
+from baselines.smoother.forward import Correction, Forward, Passed, Said, scales
+from baselines.smoother.graph import Graph, Solution
+from baselines.smoother.measured import Measured, arrange
+from baselines.smoother.result import Smoothed
+from baselines.smoother.scores import score
+from baselines.smoother.settings import SmootherSettings
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.recording import Recording
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Pose
+
+WEIGHINGS = 6  # of poses, at most, in one pass
+SAME_WEIGHT = 0.05
+
+Report = Callable[[int, float], None]
+
+
+def smooth(
+    recording: Recording,
+    robot: Robot,
+    settings: SmootherSettings | None = None,
+    *,
+    start: int = 0,
+    stop: int | None = None,
+    report: Report | None = None,
+) -> Smoothed:
+    """Find the best estimate of a whole recording.
+
+    The platform hangs at rest on the first lengths; its dynamics go through a smooth path of the
+    recorded lengths. The errors of this motion are told, with gtsam, by what else was measured,
+    and put right; then all is done again until nothing changes.
+
+    Args:
+        recording: As it was recorded.
+        robot: As calibrated.
+        settings: What is used, and how uncertain everything is.
+        start: First length sample to score.
+        stop: One past the last; None: to the end.
+        report: Called after each pass with its number and the largest change of a position [m].
+
+    Raises:
+        InvalidField: The recording has not what is needed.
+        CarosacError: The robot cannot hang on the first lengths, or has no finite motion.
+    """
+    chosen = settings or SmootherSettings()
+    end = len(recording.time) if stop is None else stop
+    if not 0 <= start < end <= len(recording.time):
+        allowed = f"0 <= start < stop <= {len(recording.time)}, the number of samples"
+        raise InvalidField("start, stop", f"{start}, {end}", allowed)
+    measured = arrange(recording, robot, chosen)
+    rest = _rest(measured, robot, chosen)
+    damping = max(chosen.dynamics.stretch_damping, chosen.imu_damping if measured.felt else 0.0)
+    model = Model(robot, replace(chosen.dynamics, stretch_damping=damping))
+    forward = Forward(model, measured, chosen)
+    graph = Graph(model.errors, scales(model, chosen), rest.covariance)
+    corrections: list[Correction] | None = None
+    for passes in range(1, chosen.iterations + 1):
+        passed = forward.run(rest, corrections)
+        solution, weight = _solved(graph, passed, measured, chosen)
+        change, turned = _change(passed, solution)
+        if report is not None:
+            report(passes, change)
+        settled = max(change, turned) <= chosen.tolerance
+        if settled or passes == chosen.iterations:
+            break
+        corrections = _corrected(passed, solution, graph)
+    found = _Pass(passed, solution, weight, passes, change, settled)
+    return _result(found, measured, robot, graph, measured.withheld(start, end))
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """The last pass."""
+
+    passed: Passed
+    solution: Solution
+    weight: dict[int, float]
+    passes: int
+    change: float
+    settled: bool
+
+
+def _rest(measured: Measured, robot: Robot, settings: SmootherSettings) -> FilterState:
+    """Where the recording begins."""
+    first = float(measured.time[0])
+    reading = measured.reading(first)
+    found = Rest(robot, settings.dynamics).state(first, reading)
+    if found is None:
+        lengths = ", ".join(f"{value:.3f}" for value in reading)
+        raise CarosacError(
+            f"the robot {robot.name!r} cannot hang at rest on the first recorded lengths "
+            f"({lengths} m)"
+        )
+    return found
+
+
+def _solved(
+    graph: Graph, passed: Passed, measured: Measured, settings: SmootherSettings
+) -> tuple[Solution, dict[int, float]]:
+    """The errors, with poses that are far off weighing less."""
+    import gtsam
+
+    huber = gtsam.noiseModel.mEstimator.Huber.Create(settings.huber)
+    weight = dict.fromkeys(passed.poses, 1.0)
+    for _ in range(WEIGHINGS):
+        solution = graph.solve(passed, measured.time, weight, settings.lag)
+        before, weight = weight, {
+            k: float(huber.weight(_distance(said, solution.error[k])))
+            for k, said in passed.poses.items()
+        }  # fmt: skip
+        if all(abs(weight[k] - before[k]) <= SAME_WEIGHT for k in weight):
+            break
+    return solution, weight
+
+
+def _distance(said: Said, error: Array) -> float:
+    """How far a measurement is off after an error is put right, in standard deviations."""
+    left = said.residual - said.by @ error
+    return float(np.sqrt(left @ np.linalg.solve(said.noise, left)))
+
+
+def _change(passed: Passed, solution: Solution) -> tuple[float, float]:
+    """Largest change of a position [m] and of an orientation [rad]."""
+    moved = np.array([
+        state.pose_by() @ error
+        for state, error in zip(passed.states, solution.error, strict=True)
+    ])  # fmt: skip
+    size = np.linalg.norm(moved.reshape(-1, 2, 3), axis=2).max(axis=0)
+    return float(size[0]), float(size[1])
+
+
+def _corrected(passed: Passed, solution: Solution, graph: Graph) -> list[Correction]:
+    """What is to be added at each key frame so that the next pass goes where the errors point."""
+    constant = graph.constant
+    error = solution.error.copy()
+    error[:, constant] = error[-1, constant]
+    added = passed.corrections.copy()
+    added[0] += error[0]
+    for k, link in enumerate(passed.links):
+        step = error[k + 1] - link.carry @ error[k]
+        step[constant] = 0.0
+        added[k + 1] += step
+    return [
+        Correction(error=one, ways=state.sway.ways)
+        for one, state in zip(added, passed.states, strict=True)
+    ]
+
+
+def _result(
+    found: _Pass,
+    measured: Measured,
+    robot: Robot,
+    graph: Graph,
+    withheld: tuple[NDArray[np.int64], Pose] | None,
+) -> Smoothed:
+    """The estimate at the length samples."""
+    settings = measured.settings
+    states, covariance = _states(found, measured, graph)
+    last = states[-1]
+    sigma = np.zeros(last.errors.size)
+    sigma[graph.constant] = np.sqrt(np.diag(found.solution.constant))
+    noise = settings.dynamics.stretch_noise, settings.dynamics.rate_noise
+    estimate = Pose(
+        position=np.stack([state.position for state in states]),
+        rotation=np.stack([state.rotation for state in states]),
+        time=measured.recording.time,
+    )
+    platform = np.stack([state.platform_covariance(*noise) for state in states])
+    scores = None
+    if withheld is not None:
+        scores = score(measured.recording, *withheld, estimate, platform, settings.dynamics)
+    where = last.errors
+    bias_variance = np.diagonal(covariance[:, where.bias, where.bias], axis1=1, axis2=2)
+    mass = robot.mass * float(np.exp(last.log_mass))
+    return Smoothed(
+        recording=measured.recording,
+        settings=settings,
+        time=measured.recording.time,
+        position=estimate.position,
+        rotation=estimate.rotation,
+        twist=np.stack([state.twist for state in states]),
+        covariance=platform,
+        tension=np.stack([state.tension for state in states]),
+        wind=np.stack([state.wind for state in states]),
+        length_bias=np.stack([state.length_bias for state in states]),
+        length_bias_sigma=np.sqrt(bias_variance),
+        mass=mass,
+        mass_sigma=mass * float(sigma[where.mass][0]),
+        center_of_mass=last.center,
+        center_sigma=sigma[where.center],
+        imu_bias=last.imu_bias,
+        passes=found.passes,
+        change=found.change,
+        converged=found.settled,
+        inertial=len(measured.felt),
+        poses=len(measured.poses),
+        doubted=sum(value < 0.5 for value in found.weight.values()),
+        outliers=measured.outliers,
+        withheld=np.empty(0, dtype=np.int64) if withheld is None else withheld[0],
+        measured=None if withheld is None else withheld[1],
+        scores=scores,
+    )
+
+
+def _states(found: _Pass, measured: Measured, graph: Graph) -> tuple[list[FilterState], Array]:
+    """States at the length samples, and the covariances of what changes, shape (N, size, size)."""
+    solution, states = found.solution, []
+    size = solution.error.shape[1]
+    covariance = np.zeros((len(measured.samples), size, size))
+    for row, k in enumerate(measured.samples):
+        covariance[row][np.ix_(graph.changing, graph.changing)] = solution.covariance[k]
+        states.append(found.passed.states[k].corrected(solution.error[k], covariance[row]))
+    return states, covariance

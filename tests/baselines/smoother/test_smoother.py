@@ -1,0 +1,176 @@
+"""The smoother on simulated runs whose truth is known, and on the real recording."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import carosac_toolkit as ct
+from baselines.dynamic_estimator import DynamicEstimator, DynamicEstimatorSettings
+from baselines.smoother import SmootherSettings, smooth
+from baselines.smoother.measured import arrange
+from carosac_toolkit.consistency import band, normalised_square
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.recordings.poses import PoseSamples
+from carosac_toolkit.sensors import PERFECT
+from tests.baselines.smoother.runs import errors_of, filtered, rms, swing
+
+KNOWN = dict(mass=0.0, center_of_mass=0.0, length_bias=5e-3, length_bias_walk=0.0)
+SMOOTH = dict(stretch_damping=0.0, stretch_noise=5e-4, rate_noise=0.05)
+DATA = Path(os.environ.get("CAROSAC_DATA", Path(__file__).parents[4] / "shared" / "data"))
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return ct.load_robot("carosac")
+
+
+@pytest.fixture(scope="module")
+def noisy(robot):
+    """A run with noise, biases and wind, and its truth."""
+    return swing(robot, seed=0, wind=1.0, duration=1.5)
+
+
+def settings(**changes):
+    return SmootherSettings(dynamics=DynamicEstimatorSettings(**KNOWN, **SMOOTH), **changes)
+
+
+@pytest.fixture(scope="module")
+def with_poses(noisy, robot):
+    return smooth(noisy[0], robot, settings(poses="used"))
+
+
+def test_perfect_lengths_alone_give_the_swing(robot):
+    """The plant is the model: what is left is the time step, and lengths between samples."""
+    recording, truths = swing(robot, sensors=PERFECT, duration=2.0, every=2)
+    found = smooth(recording, robot, settings(imu=False))
+    moved = np.ptp([truth.position[0] for truth in truths], axis=0)
+    assert moved.max() > 0.2
+    assert rms(errors_of(found, truths)) < 2e-3
+    assert found.converged and found.passes == 1 and found.inertial == found.poses == 0
+
+
+def test_it_is_better_than_the_causal_filter(noisy, robot, with_poses):
+    recording, truths = noisy
+    estimator = DynamicEstimator.build(robot, DynamicEstimatorSettings(**KNOWN))
+    causal = filtered(estimator, recording, truths, poses=True)
+    found = errors_of(with_poses, truths)
+    assert with_poses.converged
+    assert rms(found) < 0.6 * rms(causal)
+    assert rms(found[:, 3:]) < rms(causal[:, 3:])
+    assert rms(found[:, 6:]) < rms(causal[:, 6:])
+
+
+def test_its_covariance_holds_where_the_model_is_right(noisy, robot, with_poses):
+    """One run: errors at all its samples hang together, and count as one."""
+    low, high = band(6)
+    for found in (with_poses, smooth(noisy[0], robot, settings(imu=False))):
+        errors = errors_of(found, noisy[1])
+        assert low < normalised_square(errors[:, :6], found.covariance[:, :6, :6]).mean() < high
+        assert low < normalised_square(errors, found.covariance).mean() < high
+
+
+def test_poses_that_were_not_used_are_met_to_their_noise(noisy, robot):
+    found = smooth(noisy[0], robot, settings(poses="half"))
+    assert found.poses + len(found.withheld) <= len(noisy[0].poses.time) + 1
+    parts = found.scores.parts
+    assert parts["all"].samples == len(found.withheld) > 10
+    assert parts["all"].rmse[3] < 2.0 * np.sqrt(3.0) * 1e-3  # 1 mm an axis
+    assert 0.2 < found.scores.nees["all"] < 2.0
+
+
+@pytest.fixture(scope="module")
+def without_imu(noisy, robot):
+    return smooth(noisy[0], robot, settings(poses="used", imu=False))
+
+
+def test_gross_poses_count_little(noisy, robot, without_imu):
+    recording, truths = noisy
+    wrong = recording.poses.position.copy()
+    wrong[[7, 20]] += [0.3, -0.2, 0.1]
+    poses = PoseSamples(
+        time=recording.poses.time, position=wrong, quaternion=recording.poses.quaternion
+    )
+    found = smooth(replace(recording, poses=poses), robot, settings(poses="used", imu=False))
+    assert found.doubted == 2 and without_imu.doubted == 0
+    assert rms(errors_of(found, truths)) < 1.3 * rms(errors_of(without_imu, truths)) + 2e-4
+
+
+def test_a_lag_gives_nearly_the_same(noisy, robot, without_imu):
+    found = smooth(noisy[0], robot, settings(poses="used", imu=False, lag=0.5))
+    error = errors_of(found, noisy[1])
+    assert rms(error) < 1.5 * rms(errors_of(without_imu, noisy[1])) + 2e-4
+    assert found.position[-1] == pytest.approx(without_imu.position[-1], abs=5e-4)
+
+
+def test_an_outlier_of_the_lengths_is_left_out(noisy, robot):
+    recording = noisy[0]
+    lengths = recording.unstrained_length.copy()
+    lengths[15, 1] += 0.5
+    data = arrange(replace(recording, unstrained_length=lengths), robot, settings())
+    clean = arrange(recording, robot, settings())
+    assert data.outliers == 1 and clean.outliers == 0
+    time = recording.time
+    assert data.path.at(time) == pytest.approx(clean.path.at(time), abs=5e-3)
+
+
+def test_lengths_count_late_by_the_delay(noisy, robot):
+    late = replace(robot, length_delay=0.03)
+    data = arrange(noisy[0], late, settings())
+    when = float(noisy[0].time[20])
+    assert data.reading(when + 0.03) == pytest.approx(data.path.at(np.array(when)), abs=1e-12)
+
+
+def test_key_frames_are_where_something_was_measured(noisy, robot):
+    data = arrange(noisy[0], robot, settings(poses="used"))
+    assert (np.diff(data.time) > 0.0).all()
+    assert data.time[data.samples] == pytest.approx(noisy[0].time, abs=1e-6)
+    steps = [data.time[k] - data.time[k - 1] for k in data.felt]
+    assert max(steps) < 0.0101
+    samples = sum(felt.samples for felt in data.felt.values())
+    inside = (noisy[0].imu.time > data.time[0]) & (noisy[0].imu.time <= data.time[-1])
+    assert samples == pytest.approx(inside.sum(), abs=1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (dict(poses="all"), "poses: got 'all'; allowed: one of"),
+        (dict(lag=0.0), "lag: got 0.0; allowed: lag > 0"),
+        (dict(grid=float("nan")), "grid"),
+        (dict(iterations=0), "iterations: got 0; allowed: >= 1"),
+        (dict(imu_step=-1.0), "imu_step"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(changes, message):
+    with pytest.raises(InvalidField, match=message):
+        SmootherSettings(**changes)
+
+
+def test_recordings_that_cannot_be_smoothed_are_refused(noisy, robot):
+    recording = noisy[0]
+    with pytest.raises(InvalidField, match="two length samples"):
+        smooth(recording.slice(0, 1), robot)
+    with pytest.raises(InvalidField, match="poses"):
+        smooth(replace(recording, poses=None), robot, SmootherSettings(poses="used"))
+    with pytest.raises(InvalidField, match="start, stop"):
+        smooth(recording, robot, start=5, stop=5)
+    with pytest.raises(InvalidField, match="cables"):
+        smooth(recording, ct.load_robot("cogiro"))
+    far = replace(recording, unstrained_length=recording.unstrained_length + 50.0, poses=None)
+    with pytest.raises(CarosacError, match="cannot hang at rest"):
+        smooth(far, robot, settings(imu=False))
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"no data in {DATA}")
+def test_every_second_pose_of_the_real_run_halves_the_error_or_better():
+    recording = ct.load_recording(DATA / "scampi_run_part.csv").slice(0, 45)
+    robot = ct.load_robot("scampi")
+    alone = smooth(recording, robot)
+    found = smooth(recording, robot, SmootherSettings(poses="half"))
+    assert found.scores.parts["all"].rmse[3] < 0.01
+    assert found.scores.parts["all"].rmse[3] < 0.5 * alone.scores.parts["all"].rmse[3]

@@ -1,0 +1,98 @@
+"""The command ``carosac smooth``."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import carosac_toolkit as ct
+from carosac_toolkit.cli.main import main
+from tests.baselines.smoother.runs import swing
+
+
+@pytest.fixture(autouse=True)
+def in_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def run_file(tmp_path_factory):
+    """A short run of a simulated robot, as a file."""
+    recording, _ = swing(ct.load_robot("carosac"), duration=1.0)
+    path = tmp_path_factory.mktemp("run") / "run.parquet"
+    recording.save(path)
+    return path
+
+
+def words(run_file, *more):
+    return ["smooth", str(run_file), "--robot", "carosac", *more]
+
+
+def test_the_contract_of_the_json_and_the_files(run_file, capsys):
+    import pyarrow.parquet as pq
+
+    files = ("--output", "new.csv", "--json", "x.json", "--report", "report")
+    assert main(words(run_file, "--poses", "half", *files)) == 0
+    printed = capsys.readouterr().out
+    assert max(len(line) for line in printed.splitlines()) <= 80 + len(str(run_file))
+    assert "poses that were not used" in printed and "settled" in printed
+    data = json.loads(Path("x.json").read_text())
+    assert data["converged"] and data["inertial_measurements"] > 0
+    assert set(data["scores"]["all"]["rmse_m"]) == {"x", "y", "z", "norm"}
+    assert {path.name for path in Path("report").iterdir()} == {
+        "estimate.parquet", "estimate.png", "unknowns.png",
+    }  # fmt: skip
+    before, after = ct.load_recording(run_file), ct.load_recording("new.csv")
+    assert after.time == pytest.approx(before.time, abs=0.0)
+    assert after.poses.time == pytest.approx(before.time, abs=0.0)
+    assert after.unstrained_length == pytest.approx(before.unstrained_length, abs=0.0)
+    assert "carosac smooth, poses half, of run.parquet" in after.metadata.source
+    table = pq.read_table("report/estimate.parquet")
+    position = np.column_stack([table[f"position_{axis}_m"] for axis in "xyz"])
+    assert position == pytest.approx(after.poses.position, abs=1e-12)
+    sigma = table["position_sigma_x_m"].to_numpy()
+    assert sigma**2 == pytest.approx(table["covariance_01_01"].to_numpy())
+
+
+def test_without_poses_there_are_no_scores(run_file, capsys):
+    replace(ct.load_recording(run_file), poses=None, imu=None).save("blind.parquet")
+    assert main(words("blind.parquet", "--json", "x.json", "--length-bias", "0.001")) == 0
+    data = json.loads(Path("x.json").read_text())
+    assert data["scores"] is None and data["dynamics"]["length_bias"] == 0.001
+    assert "not used" not in capsys.readouterr().out
+    assert Path("carosac-results/smooth/blind-carosac/smoothed.parquet").is_file()
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (("--lag", "-1"), "lag: got -1.0; allowed: lag > 0"),
+        (("--poses", "all"), "poses"),
+        (("--wind-force", "-1"), "wind_force: got -1.0"),
+        (("--output", "nowhere/x.csv"), "a file in an existing folder"),
+        (("--output", "x.txt"), "a file name ending in .parquet or .csv"),
+        (("--robot", "cogiro"), "8 cables"),
+        (("--start", "9", "--stop", "3"), "start, stop: got 9, 3"),
+    ],
+)
+def test_wrong_words_end_with_one_message_and_no_file(run_file, capsys, more, message):
+    assert main(words(run_file, *more)) == 2
+    assert message in capsys.readouterr().err
+    assert list(Path().iterdir()) == []
+
+
+def test_the_recording_is_never_overwritten(run_file, capsys):
+    content = run_file.read_bytes()
+    assert main(words(run_file, "--output", str(run_file))) == 2
+    assert "--output" in capsys.readouterr().err
+    assert run_file.read_bytes() == content
+
+
+def test_poses_that_are_to_be_used_must_be_there(run_file, capsys):
+    replace(ct.load_recording(run_file), poses=None).save("blind.parquet")
+    assert main(words("blind.parquet", "--poses", "used")) == 2
+    assert "poses: got none in the recording" in capsys.readouterr().err
