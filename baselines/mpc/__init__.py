@@ -1,0 +1,8 @@
+"""Model predictive control: see `docs/mpc.md`."""
+
+from baselines.mpc.controller import Mpc, NoStart
+from baselines.mpc.record import MpcRecord
+from baselines.mpc.settings import MpcSettings
+from baselines.mpc.stage_function import CompileError
+
+__all__ = ["CompileError", "Mpc", "MpcRecord", "MpcSettings", "NoStart"]

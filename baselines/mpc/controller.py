@@ -1,0 +1,220 @@
+"""Model predictive control of cable lengths."""
+
+from __future__ import annotations
+
+import time
+from typing import ClassVar, Self
+
+import numpy as np
+
+from baselines.mpc.fallback import Rest
+from baselines.mpc.geometry import Geometry, excess_at, geometry_at
+from baselines.mpc.observer import Observer, Start
+from baselines.mpc.plan import Plan, pose_of
+from baselines.mpc.planner import Planner
+from baselines.mpc.record import MpcRecord
+from baselines.mpc.settings import MpcSettings
+from baselines.mpc.target import Targets
+from baselines.mpc.winch_reference import WinchReference
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Belief, Command, Reference
+
+AGREED = 0.5  # share of the gate within which a belief must be for a new plan to begin
+SOFTENED = 0.01  # share of a limit beyond which a plan counts as softened
+
+
+class NoStart(CarosacError):
+    """A belief at which the cables cannot be, so that no command can begin there."""
+
+
+class Mpc:
+    """Plans tensions of rigid cables over a receding horizon, and sends the lengths that follow.
+
+    The plan is one Gauss-Newton step better at every command. What is sent are lengths of hanging,
+    stretching cables (`carosac_toolkit.physics`) at the planned pose and tension, with the lag of
+    the winches taken out. Should a solve fail, the last plan goes on for some steps; then the
+    platform is brought to rest near where it is. All that is counted in `record`.
+
+    Attributes:
+        period: Time between two commands [s].
+        horizon: How far ahead the reference must reach [s].
+        record: What happened since the last reset.
+    """
+
+    Settings: ClassVar = MpcSettings
+
+    def __init__(self, robot: Robot, settings: MpcSettings) -> None:
+        self._robot, self._settings = robot, settings
+        self.period = settings.period
+        self._planner = Planner(robot, settings)
+        self._observer = Observer(robot, settings)
+        self._winches = WinchReference(robot, period=self.period, jerk_max=settings.jerk_max)
+        self._targets = Targets(robot, self._planner.grid)
+        self._rest = Rest(robot)
+        self.horizon = self.period * float(np.ceil(settings.lookahead / self.period - 1e-9))
+        self.record = MpcRecord()
+        self._ready = False
+
+    @classmethod
+    def build(cls, robot: Robot, settings: MpcSettings | None = None, *, seed: int = 0) -> Self:
+        """Make one for the nominal robot; it draws no random numbers, so `seed` has no effect."""
+        return cls(robot, settings or MpcSettings())
+
+    def reset(self, belief: Belief) -> None:
+        """Start at rest where the belief says.
+
+        Raises:
+            InvalidField: A batch of several robots.
+            NoStart: No cables can reach there.
+        """
+        _check_one(belief)
+        stage = self._planner.stage
+        self.record = MpcRecord(compiled=stage.compiled, interpreted_because=stage.reason)
+        self._planner.reset()
+        self._observer.reset()
+        self._targets.reset()
+        self._rest.reset()
+        self._failed = 0
+        self._place = belief.position[0]
+        position, rotation = belief.position[0], belief.rotation[0]
+        geometry = geometry_at(self._robot, position, rotation)
+        low, high = self._robot.length_min, self._robot.length_max
+        if not (geometry.valid and ((geometry.length > low) & (geometry.length < high)).all()):
+            raise NoStart(
+                f"mpc: position {position.round(4)} m: cables of {geometry.length.round(3)} m; "
+                f"allowed: {low.round(3)} to {high.round(3)} m, outside pulleys"
+            )
+        self._excess = np.zeros(self._robot.n)
+        tension = self._targets.at(position)
+        self._update_excess(position, rotation, tension, share=1.0)
+        self._winches.reset(geometry.length + self._excess)
+        self._ready = True
+
+    def command(self, belief: Belief, reference: Reference) -> Command:
+        """Lengths for the next period.
+
+        Raises:
+            InvalidField: A batch of several robots, or no reset before.
+        """
+        _check_one(belief)
+        if not self._ready:
+            raise InvalidField("mpc", "no belief to start from", "a call of reset() first")
+        self.record.commands += 1
+        now = float(belief.time[0])
+        start = self._observer.start(
+            belief, self._winches.length - self._excess, self._winches.rate,
+            settled=self._resting and self._winches.at_rest,
+        )  # fmt: skip
+        if start.distance <= self._settings.belief_gate:
+            self._place = start.position
+        plan = self._solve(start, reference, now)
+        if plan is None:
+            lengths = self._fall_back(now)
+        else:
+            self._failed = 0
+            self._rest.reset()
+            self._planner.plan = plan
+            lengths = self._follow(plan)
+        self.record.held += self._winches.held
+        self.record.rebased = self._observer.rebased
+        self.record.no_rest = self._targets.no_rest
+        return Command(time=belief.time, unstrained_length=lengths[None])
+
+    def _solve(self, start: Start, reference: Reference, now: float) -> Plan | None:
+        """A plan from here, or None with the reason in the record."""
+        self.record.reason = ""
+        if not np.isfinite(start.distance) or not start.geometry.valid:
+            self._fail("geometry", "a believed pose that cables cannot reach")
+            return None
+        if start.distance > self._settings.belief_gate * (AGREED if self._resting else 1.0):
+            self._fail("belief", f"{start.distance:.3g} m from the lengths that were sent")
+            return None
+        began = time.perf_counter()
+        wanted = self._targets.read(reference)
+        target = self._targets.nearer(wanted, start.position)
+        self.record.approached += target is not wanted
+        found = self._planner.improve(
+            start, target, time=now, disturbance=self._observer.disturbance,
+            acceleration=self._winches.acceleration_range(),
+            offset=self._excess + self._observer.offset,
+        )  # fmt: skip
+        self.record.solve_time = time.perf_counter() - began
+        self.record.solves += 1
+        if found is None:
+            self._fail("no solution", "the quadratic program has no solution")
+            return None
+        budget = self._settings.time_budget
+        if budget is not None and self.record.solve_time > budget:
+            self._fail("late", f"{self.record.solve_time:.4f} s; allowed: {budget} s")
+            return None
+        plan, slack = found
+        self.record.softened += slack > SOFTENED
+        return plan
+
+    @property
+    def _resting(self) -> bool:
+        """Whether the last plan was given up, so that the platform is being brought to rest."""
+        return self._failed > self._settings.shifted_steps
+
+    def _fail(self, kind: str, words: str) -> None:
+        """Count a failure."""
+        self.record.failures[kind] += 1
+        self.record.reason = f"{kind}: {words}"
+
+    def _follow(self, plan: Plan) -> Array:
+        """The command that leads to the plan's next state."""
+        state = plan.state[1]
+        position, rotation = pose_of(state, plan.rotation)
+        geometry = self._update_excess(position, rotation, plan.tension[0], share=self._share())
+        self._observer.predict(
+            Start(position=position, rotation=rotation, twist=state[6:], geometry=geometry,
+                  distance=0.0)
+        )  # fmt: skip
+        length = geometry.length + self._excess + self._observer.offset
+        return self._winches.follow(length, geometry.jacobian @ state[6:])
+
+    def _fall_back(self, now: float) -> Array:
+        """The command after a failure: the last plan for some steps, then rest."""
+        self._failed += 1
+        old = self._planner.plan
+        if old is not None and not self._resting:
+            self.record.fallbacks["shifted plan"] += 1
+            states, _ = old.shifted(np.array([now + self.period, now + 2.0 * self.period]))
+            position, rotation = pose_of(states[0], old.rotation)
+            geometry = geometry_at(self._robot, position, rotation)
+            self._observer.predict(
+                Start(position=position, rotation=rotation, twist=states[0, 6:],
+                      geometry=geometry, distance=0.0)
+            )  # fmt: skip
+            rate = geometry.jacobian @ states[0, 6:]
+            return self._winches.accelerate((rate - self._winches.rate) / self.period)
+        self._planner.reset()
+        self._observer.predict(None)
+        acceleration, found = self._rest.acceleration(
+            self._place, self._winches.length, self._winches.rate, self._observer.kept
+        )
+        self.record.fallbacks["to rest" if found else "hold"] += 1
+        return self._winches.accelerate(acceleration)
+
+    def _update_excess(
+        self, position: Array, rotation: Array, tension: Array, *, share: float
+    ) -> Geometry:
+        """Move sag less stretch towards that of a pose and its tensions; its geometry."""
+        geometry = geometry_at(self._robot, position, rotation)
+        excess = excess_at(self._robot, position, rotation, tension, geometry)
+        known = np.isfinite(excess)
+        self.record.no_cable += not known.all()
+        self._excess = self._excess + share * np.where(known, excess - self._excess, 0.0)
+        return geometry
+
+    def _share(self) -> float:
+        """Share of a new sag that counts at once."""
+        return float(1.0 - np.exp(-self.period / self._settings.excess_time))
+
+
+def _check_one(belief: Belief) -> None:
+    """Refuse a batch."""
+    if len(belief.position) != 1:
+        raise InvalidField("belief", f"{len(belief.position)} robots", "one: mpc plans for one")

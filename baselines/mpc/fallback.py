@@ -1,0 +1,64 @@
+"""The safe end: rest near where the platform is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.physics import statics
+from carosac_toolkit.robot import Robot
+
+PULL = 2.0  # [1/s]: rate at which the lengths approach those of rest
+SHARE = 0.5  # of the winches' acceleration that is used
+REACH = 3.0  # [m]: lengths of rest that are farther away are not near
+
+
+class Rest:
+    """Leads the lengths to those of the catenary equilibrium at the position first believed."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget where."""
+        self._asked = False
+        self._goal: Array | None = None
+
+    def acceleration(
+        self, position: Array, length: Array, rate: Array, offset: Array
+    ) -> tuple[Array, bool]:
+        """Acceleration of the lengths now, critically damped, within half of the limits.
+
+        Args:
+            position: Platform origin in W last believed [m], shape (3,); its first value since
+                `reset`, moved into the workspace box, is where the platform comes to rest.
+            length: Of the winches now [m], shape (n,).
+            rate: [m/s], shape (n,).
+            offset: Of lengths sent to modelled ones [m], shape (n,).
+
+        Returns:
+            Shape (n,) [m/s^2], and whether lengths of rest were found nearby; else the winches
+            brake to a stop where they are.
+        """
+        if not self._asked:
+            self._asked = True
+            self._goal = self._rest_near(position, length, offset)
+        most = SHARE * self._robot.acceleration_max
+        if self._goal is None:
+            wanted = -PULL * PULL * rate
+        else:
+            slow = np.clip(PULL * (self._goal - length), -0.2 * self._robot.speed_max,
+                           0.2 * self._robot.speed_max)  # fmt: skip
+            wanted = 2.0 * PULL * (slow - rate)
+        return np.clip(wanted, -most, most), self._goal is not None
+
+    def _rest_near(self, position: Array, length: Array, offset: Array) -> Array | None:
+        """Lengths of rest, if there are any within reach."""
+        robot = self._robot
+        inside = np.clip(position, robot.workspace_min, robot.workspace_max)
+        rest = statics.inverse_kinematics(robot, inside[None])
+        if not (rest.converged[0] and rest.in_winch_range[0].all()):
+            return None
+        goal = rest.unstrained_length[0] + offset
+        return goal if np.abs(goal - length).max() < REACH else None

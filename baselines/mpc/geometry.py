@@ -1,0 +1,92 @@
+"""Straight and hanging cables at one pose, from the toolkit's physics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.physics.cable_lengths import length_at_tension
+from carosac_toolkit.physics.straight_line import straight_length
+from carosac_toolkit.robot import Robot
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Geometry:
+    """The n cables at one pose, straight.
+
+    Attributes:
+        length: Datum to anchor point, wrapped arc included [m], shape (n,).
+        jacobian: Of the lengths by the twist (linear first, in W, at the origin), shape (n, 6).
+        exits: Where the free part begins, in W [m], shape (n, 3).
+        free: Length of the free part [m], shape (n,).
+        direction: From there to the anchor point, shape (n, 3).
+        valid: Whether all cables exist.
+    """
+
+    length: Array
+    jacobian: Array
+    exits: Array
+    free: Array
+    direction: Array
+    valid: bool
+
+
+def geometry_at(robot: Robot, position: Array, rotation: Array) -> Geometry:
+    """Straight cables at a pose.
+
+    Args:
+        robot: Robot description, n cables.
+        position: Platform origin in W [m], shape (3,).
+        rotation: From P to W, shape (3, 3).
+    """
+    cables = straight_length(robot, position[None], rotation[None])
+    length, direction = cables.length[0], cables.direction[0]
+    arm = robot.anchor_points @ rotation.T
+    free = length - robot.pulley_radius * cables.wrap[0]
+    return Geometry(
+        length=length,
+        jacobian=np.hstack([direction, np.cross(arm, direction)]),
+        exits=position + arm - free[:, None] * direction,
+        free=free,
+        direction=direction,
+        valid=bool(cables.valid[0].all()) and bool((free > 1e-6).all()),
+    )
+
+
+def excess_at(
+    robot: Robot, position: Array, rotation: Array, tension: Array, geometry: Geometry
+) -> Array:
+    """By how much the unstrained cables are longer than straight ones: sag less stretch [m].
+
+    Args:
+        robot: Robot description, n cables.
+        position: Platform origin in W [m], shape (3,).
+        rotation: From P to W, shape (3, 3).
+        tension: Along the chord of each cable [N], shape (n,).
+        geometry: At the same pose.
+
+    Returns:
+        Shape (n,); NaN where the cable is too slack to hang there.
+    """
+    pull = -tension[:, None] * geometry.direction
+    pull[:, 2] -= 0.5 * robot.weight_per_length * geometry.free
+    at_platform = np.linalg.norm(pull, axis=1)
+    found = length_at_tension(robot, position[None], rotation[None], at_platform[None])
+    return np.asarray(found.unstrained_length[0] - geometry.length)
+
+
+def constrained_motion(mass: Array, jacobian: Array) -> Array:
+    """Least motion, by kinetic energy, that changes the lengths as wanted.
+
+    Args:
+        mass: Mass matrix at the origin, shape (6, 6).
+        jacobian: Of the lengths, shape (n, 6).
+
+    Returns:
+        Matrix from length changes to twists, shape (6, n); with over six cables, least squares.
+    """
+    root = np.linalg.cholesky(mass).T  # twice the energy is the square of root @ twist
+    inverse = np.linalg.inv(root)
+    return np.asarray(inverse @ np.linalg.pinv(jacobian @ inverse, rcond=1e-9))

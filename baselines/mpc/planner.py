@@ -1,0 +1,210 @@
+"""Real-time iterations: one linearisation and one quadratic program a command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from baselines.mpc import model
+from baselines.mpc.observer import Start
+from baselines.mpc.plan import Plan
+from baselines.mpc.quadratic_program import FAR, QuadraticProgram
+from baselines.mpc.settings import MpcSettings
+from baselines.mpc.stage_function import StageFunction
+from baselines.mpc.winch_reference import Range
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.robot import Robot
+
+COLD = 3  # iterations where there is no plan to start from
+TURN = 0.35  # of the Rodrigues parameters: beyond it (80 degrees) R_0 moves along
+STATE_MAX = 1e3  # [m, m/s, rad/s]: a plan beyond it is none
+HALF = 0.5  # of the tension of rest: the plan can go down to it at least
+LENGTH_SCALE = 1.0  # [m]: excess of a length that counts like that of a full limit
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Target:
+    """What the platform should do at the N + 1 times of a plan.
+
+    Attributes:
+        position: Platform origin in W [m], shape (N + 1, 3).
+        velocity: [m/s], shape (N + 1, 3).
+        rotation: Wanted rotation per time, shape (N + 1, 3, 3); None leaves it free.
+        tension: Of rest, per stage [N], shape (N, n).
+        calm: Whether half of the tension of rest is the least: then nothing falls.
+    """
+
+    position: Array
+    velocity: Array
+    rotation: Array | None
+    tension: Array
+    calm: bool = False
+
+
+class Planner:
+    """Keeps a plan and improves it at each command.
+
+    Tensions are kept near those of rest. With fewer than six cables, for which motion leaves no
+    choice of tensions, what they differ by in the long run is learned and not held against them,
+    so that a disturbance leaves no steady error of the position.
+
+    Attributes:
+        grid: Times of the states from now [s], shape (N + 1,).
+        stage: The stage function.
+        plan: The plan that the next one starts from, or None.
+    """
+
+    plan: Plan | None
+
+    def __init__(self, robot: Robot, settings: MpcSettings) -> None:
+        """Set up solver and stage function.
+
+        Args:
+            robot: The nominal robot.
+            settings: Grid and weights.
+        """
+        n, stages = robot.n, settings.stages
+        self._robot, self._settings = robot, settings
+        rest = (settings.lookahead - settings.period) / (stages - 1)
+        self._duration = np.array([settings.period, *[rest] * (stages - 1)])
+        self.grid = np.concatenate([[0.0], np.cumsum(self._duration)])
+        self.stage = StageFunction(n, stages, settings.compiled)
+        self._program = QuadraticProgram(stages, model.STATES, n, model.PATH * n)
+        self._unit = 0.5 * robot.weight / min(n, 4)  # [N], scale of the tensions
+        held = settings.attitude_weight if n >= 6 else 0.0
+        weights = settings.position_weight, held, settings.velocity_weight, settings.spin_weight
+        scale = np.array([1.0, 4.0, 1.0, 1.0]) ** 2  # small Rodrigues parameters: quarter angles
+        self._weight = np.repeat(np.array(weights) * scale, 3)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the plan."""
+        self.plan = None
+        self._habit = np.zeros(self._robot.n)
+
+    def improve(
+        self, start: Start, target: Target, *, time: float, disturbance: Array,
+        acceleration: Range, offset: Array,
+    ) -> tuple[Plan, float] | None:  # fmt: skip
+        """Make a plan from where the platform is.
+
+        Args:
+            start: Pose and twist now.
+            target: At the times of `grid` from now.
+            time: Now [s].
+            disturbance: Acceleration unknown to the model, shape (6,).
+            acceleration: What the winches can do in the first stage [m/s^2].
+            offset: What lengths sent exceed straight ones by [m], shape (n,).
+
+        Returns:
+            The plan, and by which share it exceeds a soft limit; None without a solution.
+        """
+        cold = self.plan is None
+        plan = self._guess(start, target, time)
+        for _ in range(COLD if cold else 1):
+            self._linearise(plan, start, disturbance)
+            found = self._correct(plan, target, acceleration, offset)
+            if found is None:
+                return None
+            plan, slack = found
+        if self._robot.n < 6:
+            share = self._settings.period / self._settings.offset_time
+            now = plan.tension[0] - target.tension[0]
+            self._habit = self._habit + share * (now - self._habit)
+        return plan, slack
+
+    def _guess(self, start: Start, target: Target, time: float) -> Plan:
+        """The last plan, shifted to now, with the first state replaced."""
+        when = time + self.grid
+        old = self.plan
+        if old is None:
+            rotation = start.rotation
+            state = np.zeros((len(when), model.STATES))
+            state[:, :3] = start.position
+            rest = np.broadcast_to(target.tension[0], target.tension.shape)
+            tension = np.clip(rest, self._robot.tension_min, self._robot.tension_max)
+        else:
+            s = model.parameters_of(start.rotation @ old.rotation.T)
+            old = old.turned(start.rotation) if s @ s > TURN**2 else old
+            rotation = old.rotation
+            state, tension = old.shifted(when)
+        state[0, :3] = start.position
+        state[0, 3:6] = model.parameters_of(start.rotation @ rotation.T)
+        state[0, 6:] = start.twist
+        return Plan(time=when, state=state, tension=tension, rotation=rotation)
+
+    def _linearise(self, plan: Plan, start: Start, disturbance: Array) -> None:
+        """Evaluate the stage function along the plan."""
+        stage, geometry = self.stage, start.geometry
+        stage.state[:] = plan.state[:-1]
+        stage.tension[:] = plan.tension
+        stage.duration[:] = self._duration
+        stage.parameters[:] = model.parameters(
+            self._robot, rotation=plan.rotation, length=geometry.free, exits=geometry.exits,
+            disturbance=disturbance,
+        )  # fmt: skip
+        stage()
+        self._hanging = self._robot.weight_per_length * geometry.free
+
+    def _least(self, target: Target) -> Array:
+        """Tensions at which cables are still taut [N], shape (N, n)."""
+        half = HALF * target.tension
+        taut = half if target.calm else np.minimum(self._settings.taut * self._hanging, half)
+        return np.maximum(self._robot.tension_min, taut)
+
+    def _correct(
+        self, plan: Plan, target: Target, acceleration: Range, offset: Array
+    ) -> tuple[Plan, float] | None:
+        """Solve for the best change of the plan."""
+        stage, settings, n = self.stage, self._settings, self._robot.n
+        error = self._error(plan, target)
+        share = self._duration[:, None]
+        cost = np.hstack([
+            share * self._weight,
+            share * np.full((settings.stages, n), settings.tension_weight),
+        ])  # fmt: skip
+        surplus = (plan.tension - target.tension - self._habit) / self._unit
+        end = settings.end_factor * self._weight
+        step = self._program.solve(
+            hessian=cost, gradient=cost * np.hstack([error[:-1], surplus]),
+            end=np.stack([end, end * error[-1]]),
+            dynamics=(stage.by_state, self._unit * stage.by_tension,
+                      stage.after - plan.state[1:]),
+            bounds=((self._least(target) - plan.tension) / self._unit,
+                    (self._robot.tension_max - plan.tension) / self._unit),
+            rows=self._rows(acceleration, offset), price=settings.limit_weight,
+            start=np.zeros(model.STATES),
+        )  # fmt: skip
+        if not step.solved:
+            return None
+        tension = plan.tension + self._unit * step.tension
+        better = Plan(time=plan.time, state=plan.state + step.state, tension=tension,
+                      rotation=plan.rotation)  # fmt: skip
+        sound = np.abs(better.state).max() < STATE_MAX and np.abs(better.state[:, 3:6]).max() < 1.0
+        return (better, float(step.slack.max())) if sound else None
+
+    def _error(self, plan: Plan, target: Target) -> Array:
+        """State minus target; no attitude where it is free."""
+        error = plan.state.copy()
+        error[:, :3] -= target.position
+        error[:, 6:9] -= target.velocity
+        if target.rotation is not None:
+            for row, wanted in zip(error, target.rotation, strict=True):
+                row[3:6] -= model.parameters_of(wanted @ plan.rotation.T)
+        return error
+
+    def _rows(self, acceleration: Range, offset: Array) -> tuple[Array, Array, Array]:
+        """Limits on length, rate and acceleration of the cables, in shares of themselves."""
+        robot, stage, share = self._robot, self.stage, self._settings.limit_share
+        n, stages = robot.n, self._settings.stages
+        speed, most = share * robot.speed_max, share * robot.acceleration_max
+        scale = np.concatenate([np.full(n, LENGTH_SCALE), robot.speed_max, robot.acceleration_max])
+        low = np.tile(np.concatenate([robot.length_min - offset, -speed, -most]), (stages, 1))
+        high = np.tile(np.concatenate([robot.length_max - offset, speed, most]), (stages, 1))
+        low[0, 2 * n :] = acceleration.low
+        high[0, 2 * n :] = acceleration.high
+        low, high = (low - stage.path) / scale, (high - stage.path) / scale
+        low[0, : 2 * n], high[0, : 2 * n] = -FAR, FAR  # now: nothing can change them
+        matrix = np.concatenate([stage.path_by_state, self._unit * stage.path_by_tension], axis=2)
+        return matrix / scale[:, None], low, high

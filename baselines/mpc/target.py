@@ -1,0 +1,93 @@
+"""What the plan should follow: the reference at the plan's times, with the tensions of rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from baselines.mpc.planner import Target
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.physics import statics
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Pose, Reference
+
+REACH = 0.3  # [m]: from farther away the reference is not chased, but approached
+APPROACH = 0.7  # [m/s]
+
+
+class Targets:
+    """Reads references; tensions of rest are solved for when the reference moves.
+
+    Attributes:
+        no_rest: References at which there was no rest, since the reset.
+    """
+
+    def __init__(self, robot: Robot, grid: Array) -> None:
+        """Take the times of a plan from now [s], shape (N + 1,)."""
+        self._robot, self._grid = robot, grid
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the tensions of rest."""
+        self._where: Array | None = None
+        share = self._robot.weight / self._robot.n
+        middle = np.clip(share, self._robot.tension_min, self._robot.tension_max)
+        self._tension = np.tile(middle, (2, 1))
+        self.no_rest = 0
+
+    def at(self, position: Array) -> Array:
+        """Tensions of rest at a position (3,), else equal shares of the weight [N], shape (n,)."""
+        self._rest(np.stack([position, position]))
+        return np.asarray(self._tension[0])
+
+    def read(self, reference: Reference) -> Target:
+        """The reference, linear between its rows, and the last row beyond them."""
+        when, rows = reference.time[0, 0] + self._grid, reference.time[0]
+        position, velocity = (
+            np.stack([np.interp(when, rows, column) for column in values[0].T], axis=1)
+            for values in (reference.position, reference.velocity)
+        )
+        rotation = None
+        if self._robot.n >= 6:
+            rotation = np.broadcast_to(self._robot.home_rotation, (len(when), 3, 3))
+            if reference.rotation is not None:
+                nearest = np.abs(when[:, None] - rows).argmin(axis=1)
+                rotation = reference.rotation[0, nearest]
+        self._rest(position[[0, -1]])
+        share = (self._grid[:-1] / self._grid[-1])[:, None]
+        tension = (1.0 - share) * self._tension[0] + share * self._tension[1]
+        return Target(position=position, velocity=velocity, rotation=rotation, tension=tension)
+
+    def nearer(self, target: Target, position: Array) -> Target:
+        """The target itself, or a slow way there from where the platform is.
+
+        Args:
+            target: As read.
+            position: Of the platform now in W [m], shape (3,).
+        """
+        if float(np.linalg.norm(position - target.position[0])) <= REACH:
+            return target
+        way, here = [position], position
+        for goal, step in zip(target.position[1:], np.diff(self._grid), strict=True):
+            left = goal - here
+            here = here + left * min(1.0, APPROACH * step / max(float(np.linalg.norm(left)), 1e-9))
+            way.append(here)
+        places = np.array(way)
+        velocity = np.diff(places, axis=0) / np.diff(self._grid)[:, None]
+        velocity = np.vstack([velocity, velocity[-1:]])
+        return replace(target, position=places, velocity=velocity, calm=True)
+
+    def _rest(self, ends: Array) -> None:
+        """Tensions of rest at the first and the last position; the old ones where there is none."""
+        if self._where is not None and np.array_equal(self._where, ends):
+            return
+        self._where = ends
+        guess = None
+        if self._robot.n < 6:
+            level = np.tile(self._robot.home_rotation, (2, 1, 1))
+            guess = Pose(position=ends, rotation=level)
+        rest = statics.inverse_kinematics(self._robot, ends, guess=guess)
+        good = rest.converged[:, None]
+        self._tension = np.where(good, rest.tension, self._tension)
+        self.no_rest += int((~rest.converged).sum())

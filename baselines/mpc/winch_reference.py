@@ -1,0 +1,128 @@
+r"""What the winches are to do, tick by tick, and the commands that make them do it.
+
+A winch follows a held command by a first-order lag T. On average, a command is held for half a
+period h longer than it is new, so that the command of a tick at time t leads by T + h/2:
+
+.. math:: c = L(t + h) + (T - h/2)\, \dot L(t + h)
+
+for the length L it should have. Within a tick the acceleration of L is constant. Taking L at the
+end of the tick matters: then the motion that belongs to a given command is well damped, whereas at
+its middle that motion would grow from tick to tick, and with it every command at a limit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.robot import Robot
+
+STOPPED = 5e-3  # [m/s]
+MARGIN = 1e-3  # of the limits, kept clear of rounding
+JERK_MARGIN = 0.02  # of the jerk limit: at the start, lengths are known to some micrometres
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Range:
+    """What the next command may be.
+
+    Attributes:
+        low: [m], shape (n,).
+        high: [m], shape (n,).
+    """
+
+    low: Array
+    high: Array
+
+
+class WinchReference:
+    """Length and rate that the winches have at the next tick if all goes as planned.
+
+    Attributes:
+        length: Unstrained [m], shape (n,).
+        rate: [m/s], shape (n,).
+        held: Whether the last command was changed to keep it within limits.
+    """
+
+    def __init__(self, robot: Robot, *, period: float, jerk_max: float) -> None:
+        self._robot, self._period, self._jerk_max = robot, period, jerk_max
+        self._lead = np.maximum(robot.winch_lag - 0.5 * period, 0.25 * period)
+
+    def reset(self, length: Array) -> None:
+        """The winches rest at a length [m], shape (n,)."""
+        self.length = np.array(length)
+        self.rate = np.zeros_like(self.length)
+        self.held = False
+        self._sent = np.array(length)
+        self._speed = np.zeros_like(self.length)
+        self._acceleration = np.zeros_like(self.length)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether they have all but stopped."""
+        return bool(np.abs(self.rate).max() < STOPPED)
+
+    def command_range(self) -> Range:
+        """Commands within speed, acceleration, jerk and length limits; acceleration goes first."""
+        robot, h, keep = self._robot, self._period, 1.0 - MARGIN
+        change = self._jerk_max * h * (1.0 - JERK_MARGIN)
+        most = robot.acceleration_max * keep
+        low = np.maximum(-most, np.minimum(self._acceleration - change, most))
+        high = np.minimum(most, np.maximum(self._acceleration + change, -most))
+        speed = keep * robot.speed_max
+        # Lead to the limits smoothly: what jerk takes to end an acceleration is kept free.
+        room = 0.5 * self._acceleration * np.abs(self._acceleration) / self._jerk_max
+        low_speed = np.clip((-speed - self._speed - np.minimum(room, 0.0)) / h, low, high)
+        high_speed = np.clip((speed - self._speed - np.maximum(room, 0.0)) / h, low, high)
+        ahead = self._sent + h * self._speed
+        low_length, high_length = ahead + h * h * low_speed, ahead + h * h * high_speed
+        return Range(
+            low=np.clip(robot.length_min + 0.0, low_length, high_length),
+            high=np.clip(robot.length_max + 0.0, low_length, high_length),
+        )
+
+    def acceleration_range(self) -> Range:
+        """Accelerations of the length in this tick that keep the command in its range [m/s^2]."""
+        allowed = self.command_range()
+        base, gain = self._response()
+        return Range(low=(allowed.low - base) / gain, high=(allowed.high - base) / gain)
+
+    def follow(self, length: Array, rate: Array) -> Array:
+        """Command that brings the winches to a length and rate by the next tick.
+
+        Args:
+            length: [m], shape (n,).
+            rate: [m/s], shape (n,).
+
+        Returns:
+            The command [m], shape (n,).
+        """
+        h = self._period
+        wanted = length + self._lead * rate
+        allowed = self.command_range()
+        command = np.clip(wanted, allowed.low, allowed.high)
+        cut = np.abs(command - wanted) > 1e-9
+        self.held = bool(cut.any())
+        if self.held:
+            base, gain = self._response()
+            forced = self.rate + h * (command - base) / gain
+            drifted = self.length + 0.5 * h * (self.rate + forced)
+            length, rate = np.where(cut, drifted, length), np.where(cut, forced, rate)
+        self.length, self.rate = np.array(length), np.array(rate)
+        speed = (command - self._sent) / h
+        self._acceleration = (speed - self._speed) / h
+        self._speed, self._sent = speed, command
+        return command
+
+    def accelerate(self, acceleration: Array) -> Array:
+        """Command for an acceleration of the length in this tick [m/s^2], shape (n,)."""
+        h = self._period
+        rate = self.rate + h * acceleration
+        return self.follow(self.length + 0.5 * h * (self.rate + rate), rate)
+
+    def _response(self) -> tuple[Array, Array]:
+        """Command without acceleration, and by how much acceleration changes it."""
+        h, lead = self._period, self._lead
+        return self.length + (h + lead) * self.rate, 0.5 * h * h + h * lead
