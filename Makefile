@@ -60,6 +60,8 @@ bars: $(STAMP)  ## run the slow acceptance measurements; figures go to benchmark
 	$(BIN)/python -m benchmarks.calibration_lengths
 	$(BIN)/python -m benchmarks.calibration_hangprinter
 	$(BIN)/python -m benchmarks.calibration_identify
+	$(BIN)/python -m benchmarks.estimators
+	$(BIN)/python -m benchmarks.controllers
 
 docs: $(STAMP)  ## build the documentation into docs/_build
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build

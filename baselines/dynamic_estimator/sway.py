@@ -18,7 +18,7 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.physics.modes import mass_matrix
-from carosac_toolkit.physics.structure import structure_matrix
+from carosac_toolkit.physics.structure import constrained_motion, structure_matrix
 from carosac_toolkit.robot import Robot
 
 
@@ -56,7 +56,9 @@ def sway_at(robot: Robot, position: Array, rotation: Array, unstrained_length: A
     count = max(0, 6 - robot.n)
     left, _, _ = np.linalg.svd(white)
     ways = np.linalg.solve(root.T, left[:, 6 - count :])
-    slaved = np.asarray(np.linalg.solve(root.T, np.linalg.pinv(white).T), dtype=np.float64)
     return Sway(
-        ways=ways, slaved=slaved, momentum=ways.T @ mass, pulls=np.linalg.solve(mass, structure)
+        ways=ways,
+        slaved=constrained_motion(mass, structure.T),
+        momentum=ways.T @ mass,
+        pulls=np.linalg.solve(mass, structure),
     )

@@ -75,18 +75,3 @@ def excess_at(
     at_platform = np.linalg.norm(pull, axis=1)
     found = length_at_tension(robot, position[None], rotation[None], at_platform[None])
     return np.asarray(found.unstrained_length[0] - geometry.length)
-
-
-def constrained_motion(mass: Array, jacobian: Array) -> Array:
-    """Least motion, by kinetic energy, that changes the lengths as wanted.
-
-    Args:
-        mass: Mass matrix at the origin, shape (6, 6).
-        jacobian: Of the lengths, shape (n, 6).
-
-    Returns:
-        Matrix from length changes to twists, shape (6, n); with over six cables, least squares.
-    """
-    root = np.linalg.cholesky(mass).T  # twice the energy is the square of root @ twist
-    inverse = np.linalg.inv(root)
-    return np.asarray(inverse @ np.linalg.pinv(jacobian @ inverse, rcond=1e-9))

@@ -16,10 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from baselines.mpc.geometry import Geometry, constrained_motion, geometry_at
+from baselines.mpc.geometry import Geometry, geometry_at
 from baselines.mpc.settings import MpcSettings
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.physics.modes import mass_matrix
+from carosac_toolkit.physics.structure import constrained_motion
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Belief
 

@@ -34,3 +34,18 @@ def structure_matrix(robot: Robot, position: ArrayLike, rotation: ArrayLike | No
     turn = robot.home_rotation if rotation is None else batch("rotation", rotation, (3, 3))
     arm = np.broadcast_to(robot.anchor_points @ turn.swapaxes(-1, -2), unit.shape)
     return np.concatenate([unit, np.cross(arm, unit)], axis=-1).swapaxes(-1, -2)
+
+
+def constrained_motion(mass: Array, jacobian: Array) -> Array:
+    """Least motion, by kinetic energy, that changes the lengths as wanted.
+
+    Args:
+        mass: Mass matrix at the origin, shape (6, 6).
+        jacobian: Of the lengths, shape (n, 6).
+
+    Returns:
+        Matrix from length changes to twists, shape (6, n); with over six cables, least squares.
+    """
+    root = np.linalg.cholesky(mass).T  # twice the energy is the square of root @ twist
+    inverse = np.linalg.inv(root)
+    return np.asarray(inverse @ np.linalg.pinv(jacobian @ inverse, rcond=1e-9))
