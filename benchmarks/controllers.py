@@ -44,7 +44,6 @@ ROBOTS = ("carosac", "scampi")
 CALM, END = 4.0, 6.0  # [s] after a move: between them its residual sway is measured
 MOVES = {  # shares of the half box that hold both ends of a move; speed, acceleration
     "fast, centre": (0.0, 0.5, 2.0, 3.0),
-    "slow, centre": (0.0, 0.5, 1.0, 1.0),
     "fast, outer 10 %": (0.9, 1.0, 2.0, 3.0),
 }
 SMOOTH = "minimum snap, 1 m/s"
@@ -383,10 +382,9 @@ def tasks_of(names: Sequence[str], seeds: int) -> tuple[list[Task], list[Task]]:
                 count = seeds if path == MAIN and name != "straight_line" else few
                 main += [Task(robot=robot, controller=name, path=path, seed=s)
                          for s in range(count)]  # fmt: skip
+        main += [Task(robot=robot, controller="kinematic_solver", path=STILL, seed=s)
+                 for s in range(max(1, seeds // 2))]  # fmt: skip
         for name in ("kinematic_solver", "mpc"):
-            main += [Task(robot=robot, controller=name, path=STILL, seed=s)
-                     for s in range(max(1, seeds // 2))]  # fmt: skip
-        for name in names:
             for more in ({"estimator": "truth"}, {"wind": False}):
                 main += [Task(robot=robot, controller=name, path=MAIN, seed=s, **more)
                          for s in range(few)]  # fmt: skip

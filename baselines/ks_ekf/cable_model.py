@@ -62,14 +62,16 @@ def expected_lengths(
     where = origin(state, settings.imu_position)[None]
     straight = straight_length(robot, where, state.rotation[None])
     matrix = _structure(robot, state.rotation, straight)
-    load = _wrench(robot, state, turning, settings) - _hanging(robot, state.rotation, straight)
-    tension: Array = np.asarray(np.linalg.lstsq(matrix, load, rcond=None)[0], dtype=np.float64)
+    loads = np.stack([_wrench(robot, state, turning, settings), _weight(robot, state)], axis=1)
+    loads -= _hanging(robot, state.rotation, straight)[:, None]
+    tension, still = np.asarray(np.linalg.lstsq(matrix, loads, rcond=None)[0]).T
     cables = length_at_tension(robot, where, state.rotation[None], tension[None])
     jacobian = -matrix.T @ pose_map(state, settings.imu_position)
     jacobian[:, len(jacobian.T) - robot.n :] = np.eye(robot.n)
     # By the sag, which goes with the inverse square of the tension, and the stretch.
     doubt = (
         settings.tension_share * np.abs(tension)
+        + settings.tension_change * np.abs(tension - still)
         + settings.tension_weight * robot.weight_per_length * straight.length[0]
     )
     taut = tension > TAUT * doubt
@@ -110,6 +112,13 @@ def _hanging(robot: Robot, rotation: Array, straight: StraightCables) -> Array:
     force = 0.5 * (robot.weight_per_length * straight.length[0])[:, None] * across
     arm = robot.anchor_points @ rotation.T
     return np.concatenate([force.sum(axis=0), np.cross(arm, force).sum(axis=0)])
+
+
+def _weight(robot: Robot, state: FilterState) -> Array:
+    """What they must exert about the platform origin where nothing moves, in W, shape (6,)."""
+    force = np.array([0.0, 0.0, robot.weight])
+    arm = state.rotation @ (robot.center_of_mass + state.center)
+    return np.concatenate([force, np.cross(arm, force)])
 
 
 def _wrench(robot: Robot, state: FilterState, turning: Array, settings: KsEkfSettings) -> Array:

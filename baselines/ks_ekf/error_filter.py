@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.arrays import Array
+from carosac_toolkit.consistency import Innovations
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,3 +82,13 @@ def limit(dof: int, probability: float) -> float:
     from scipy.stats import chi2
 
     return float(chi2.ppf(probability, dof))
+
+
+def summed(found: list[Correction]) -> Innovations:
+    """Sum what measurements said; rejected ones are only counted."""
+    used = [c for c in found if c.accepted]
+    return Innovations(
+        squares=np.array([sum(c.square for c in used)], dtype=float),
+        dof=np.array([sum(c.dof for c in used)], dtype=float),
+        rejected=np.array([len(found) - len(used)], dtype=float),
+    )

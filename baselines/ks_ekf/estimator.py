@@ -14,8 +14,8 @@ import numpy as np
 
 from baselines.ks_ekf import corrections, starting
 from baselines.ks_ekf.corrections import Evidence
-from baselines.ks_ekf.error_filter import Correction, ErrorFilter
-from baselines.ks_ekf.filter_state import FIXED, NO_SAMPLES, POSITION, FilterState, Samples
+from baselines.ks_ekf.error_filter import Correction, ErrorFilter, summed
+from baselines.ks_ekf.filter_state import FIXED, NO_SAMPLES, POSITION, FilterState
 from baselines.ks_ekf.inertial import SHORTEST, InertialMotion, samples_of, slope
 from baselines.ks_ekf.platform_motion import at_rest, carried, origin
 from baselines.ks_ekf.record import KsEkfRecord
@@ -23,7 +23,6 @@ from baselines.ks_ekf.rest_detection import Quiet, Window, detect_rest
 from baselines.ks_ekf.rest_pose import RestPose, find_rest
 from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.arrays import Array
-from carosac_toolkit.consistency import Innovations
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Belief, Command, Measurement
@@ -58,13 +57,13 @@ class KsEkf:
         """
         self._check(measurement)
         time, lengths = self._lengths(measurement)
-        samples = self._samples(measurement)
+        samples = samples_of(measurement, self._settings)
         nothing = Window(time=np.zeros(0), lengths=np.zeros((0, self._robot.n)))
         state = starting.blank(self._robot, self._settings, time)
         record = KsEkfRecord(
             state=replace(state, samples=samples),
             window=nothing.extended(time, lengths, samples, self._settings.rest_window),
-            innovations=_innovations([]),
+            innovations=summed([]),
             updates=1,
         )
         record = self._place(record, measurement, self._settings.initial_sway)
@@ -101,8 +100,7 @@ class KsEkf:
     def _received(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
         """Take note of what came; a gap between inertial samples ends what they carried."""
         time, lengths = self._lengths(measurement)
-        samples = self._samples(measurement)
-        state = record.state
+        state, samples = record.state, samples_of(measurement, self._settings)
         known = state.samples.joined(samples)
         gaps = np.flatnonzero(np.diff(known.time) > self._settings.imu_gap)
         if len(gaps):
@@ -115,7 +113,7 @@ class KsEkf:
             record,
             state=replace(state, samples=known),
             window=window,
-            innovations=_innovations([]),
+            innovations=summed([]),
             resting=False,
             updates=record.updates + 1,
         )
@@ -156,7 +154,7 @@ class KsEkf:
             fewer = self._correct(record.state, corrections.without_worst(record.state, evidence))
             found = fewer if fewer.accepted else found
             record = replace(record, excluded=record.excluded + fewer.accepted)
-        record = replace(record, innovations=_innovations([found]))
+        record = replace(record, innovations=summed([found]))
         if found.accepted:
             state = record.state.injected(found.error, found.covariance)
             return replace(record, state=state, rejected_in_row=0)
@@ -288,12 +286,6 @@ class KsEkf:
             memory=record,
         )
 
-    def _samples(self, measurement: Measurement) -> Samples:
-        """Inertial samples in the axes of the platform, maybe none."""
-        if measurement.imu is None:
-            return NO_SAMPLES
-        return samples_of(measurement, self._settings)
-
     def _lengths(self, measurement: Measurement) -> tuple[float, Array]:
         """When the platform had these lengths [s], and the lengths [m], shape (n,)."""
         rate = measurement.length_rate
@@ -306,13 +298,3 @@ class KsEkf:
         if shape != (1, self._robot.n):
             allowed = f"shape (1, {self._robot.n}): one robot at a time"
             raise InvalidField("unstrained_length", f"shape {shape}", allowed)
-
-
-def _innovations(found: list[Correction]) -> Innovations:
-    """Sum what measurements said; rejected ones are only counted."""
-    used = [c for c in found if c.accepted]
-    return Innovations(
-        squares=np.array([sum(c.square for c in used)], dtype=float),
-        dof=np.array([sum(c.dof for c in used)], dtype=float),
-        rejected=np.array([len(found) - len(used)], dtype=float),
-    )

@@ -21,6 +21,7 @@ from baselines.ks_ekf.error_filter import ErrorFilter
 from baselines.ks_ekf.filter_state import (
     FORCE_BIAS,
     LENGTHS,
+    NO_SAMPLES,
     POSITION,
     RATE_BIAS,
     ROTATION,
@@ -38,10 +39,11 @@ SHORTEST = 1e-9  # [s]: less is rounding
 
 
 def samples_of(measurement: Measurement, settings: KsEkfSettings) -> Samples:
-    """Inertial samples of a measurement, turned into the axes of the platform."""
-    assert measurement.imu is not None
-    turn = settings.imu_rotation.T
+    """Inertial samples of a measurement, maybe none, turned into the axes of the platform."""
     imu = measurement.imu
+    if imu is None:
+        return NO_SAMPLES
+    turn = settings.imu_rotation.T
     order = np.argsort(imu.time[0], kind="stable")
     return Samples(
         time=imu.time[0][order],

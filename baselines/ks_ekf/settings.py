@@ -12,7 +12,9 @@ from carosac_toolkit.errors import InvalidField
 
 Coupling = Literal["loose", "tight"]
 NOT_NUMBERS = ("coupling", "imu_position", "imu_rotation", "rejections_max")
-MAY_BE_ZERO = ("center_of_mass_prior", "bias_walk", "length_walk", "initial_sway")
+MAY_BE_ZERO = (
+    "tension_change", "center_of_mass_prior", "bias_walk", "length_walk", "initial_sway",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,6 +36,8 @@ class KsEkfSettings:
         force_change: How fast the specific force may change meanwhile [m/s^3].
         length_noise: Of a length [m].
         tension_share: Error of the tensions behind sag and stretch, as a share of them.
+        tension_change: What adds to that, as a share of what motion changes them by: a cable that
+            swings itself does not sag as one at rest under the same tension.
         tension_weight: What adds to that, as a share of the weight of the cable.
         length_bias: Prior of the constant error of each length [m].
         length_walk: By how much that error walks in a minute [m]: exit points that are off change
@@ -42,7 +46,8 @@ class KsEkfSettings:
         gate: Probability with which a good measurement passes its gate.
         rejections_max: After so many rejections in a row the filter doubts itself: its covariance
             grows with each further one, until lengths are believed again or the position is as
-            uncertain as by `sway`; then it starts anew.
+            uncertain as by `sway`; then it starts anew. The default is 1.5 s at 50 Hz: inertial
+            samples alone stay within some centimetres for so long.
         rest_window: What must be quiet for so long is at rest [s].
         rest_length: Largest range of a length in that window [m].
         rest_rate: Largest angular rate in it, root mean square [rad/s].
@@ -70,12 +75,13 @@ class KsEkfSettings:
     force_change: float = 40.0
     length_noise: float = 0.3e-3
     tension_share: float = 0.05
+    tension_change: float = 0.5
     tension_weight: float = 1.0
     length_bias: float = 5e-3
     length_walk: float = 0.01
     center_of_mass_prior: float = 0.01
     gate: float = 0.9999
-    rejections_max: int = 10
+    rejections_max: int = 75
     rest_window: float = 1.0
     rest_length: float = 3e-3
     rest_rate: float = 0.02

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -55,6 +55,10 @@ class Run:
         error = [truth.position - belief.position for _, truth, belief in self.steps]
         return rms(np.concatenate(error))
 
+    def until(self, count: int) -> Run:
+        """Its first measurements."""
+        return replace(self, steps=self.steps[:count])
+
 
 @lru_cache
 def swaying(seed: int, *, perfect: bool = False) -> Run:
@@ -77,11 +81,13 @@ def beliefs(
     scene: Run,
     settings: KsEkfSettings | None = None,
     edit: Callable[[int, Measurement], Measurement] = lambda k, measurement: measurement,
+    *,
+    start: Sequence[Belief] = (),
 ) -> list[Belief]:
-    """Run the filter on a scene whose measurements may be edited."""
+    """Run the filter on a scene whose measurements may be edited, maybe after first beliefs."""
     estimator = KsEkf.build(scene.robot, settings)
-    found: list[Belief] = []
-    for k, (original, _, _) in enumerate(scene.steps):
+    found = list(start)
+    for k, (original, _, _) in enumerate(scene.steps[len(start) :], start=len(start)):
         measurement = edit(k, original)
         command = Command(time=measurement.time, unstrained_length=measurement.unstrained_length)
         if found:

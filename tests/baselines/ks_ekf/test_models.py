@@ -187,6 +187,21 @@ def test_slack_cable_says_nothing():
     assert not found.valid.any()
 
 
+def test_lengths_count_less_where_motion_changes_the_tension():
+    state, _ = state_at_rest(SETTINGS)
+    blind = replace(SETTINGS, tension_change=0.0)
+
+    def spread(factor: float, settings: KsEkfSettings) -> Array:
+        samples = replace(state.samples, force=factor * state.samples.force)
+        found = expected_lengths(ROBOT, replace(state, samples=samples), np.zeros(3), settings)
+        assert found.valid.all()
+        return found.spread
+
+    assert spread(1.0, SETTINGS) == pytest.approx(spread(1.0, blind), rel=1e-3)
+    for factor in (0.8, 1.4):
+        assert (spread(factor, SETTINGS) > 1.5 * spread(factor, blind)).all()
+
+
 def test_pose_of_rest_moves_with_lengths_and_centre_of_mass():
     rest = statics.inverse_kinematics(ROBOT, np.array([[1.0, -3.0, 2.5]]))
     lengths = rest.unstrained_length[0]
