@@ -32,9 +32,10 @@ class Innovations:
     The memory of a belief carries it under the name ``innovations``, if its estimator has any.
 
     Attributes:
-        squares: Sum of the normalised innovations squared, shape (B,).
+        squares: Sum of the normalised innovations squared, shape (B,); those that were too far off
+            to be believed are left out.
         dof: Sum of their degrees of freedom, shape (B,); 0 where nothing was measured.
-        rejected: Measurements that were too far off to be believed, shape (B,).
+        rejected: Measurements that were too far off to be believed as they are, shape (B,).
     """
 
     squares: Array

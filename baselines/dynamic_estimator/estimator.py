@@ -29,6 +29,7 @@ class DynamicRecord:
         updates: Measurements since the last reset, the first one included.
         restarts: How often the platform was hung anew on measured lengths, shape (B,).
         outliers: Length readings that were not believed, shape (B,).
+        stale: How often lengths were held for want of readings, shape (B,).
         tracks: State of the filter of each robot.
     """
 
@@ -37,6 +38,7 @@ class DynamicRecord:
     updates: int
     restarts: NDArray[np.int64]
     outliers: NDArray[np.int64]
+    stale: NDArray[np.int64]
     tracks: tuple[Track, ...]
 
 
@@ -68,7 +70,6 @@ class DynamicEstimator:
         """Hang the platforms at rest on the first lengths."""
         self._check(measurement, len(measurement.unstrained_length))
         size = len(measurement.unstrained_length)
-        self._tracker.forget()
         tracks = tuple(self._tracker.start(measurement, row) for row in range(size))
         home = Belief(
             time=measurement.time,
@@ -127,6 +128,7 @@ def _belief(
         updates=updates,
         restarts=np.array([track.restarts for track in tracks]),
         outliers=np.array([track.readings.rejected for track in tracks]),
+        stale=np.array([track.stale for track in tracks]),
         tracks=tracks,
     )
     known = [state for state in now if state is not None]

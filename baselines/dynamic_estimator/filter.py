@@ -11,6 +11,8 @@ from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.state import FilterState
 from carosac_toolkit.arrays import Array
 
+SWEPT = (2.0, 5.0)  # [m/s^2, rad/s^2] by which twists change while a pose is late
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Felt:
@@ -30,9 +32,9 @@ class Tally:
     """What measurements said against the estimate.
 
     Attributes:
-        squares: Sum of normalised innovations squared.
+        squares: Sum of normalised innovations squared, of measurements within the gate.
         dof: Their degrees of freedom.
-        disturbed: Measurements beyond the gate.
+        disturbed: Measurements beyond the gate, or too late.
     """
 
     squares: float = 0.0
@@ -102,25 +104,30 @@ class Filter:
         )
 
     def pose(
-        self, state: FilterState, position: Array, rotation: Array
+        self, state: FilterState, position: Array, rotation: Array, late: float = 0.0
     ) -> tuple[FilterState, Tally]:
-        """Correct by a measured pose at the time of the state.
+        """Correct by a measured pose.
 
         Args:
             state: The estimate.
             position: Platform origin in W [m], shape (3,).
             rotation: From P to W, shape (3, 3).
+            late: How long before the time of the state it was measured [s]: it is moved on with
+                the believed twist, and counts for less.
         """
         import pinocchio
 
+        position = position + late * state.twist[:3]
+        rotation = pinocchio.exp3(late * state.twist[3:]) @ rotation
         turn = pinocchio.log3(np.ascontiguousarray(rotation @ state.rotation.T))
         innovation = np.concatenate([position - state.position, turn])
         s = self._settings
+        swept = 0.5 * late**2 * np.repeat(SWEPT, 3)
         by = state.pose_by()
         cross = state.covariance @ by.T
         rigid = s.stretch_noise * state.sway.slaved
         sensor = np.repeat([s.position_noise**2, s.rotation_noise**2], 3)
-        own = by @ cross + np.diag(sensor) + rigid @ rigid.T
+        own = by @ cross + np.diag(sensor + swept**2) + rigid @ rigid.T
         return self._corrected(state, cross, own, innovation)
 
     def _carry(self, move: Transition, duration: float) -> tuple[Array, Array]:
@@ -160,4 +167,6 @@ class Filter:
         if not np.isfinite(error).all():
             raise NoMotion(f"the estimate is lost after {state.time:.3f} s")
         found = state.corrected(error, left)
-        return found, Tally(squares=square, dof=len(innovation), disturbed=int(square > allowed))
+        if square > allowed:
+            return found, Tally(disturbed=1)
+        return found, Tally(squares=square, dof=len(innovation))

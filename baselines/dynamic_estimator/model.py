@@ -71,10 +71,6 @@ class Model:
         self._lever = np.array(settings.imu_position)
         self._mount = pinocchio.exp3(np.array(settings.imu_rotation))
 
-    def forget(self) -> None:
-        """Be as new."""
-        self._propagation.forget()
-
     def step(self, state: FilterState, reading: Array, end: Array, duration: float) -> Transition:
         """Move the estimate and its neighbours while the readings go straight to others.
 
@@ -124,6 +120,7 @@ class Model:
             rotation=_turns(pose[:, 3:]) @ state.rotation,
             twist=state.twist + change[:, where.speed] @ sway.ways.T,
             force=np.hstack([state.wind + change[:, where.wind], np.zeros((size, 1))]),
+            exit_tension=np.tile(state.exit_tension, (size, 1, 1)),
         )
         mass = self.robot.mass * np.exp(state.log_mass + change[:, where.mass.start])
         bias = state.length_bias + change[:, where.bias]
@@ -140,6 +137,7 @@ class Model:
             rotation=found.rotation[0],
             twist=found.twist[0],
             tension=found.tension[0],
+            exit_tension=_first(found.exit_tension),
             sway=sway_at(self.robot, found.position[0], found.rotation[0], length),
         )
 
@@ -168,6 +166,12 @@ class Model:
         """What an IMU reads more per rate of stretch, shape (6, n)."""
         turn = state.sway.slaved[3:]
         return np.vstack([(state.rotation @ self._mount).T @ turn, np.zeros_like(turn)])
+
+
+def _first(exit_tension: Array | None) -> Array:
+    """That of the estimate itself."""
+    assert exit_tension is not None
+    return np.asarray(exit_tension[0])
 
 
 def _small_turns(rotation: Array) -> Array:

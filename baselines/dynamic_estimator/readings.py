@@ -53,6 +53,14 @@ class Readings:
             outliers=0,
         )
 
+    def held(self, time: float) -> Readings:
+        """As if the last reading had come once more at a later time [s]."""
+        return replace(
+            self,
+            time=np.append(self.time[-1:], time),
+            length=np.vstack([self.length[-1:], self.length[-1:]]),
+        )
+
     def at(self, time: float) -> Array:
         """Reading at a time [m], shape (n,)."""
         last = self.time[-1]

@@ -33,6 +33,8 @@ class DynamicEstimatorSettings:
         wind_force: Force of the wind on the platform per horizontal axis [N].
         wind_time: Its correlation time [s].
         start_speed: Speed at the start: each mode has the energy of the platform at it [m/s].
+        restart_speed: The same where the platform is hung anew on the way, after a failure or a
+            gap: it need not rest there [m/s].
         acceleration_noise: Density of accelerations that the model does not know, along the ways
             to sway [m/s^2/sqrt(Hz)].
         stretch_damping: Time constant by which the stretch of the cables is damped in the model,
@@ -70,6 +72,7 @@ class DynamicEstimatorSettings:
     wind_force: float = 1.0
     wind_time: float = 2.0
     start_speed: float = 0.02
+    restart_speed: float = 0.5
     acceleration_noise: float = 0.005
     stretch_damping: float = 0.04
     tension_noise: float = 0.4
@@ -105,7 +108,7 @@ class DynamicEstimatorSettings:
 
 
 _POSITIVE = (
-    "stretch_noise", "wind_time", "start_speed", "angular_rate_noise", "specific_force_noise",
-    "position_noise", "rotation_noise", "rate_noise", "gate", "reading_jump", "time_step",
-    "gap_max",
+    "stretch_noise", "wind_time", "start_speed", "restart_speed", "angular_rate_noise",
+    "specific_force_noise", "position_noise", "rotation_noise", "rate_noise", "gate",
+    "reading_jump", "time_step", "gap_max",
 )  # fmt: skip

@@ -31,8 +31,14 @@ class Rest:
             loads.append(replace(robot, center_of_mass=center))
         self._fleet = Fleet([robot, *loads, *[robot] * robot.n])
 
-    def state(self, time: float, reading: Array) -> FilterState | None:
-        """The estimate at rest on readings (n,) [m]; None where the robot cannot rest on them."""
+    def state(self, time: float, reading: Array, speed: float | None = None) -> FilterState | None:
+        """The estimate at rest; None where the robot cannot rest on these lengths.
+
+        Args:
+            time: [s].
+            reading: Length readings [m], shape (n,).
+            speed: At which the platform may move nevertheless [m/s]; None: `start_speed`.
+        """
         robot, n = self._robot, self._robot.n
         lengths = np.tile(reading, (5 + n, 1))
         lengths[5:] -= LENGTH_STEP * np.eye(n)
@@ -55,9 +61,10 @@ class Rest:
             center=robot.center_of_mass,
             length_bias=np.zeros(n),
             imu_bias=np.zeros(6),
-            covariance=self._covariance(alone, sway, self._derivatives(found)),
+            covariance=self._covariance(alone, sway, self._derivatives(found), speed),
             sway=sway,
             tension=alone.tension[0],
+            exit_tension=alone.exit_tension[0],
         )
 
     def _derivatives(self, found: Equilibrium) -> Array:
@@ -69,7 +76,7 @@ class Rest:
         steps = np.array([*STEPS, *[LENGTH_STEP] * self._robot.n])
         return np.asarray((moved / steps[:, None]).T)
 
-    def _covariance(self, rest: Equilibrium, sway: Sway, by: Array) -> Array:
+    def _covariance(self, rest: Equilibrium, sway: Sway, by: Array, speed: float | None) -> Array:
         """Of all errors: what is not known moves the rest, about which there is some motion."""
         s, where = self._settings, Errors(self._robot.n)
         spread = np.zeros(where.size)
@@ -83,7 +90,7 @@ class Rest:
         free[:, 4:] -= sway.slaved
         carry[where.sway, where.mass.start : where.bias.stop] = sway.momentum @ free
         matrix = carry @ np.diag(spread**2) @ carry.T
-        energy = self._robot.mass * s.start_speed**2
+        energy = self._robot.mass * (s.start_speed if speed is None else speed) ** 2
         stiffness = sway.ways.T @ rest.stiffness[0] @ sway.ways
         matrix[where.sway, where.sway] += energy * np.linalg.inv(stiffness)
         matrix[where.speed, where.speed] += energy * np.eye(where.m)

@@ -57,6 +57,7 @@ class FilterState:
         covariance: In the order of `Errors`.
         sway: The coordinates that it refers to.
         tension: At the platform [N], shape (n,).
+        exit_tension: Tension vectors at the exits [N], shape (n, 3).
     """
 
     time: float
@@ -71,6 +72,7 @@ class FilterState:
     covariance: Array
     sway: Sway
     tension: Array
+    exit_tension: Array
 
     @property
     def errors(self) -> Errors:
@@ -108,6 +110,13 @@ class FilterState:
             imu_bias=self.imu_bias + error[where.imu],
             covariance=0.5 * (covariance + covariance.T),
         )
+
+    def loosened(self, deviation: Array) -> FilterState:
+        """The state with more doubt of the lengths, by one standard deviation each (n,) [m]."""
+        matrix = np.array(self.covariance)
+        where = self.errors.bias
+        matrix[where, where] += np.diag(deviation**2)
+        return replace(self, covariance=matrix)
 
     def platform_covariance(self, reading: float, speed: float) -> Array:
         """Covariance of pose and twist, as of a `Belief`, shape (12, 12).

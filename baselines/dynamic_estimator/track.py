@@ -7,6 +7,7 @@ predicted to now; what an IMU said later than that waits until the lengths have 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,24 @@ from carosac_toolkit.values import Measurement
 SHORT = 2.0  # time steps: a stretch of lengths that may be taken as straight
 ALIKE = 0.6  # of a time step: IMU samples so close together are taken as one
 WAITING = 400  # IMU samples that wait at most
+STALE = 0.2  # [s] without a length reading, after which lengths are held and doubted
+LATEST = 0.1  # [s]: poses that are later than that against the lengths are not used
+
+
+class TimedPose(NamedTuple):
+    """A measured pose.
+
+    Attributes:
+        time: [s].
+        position: Platform origin in W [m], shape (3,).
+        rotation: From P to W, shape (3, 3).
+        used: Whether the filter knows it.
+    """
+
+    time: float
+    position: Array
+    rotation: Array
+    used: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,18 +54,21 @@ class Track:
         readings: Of the lengths.
         waiting: IMU samples that are later than the filter: time [s], angular rate [rad/s] and
             specific force [m/s^2], shape (K, 7).
-        pose_time: When the last pose that was used had been measured [s].
+        poses: Measured poses that are later than the filter, the last one in any case.
         tally: What measurements said against the filter since the last belief.
         restarts: How often the platform was hung anew.
+        stale: How often lengths were held for want of readings, and doubted the more, the faster
+            winches are.
     """
 
     state: FilterState | None
     now: FilterState | None
     readings: Readings
     waiting: Array
-    pose_time: float
+    poses: tuple[TimedPose, ...]
     tally: Tally
     restarts: int
+    stale: int = 0
 
 
 class Tracker:
@@ -63,19 +85,15 @@ class Tracker:
         known = robot.length_delay or 0.0
         self._delay = known if settings.delay is None else settings.delay
 
-    def forget(self) -> None:
-        """Be as new."""
-        self._model.forget()
-
-    def start(self, measurement: Measurement, row: int) -> Track:
-        """Hang the platform on the first lengths."""
+    def start(self, measurement: Measurement, row: int, speed: float | None = None) -> Track:
+        """Hang the platform on the first lengths, where it may move at a speed [m/s]."""
         now = float(measurement.time[row])
         length = measurement.unstrained_length[row]
         readings = Readings(time=np.array([self._counts(measurement, row)]), length=length[None])
-        state = self._rest.state(now, length)
+        state = self._rest.state(now, length, speed)
         return Track(
             state=state, now=state, readings=readings, waiting=np.empty((0, 7)),
-            pose_time=-np.inf, tally=Tally(), restarts=0,
+            poses=(), tally=Tally(), restarts=0,
         )  # fmt: skip
 
     def advance(self, track: Track, measurement: Measurement, row: int) -> Track:
@@ -91,7 +109,10 @@ class Tracker:
             when, length, self._robot.speed_max, self._settings.reading_jump, keep
         )
         track = replace(track, readings=readings, tally=Tally(),
-                        waiting=_waiting(track.waiting, measurement, row))  # fmt: skip
+                        waiting=_waiting(track.waiting, measurement, row),
+                        poses=_known_poses(track.poses, measurement, row))  # fmt: skip
+        if now - readings.time[-1] > STALE:
+            track = self._held(track, now)
         try:
             return self._moved(track, measurement, row)
         except (NoMotion, np.linalg.LinAlgError):
@@ -105,11 +126,21 @@ class Tracker:
 
     def _hung_anew(self, track: Track, measurement: Measurement, row: int) -> Track:
         """Start again at rest; what was counted goes on."""
-        fresh = self.start(measurement, row)
+        fresh = self.start(measurement, row, self._settings.restart_speed)
         readings = replace(fresh.readings, rejected=track.readings.rejected)
         return replace(
-            fresh, readings=readings, restarts=track.restarts + int(fresh.state is not None)
-        )
+            fresh, readings=readings, stale=track.stale,
+            restarts=track.restarts + int(fresh.state is not None),
+        )  # fmt: skip
+
+    def _held(self, track: Track, now: float) -> Track:
+        """Without lengths for long: they are held, and the winches may have wound on."""
+        assert track.state is not None
+        doubt = self._robot.speed_max * (now - track.readings.time[-1])
+        return replace(
+            track, state=track.state.loosened(doubt), readings=track.readings.held(now),
+            stale=track.stale + 1,
+        )  # fmt: skip
 
     def _moved(self, track: Track, measurement: Measurement, row: int) -> Track:
         """The filter to the last known lengths, then the estimate to now."""
@@ -135,21 +166,26 @@ class Tracker:
         state, tally = track.state, track.tally
         assert state is not None
         groups, waiting = _grouped(track.waiting, known, ALIKE * self._settings.time_step)
-        pose_time = _pose_time(measurement, row, track.pose_time)
-        stops = sorted({*groups, *([pose_time] if pose_time is not None else [])})
+        due = [p for p in track.poses if not p.used and p.time <= known + SHORTEST]
+        stops = sorted({*groups, *(p.time for p in due)})
         if not stops or known - stops[-1] > self._short:
             stops.append(known)
-        last = track.pose_time
-        for stop in [t for t in stops if t <= known + SHORTEST]:
+        for stop in stops:
             state, found = self._to(state, track.readings, stop, groups.get(stop))
             tally = tally + found
-            if stop == pose_time and measurement.pose is not None:
-                position, rotation = _moved_on(
-                    measurement.pose.position[row], measurement.pose.rotation[row], state, stop
-                )
-                state, found = self._filter.pose(state, position, rotation)
-                tally, last = tally + found, stop
-        return replace(track, state=state, waiting=waiting, tally=tally, pose_time=last)
+            for pose in due:
+                if pose.time == stop:
+                    state, found = self._posed(state, pose)
+                    tally = tally + found
+        poses = tuple(p._replace(used=p.used or p.time <= known + SHORTEST) for p in track.poses)
+        return replace(track, state=state, waiting=waiting, tally=tally, poses=poses)
+
+    def _posed(self, state: FilterState, pose: TimedPose) -> tuple[FilterState, Tally]:
+        """Correct by a pose, unless it is too late to say anything."""
+        late = max(0.0, state.time - pose.time)
+        if late > LATEST:
+            return state, Tally(disturbed=1)
+        return self._filter.pose(state, pose.position, pose.rotation, late)
 
     def _to(
         self, state: FilterState, readings: Readings, stop: float, group: Array | None
@@ -168,19 +204,6 @@ class Tracker:
             )
             state, tally = replace(state, time=end), tally + found
         return state, tally
-
-
-def _moved_on(
-    position: Array, rotation: Array, state: FilterState, measured: float
-) -> tuple[Array, Array]:
-    """A pose that was measured before the time of the state [s], moved on with its twist."""
-    import pinocchio
-
-    late = state.time - measured
-    if late < SHORTEST:
-        return position, rotation
-    turn = pinocchio.exp3(late * state.twist[3:])
-    return position + late * state.twist[:3], turn @ rotation
 
 
 def _waiting(waiting: Array, measurement: Measurement, row: int) -> Array:
@@ -209,10 +232,15 @@ def _grouped(samples: Array, known: float, alike: float) -> tuple[dict[float, Ar
     return groups, samples[len(ready) :]
 
 
-def _pose_time(measurement: Measurement, row: int, last: float) -> float | None:
-    """When a pose was measured that has not been used yet; None where there is none."""
+def _known_poses(
+    poses: tuple[TimedPose, ...], measurement: Measurement, row: int
+) -> tuple[TimedPose, ...]:
+    """Poses that wait, with the new one if it is one."""
+    kept = tuple(pose for pose in poses[:-1] if not pose.used) + poses[-1:]
     pose = measurement.pose
     if pose is None:
-        return None
+        return kept
     when = float(measurement.time[row] if pose.time is None else pose.time[row])
-    return when if when > last + SHORTEST else None
+    if kept and when <= kept[-1].time + SHORTEST:
+        return kept
+    return (*kept, TimedPose(when, pose.position[row], pose.rotation[row]))

@@ -1,7 +1,7 @@
 """Motion from any state through any lengths: what filters ask of the dynamics.
 
 The dynamics of `carosac_toolkit.physics.dynamics` for many states of one robot at once. Nothing is
-remembered from call to call: the same arguments give the same motion, to rounding.
+remembered from call to call: the same arguments give the same motion.
 """
 
 from __future__ import annotations
@@ -36,12 +36,15 @@ class Motions:
         rotation: Rotation from P to W, shape (B, 3, 3).
         twist: Linear [m/s], then angular velocity [rad/s] of the origin in W, shape (B, 6).
         force: On the centre of mass in W, held all the time [N], shape (B, 3).
+        exit_tension: Tension vectors at the exits, from which the shapes of the cables are looked
+            for [N], shape (B, n, 3); None: from a guess, which takes several times as long.
     """
 
     position: Array
     rotation: Array
     twist: Array
     force: Array
+    exit_tension: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,16 +104,10 @@ class Propagation:
             self._buffers.add(name, getattr(self._freed, name))
         for name in ("position", "rotation", "twist"):
             self._buffers.add(f"end_{name}", getattr(self._worlds, name))
+        self._buffers.add("exit_tension", self._dynamics.hung.q)
         for name in ("command", "acceleration", "tension", "failed"):
             self._buffers.add(name, getattr(self._worlds, name))
         self._release: Any = None
-
-    def forget(self) -> None:
-        """Forget the shapes of the cables, where the next call would start to look for them.
-
-        To the last bit the next motions are then those of a new object.
-        """
-        self._dynamics.hung.q.zero_()
 
     def load(self, mass: ArrayLike, center_of_mass: ArrayLike) -> None:
         """Change the platforms; the inertia about the centre of mass stays.
@@ -143,6 +140,7 @@ class Propagation:
             put("unstrained_length", unstrained_length)
             put("rate", (end_length - unstrained_length) / duration)
             put("command", end_length)
+            put("exit_tension", np.zeros(3) if start.exit_tension is None else start.exit_tension)
             self._let_go(h)
             self._dynamics.advance(True, count, h)
             return Arrived(
@@ -150,6 +148,7 @@ class Propagation:
                 rotation=get("end_rotation"),
                 twist=get("end_twist"),
                 force=start.force,
+                exit_tension=get("exit_tension"),
                 acceleration=get("acceleration"),
                 tension=get("tension"),
                 failed=get("failed") > 0,

@@ -18,6 +18,7 @@ from carosac_toolkit.validation.quantities import say_length
 
 SWAY_MIN = 1e-3  # [m]: a smaller swing is not worth a sentence
 CLOSE = 1.2  # ratio below which two digits do not tell what is between
+ENOUGH = 5  # seeds that can show that a covariance is right
 ALIKE = 1.01  # ratio of two errors below which they are not told apart
 WAYS = ("controller", "estimator", "suite")  # what is compared
 BLOCKS = 3  # robots and perturbations that get sentences
@@ -131,7 +132,7 @@ def _pair(results: StudyResults, one: int, two: int, what: _Compared) -> str:
 
 def _consistency(results: StudyResults, group: int) -> str | None:
     """Whether an estimator is as good as it says."""
-    line, label = results.summary[group], results.labels_of(WAYS)[group]
+    line, label = results.summary[group], _believer(results, group)
     square = line["nees_pose"]
     if line["covariance_faults"]:
         return (
@@ -143,10 +144,22 @@ def _consistency(results: StudyResults, group: int) -> str | None:
     mean, (low, high) = square["mean"], square["band"]
     seeds = f"{square['seeds']} seed" + ("s" if square["seeds"] > 1 else "")
     band = f"95 % band {low:.2f} to {high:.2f} of {seeds}"
+    if low <= mean <= high and square["seeds"] < ENOUGH:
+        return f"Nothing contradicts {label}: NEES of the pose {mean:.2f}, in the {band}."
     if low <= mean <= high:
         return f"{label} is as good as it says: NEES of the pose {mean:.2f}, in the {band}."
     sure = "too sure of itself" if mean > high else "better than it says"
     return f"{label} is {sure}: NEES of the pose {mean:.3g}, outside the {band}."
+
+
+def _believer(results: StudyResults, group: int) -> str:
+    """The estimator of a group, and what else tells it from the other groups."""
+    line = results.summary[group]
+    label = str(line["estimator"])
+    for name, word in (("controller", "under"), ("suite", "on")):
+        if len({other[name] for other in results.summary}) > 1:
+            label += f" {word} {line[name]}"
+    return label
 
 
 def _notes(results: StudyResults) -> list[str]:

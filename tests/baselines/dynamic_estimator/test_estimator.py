@@ -4,9 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
 from baselines.dynamic_estimator import DynamicEstimator, DynamicEstimatorSettings
+from baselines.dynamic_estimator.model import Model
+from baselines.dynamic_estimator.start import Rest
 from baselines.kinematic_solver import KinematicSolver
 from carosac_toolkit.consistency import band, normalised_square, state_error
 from carosac_toolkit.errors import InvalidField
@@ -122,40 +125,42 @@ def test_poses_find_the_biases_of_the_lengths(robot):
     assert bias == pytest.approx((first - near)[0], abs=4e-3)
 
 
-def test_an_imu_off_centre_and_turned_tells_the_same(robot):
-    """Readings are carried over to where the IMU sits; the estimate must not care."""
-    import pinocchio
-
+def test_what_an_imu_off_centre_feels_is_the_motion_of_where_it_sits(robot):
+    """Specific force there: second difference of the path of that point, seen in its axes."""
     lever, mount = np.array([0.1, -0.2, 0.05]), np.array([0.3, -0.5, 1.0])
-    found = swing(robot, "lengths+imu", replace(PERFECT, imu_rate=100.0), duration=3.0)
-    turn = pinocchio.exp3(mount)
-    moved = []
-    for measurement, truth in found:
-        imu = measurement.imu
-        if imu is not None:
-            rate = imu.angular_rate[0]
-            swept = np.cross(rate, np.cross(rate, lever))  # no angular acceleration is known here
-            force = imu.specific_force[0] + swept
-            imu = replace(
-                imu, angular_rate=(rate @ turn)[None], specific_force=(force @ turn)[None]
-            )
-        moved.append((replace(measurement, imu=imu), truth))
-    common = dict(KNOWN, vibration=0.5)
-    plain, _ = believe(DynamicEstimator.build(robot, DynamicEstimatorSettings(**common)), found)
-    mounted = DynamicEstimatorSettings(
-        **common, imu_position=tuple(lever), imu_rotation=tuple(mount)
+    settings = DynamicEstimatorSettings(imu_position=tuple(lever), imu_rotation=tuple(mount))
+    model = Model(robot, settings)
+    home = ct.statics.inverse_kinematics(robot, robot.home_position[None])
+    length = home.unstrained_length[0]
+    state = Rest(robot, settings).state(0.0, length)
+    turn = Rotation.from_rotvec([0.15, -0.1, 0.05]).as_matrix()
+    state = replace(
+        state, rotation=turn @ state.rotation, twist=np.array([0.2, -0.1, 0.05, 0.4, -0.6, 0.8])
     )
-    other, _ = believe(DynamicEstimator.build(robot, mounted), moved)
-    assert rms(other) < 1.5 * rms(plain) + 2e-3
+    h, moves = 1e-3, []
+    for _ in range(3):
+        moves.append(model.step(state, length, length, h))
+        state = moves[-1].state
+    points = [move.state.position + move.state.rotation @ lever for move in moves]
+    axes = moves[1].state.rotation @ Rotation.from_rotvec(mount).as_matrix()
+    lift = (points[0] - 2.0 * points[1] + points[2]) / h**2 + [0.0, 0.0, robot.gravity]
+    assert moves[1].felt[3:] == pytest.approx(axes.T @ lift, rel=0.01, abs=0.3)
+    between = Rotation.from_matrix(moves[0].state.rotation.T @ moves[2].state.rotation)
+    rate = moves[1].state.rotation @ between.as_rotvec() / (2.0 * h)
+    assert moves[1].felt[:3] == pytest.approx(axes.T @ rate, abs=0.05)
 
 
 def test_a_lost_imu_is_missed_and_found_again(robot):
     settings = DynamicEstimatorSettings(**KNOWN)
-    found = swing(robot, "lengths+imu", SensorSettings(), wind=1.0, duration=9.0, lost=(2.0, 5.0))
+    scene = dict(wind=1.0, duration=9.0)
+    whole = swing(robot, "lengths+imu", SensorSettings(), **scene)
+    found = swing(robot, "lengths+imu", SensorSettings(), **scene, lost=(1.0, 5.0))
+    always, _ = believe(DynamicEstimator.build(robot, settings), whole)
     errors, beliefs = believe(DynamicEstimator.build(robot, settings), found)
-    silent = beliefs[round(4.0 / PERIOD)].memory.innovations
-    assert silent.dof[0] == 0
-    assert rms(errors[round(7.0 / PERIOD) :]) < 0.03
+    dof = [belief.memory.innovations.dof[0] for belief in beliefs]
+    assert dof[round(4.0 / PERIOD)] == 0 < dof[round(6.0 / PERIOD)]
+    late = slice(round(7.5 / PERIOD), None)
+    assert rms(errors[late]) < 1.5 * rms(always[late])
 
 
 def test_an_outlier_of_a_length_is_counted_and_not_believed(robot):
@@ -204,3 +209,67 @@ def test_after_a_gap_the_platform_is_hung_anew_and_that_is_counted(robot):
 def test_settings_that_make_no_sense_are_refused(name, value):
     with pytest.raises(InvalidField, match=name):
         DynamicEstimatorSettings(**{name: value})
+
+
+def test_poses_newer_than_the_lengths_wait_for_them(robot):
+    """Motion capture without delay, encoders 10 ms late: no pose is lost."""
+    fresh = replace(PERFECT, pose_delay=0.0, encoder_delay=0.01, encoder_bias=0.01)
+    found = swing(robot, "lengths+pose", fresh, duration=3.0)
+    errors, beliefs = believe(DynamicEstimator.build(robot), found)
+    assert sum(belief.memory.innovations.dof[0] for belief in beliefs) > 6 * 0.9 * len(found)
+    assert rms(errors[50:]) < 3e-3
+
+
+def test_late_poses_count_for_less_and_too_late_ones_not_at_all(robot):
+    def late(delay):
+        sensors = replace(PERFECT, pose_delay=delay)
+        found = swing(robot, "lengths+pose", sensors, duration=3.0)
+        errors, beliefs = believe(DynamicEstimator.build(robot), found)
+        return rms(errors[50:]), sum(b.memory.innovations.rejected[0] for b in beliefs)
+
+    error, rejected = late(0.06)
+    assert error < 8e-3 and rejected == 0
+    error, rejected = late(0.3)
+    assert error < 0.02 and rejected > 50
+
+
+def test_a_batch_is_as_its_rows_alone(robot):
+    series = [swing(robot, "lengths+imu", SensorSettings(), seed=k, duration=1.0) for k in (0, 1)]
+    alone = [believe(DynamicEstimator.build(robot), found)[1][-1] for found in series]
+    both = DynamicEstimator.build(robot)
+    belief = None
+    for pair in zip(*series, strict=True):
+        measurement = joined([one for one, _ in pair])
+        command = Command(time=measurement.time, unstrained_length=measurement.unstrained_length)
+        if belief is None:
+            belief = both.reset(measurement)
+        else:
+            belief = both.update(belief, command, measurement)
+    for row, one in enumerate(alone):
+        assert belief.position[row] == pytest.approx(one.position[0], abs=1e-9)
+        assert belief.covariance[row] == pytest.approx(one.covariance[0], rel=1e-6, abs=1e-12)
+
+
+def joined(rows):
+    """Measurements of several robots as one."""
+    both = {"time": np.concatenate([row.time for row in rows])}
+    both["unstrained_length"] = np.concatenate([row.unstrained_length for row in rows])
+    for name in ("length_rate", "imu"):
+        parts = [getattr(row, name) for row in rows]
+        if parts[0] is not None:
+            both[name] = type(parts[0])(
+                **{key: np.concatenate([vars(p)[key] for p in parts]) for key in vars(parts[0])}
+            )
+    return Measurement(**both)
+
+
+def test_lengths_that_stop_coming_are_held_and_doubted(robot):
+    found = swing(robot, "lengths", PERFECT, duration=2.0)
+    last = found[40][0]
+    silent = found[:41] + [
+        (replace(last, time=measurement.time), truth) for measurement, truth in found[41:]
+    ]
+    _, beliefs = believe(DynamicEstimator.build(robot), silent)
+    assert beliefs[-1].memory.stale[0] >= 4
+    sure, unsure = beliefs[40].covariance[0], beliefs[-1].covariance[0]
+    assert unsure[0, 0] > 100.0 * sure[0, 0]
