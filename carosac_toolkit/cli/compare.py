@@ -68,8 +68,8 @@ class Options(CommonOptions):
     """Setting of a plug-in: controller.NAME.FIELD=VALUE, estimator.NAME.FIELD=VALUE or
     driver.FIELD=VALUE, VALUE as JSON or text; may be given several times."""
     quick: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Two draws, unless --seeds says otherwise: in under a minute. A full run in the same folder
-    goes on from there."""
+    """Two draws, unless --seeds says otherwise; with the other defaults, in under a minute. A full
+    run in the same folder goes on from there."""
     scheduler: str | None = None
     """Address of a dask scheduler, such as tcp://host:8786."""
     workers: int | None = None
