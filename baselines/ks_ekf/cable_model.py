@@ -20,6 +20,7 @@ from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.physics.cable_lengths import length_at_tension
 from carosac_toolkit.physics.straight_line import StraightCables, straight_length
+from carosac_toolkit.physics.structure import structure_matrix
 from carosac_toolkit.robot import Robot
 
 TAUT = 2.0  # times its own error: a smaller tension does not say how much the cable sags
@@ -61,7 +62,7 @@ def expected_lengths(
     """
     where = origin(state, settings.imu_position)[None]
     straight = straight_length(robot, where, state.rotation[None])
-    matrix = _structure(robot, state.rotation, straight)
+    matrix = structure_matrix(robot, where, state.rotation[None])[0]
     loads = np.stack([_wrench(robot, state, turning, settings), _weight(robot, state)], axis=1)
     loads -= _hanging(robot, state.rotation, straight)[:, None]
     tension, still = np.asarray(np.linalg.lstsq(matrix, loads, rcond=None)[0]).T
@@ -95,13 +96,6 @@ def _curvature(
     variance = np.diag(mapping @ state.covariance @ mapping.T)
     arm = np.linalg.norm(robot.anchor_points, axis=1)
     return np.asarray(0.5 * (variance[3:].sum() * arm + variance[:3].sum() / straight.length[0]))
-
-
-def _structure(robot: Robot, rotation: Array, straight: StraightCables) -> Array:
-    """Structure matrix about the platform origin, shape (6, n)."""
-    unit = -straight.direction[0]
-    arm = robot.anchor_points @ rotation.T
-    return np.concatenate([unit, np.cross(arm, unit)], axis=1).T
 
 
 def _hanging(robot: Robot, rotation: Array, straight: StraightCables) -> Array:

@@ -84,11 +84,15 @@ def limit(dof: int, probability: float) -> float:
     return float(chi2.ppf(probability, dof))
 
 
-def summed(found: list[Correction]) -> Innovations:
-    """Sum what measurements said; rejected ones are only counted."""
-    used = [c for c in found if c.accepted]
+def no_innovations() -> Innovations:
+    """Nothing measured."""
+    return Innovations(squares=np.zeros(1), dof=np.zeros(1), rejected=np.zeros(1))
+
+
+def added(before: Innovations, found: Correction) -> Innovations:
+    """With what one more measurement said; a rejected one is only counted."""
     return Innovations(
-        squares=np.array([sum(c.square for c in used)], dtype=float),
-        dof=np.array([sum(c.dof for c in used)], dtype=float),
-        rejected=np.array([len(found) - len(used)], dtype=float),
+        squares=before.squares + (found.square if found.accepted else 0.0),
+        dof=before.dof + (found.dof if found.accepted else 0),
+        rejected=before.rejected + (not found.accepted),
     )

@@ -14,15 +14,15 @@ import numpy as np
 
 from baselines.ks_ekf import corrections, starting
 from baselines.ks_ekf.corrections import Evidence
-from baselines.ks_ekf.error_filter import Correction, ErrorFilter, summed
+from baselines.ks_ekf.error_filter import Correction, ErrorFilter, added, no_innovations
 from baselines.ks_ekf.filter_state import FIXED, NO_SAMPLES, POSITION, FilterState
-from baselines.ks_ekf.inertial import SHORTEST, InertialMotion, samples_of, slope
+from baselines.ks_ekf.inertial import InertialMotion, samples_of, slope
 from baselines.ks_ekf.platform_motion import at_rest, carried, origin
+from baselines.ks_ekf.readings import SHORTEST, Reading, due, reading_of
 from baselines.ks_ekf.record import KsEkfRecord
 from baselines.ks_ekf.rest_detection import Quiet, Window, detect_rest
 from baselines.ks_ekf.rest_pose import RestPose, find_rest
 from baselines.ks_ekf.settings import KsEkfSettings
-from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Belief, Command, Measurement
@@ -40,7 +40,7 @@ class KsEkf:
     def __init__(self, robot: Robot, settings: KsEkfSettings) -> None:
         self._robot = robot
         self._settings = settings
-        self._delay = robot.length_delay or 0.0
+        self._lead = robot.length_delay or 0.0
         self._kalman = ErrorFilter(FIXED + robot.n, settings.gate)
         self._motion = InertialMotion(robot.gravity, settings, FIXED + robot.n, self._kalman)
 
@@ -50,23 +50,25 @@ class KsEkf:
         return cls(robot, settings or KsEkfSettings())
 
     def reset(self, measurement: Measurement) -> Belief:
-        """Start at rest on the first lengths.
+        """Start at rest on the first lengths, which count now even if they lead the platform.
 
         Raises:
             InvalidField: Another number of cables, or more than one robot.
         """
         self._check(measurement)
-        time, lengths = self._lengths(measurement)
+        first = reading_of(measurement, self._lead)
+        first = replace(first, time=min(first.time, float(measurement.time[0])))
         samples = samples_of(measurement, self._settings)
         nothing = Window(time=np.zeros(0), lengths=np.zeros((0, self._robot.n)))
-        state = starting.blank(self._robot, self._settings, time)
+        state = starting.blank(self._robot, self._settings, first.time)
         record = KsEkfRecord(
             state=replace(state, samples=samples),
-            window=nothing.extended(time, lengths, samples, self._settings.rest_window),
-            innovations=summed([]),
+            reading=first,
+            window=nothing.extended([first], samples, self._settings.rest_window),
+            innovations=no_innovations(),
             updates=1,
         )
-        record = self._place(record, measurement, self._settings.initial_sway)
+        record = self._place(record, first, self._settings.initial_sway)
         if len(samples) and not record.failures:
             record = self._carry(record)
             quiet = Quiet(rate=samples.rate.mean(axis=0), force=samples.force.mean(axis=0))
@@ -88,107 +90,116 @@ class KsEkf:
         now = float(measurement.time[0])
         if now < belief.time[0]:
             raise InvalidField("measurement.time", f"{now} s", f">= {belief.time[0]} s, the last")
-        record = self._received(record, measurement)
+        record, ready = self._received(record, measurement)
         if not self._is_carried(record.state, now):
-            record = self._coast(record, measurement)
+            record = self._coast(record)
         elif not record.state.inertial:
-            record = self._restart(record, measurement)
+            record = self._restart(record, record.reading)
         else:
-            record = self._filter(record, measurement)
+            record = self._filter(record, ready, now)
         return self._belief(record, measurement)
 
-    def _received(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
-        """Take note of what came; a gap between inertial samples ends what they carried."""
-        time, lengths = self._lengths(measurement)
+    def _received(
+        self, record: KsEkfRecord, measurement: Measurement
+    ) -> tuple[KsEkfRecord, list[Reading]]:
+        """Note what came; find lengths whose time has come. A gap between samples ends carrying."""
+        new, now = reading_of(measurement, self._lead), float(measurement.time[0])
+        ready, waiting = due(record.waiting, new, now)
         state, samples = record.state, samples_of(measurement, self._settings)
+        late = sum(reading.time < state.time - SHORTEST for reading in ready)
+        later = [reading for reading in ready if reading.time > state.time + SHORTEST]
         known = state.samples.joined(samples)
         gaps = np.flatnonzero(np.diff(known.time) > self._settings.imu_gap)
         if len(gaps):
             known = known.keep(slice(int(gaps[-1]) + 1, None))
-            state = replace(state, inertial=False)
-        window = record.window
-        if time > window.time[-1]:
-            window = window.extended(time, lengths, samples, self._settings.rest_window)
-        return replace(
+            state = starting.released(state, self._settings)
+        record = replace(
             record,
             state=replace(state, samples=known),
-            window=window,
-            innovations=summed([]),
+            reading=max((record.reading, *ready), key=lambda reading: reading.time),
+            waiting=waiting,
+            window=record.window.extended(ready, samples, self._settings.rest_window),
+            innovations=no_innovations(),
             resting=False,
             updates=record.updates + 1,
+            late=record.late + late,
         )
+        return record, later
 
     def _is_carried(self, state: FilterState, now: float) -> bool:
         """Whether inertial samples reach up to now."""
         samples = state.samples
         return len(samples) > 0 and now - float(samples.time[-1]) <= self._settings.imu_gap
 
-    def _filter(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
-        """Go to the newest lengths and weigh them; what rests says so."""
-        now, (time, _) = float(measurement.time[0]), self._lengths(measurement)
-        state = record.state
-        if time <= state.time + SHORTEST:
-            late = int(time < state.time - SHORTEST)
-            behind = self._motion.advance(state, max(state.time, now - LAG))
-            return replace(record, state=behind, late=record.late + late)
-        record = replace(record, state=self._motion.advance(state, time))
-        quiet = detect_rest(record.window, state.rate_bias, self._settings)
-        record = replace(record, resting=quiet is not None)
-        record = self._use_lengths(record, measurement)
-        due = time - record.rest_used >= self._settings.rest_period
-        if quiet is not None and due and record.rejected_in_row == 0:
-            record = self._use_stillness(record, quiet)
-            record = self._use_equilibrium(record, measurement)
+    def _filter(self, record: KsEkfRecord, ready: list[Reading], now: float) -> KsEkfRecord:
+        """Go from lengths to lengths, as far as their time has come."""
+        if not ready:
+            until = max(record.state.time, now - LAG)
+            return replace(record, state=self._motion.advance(record.state, until))
+        for reading in ready:
+            if record.state.inertial:
+                record = self._weigh(record, reading)
         return record
 
-    def _use_lengths(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
+    def _weigh(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
+        """Go to the time of lengths and weigh them; what rests says so."""
+        record = replace(record, state=self._motion.advance(record.state, reading.time))
+        quiet = detect_rest(record.window, record.state.rate_bias, self._settings)
+        record = replace(record, resting=quiet is not None)
+        record = self._use_lengths(record, reading)
+        again = reading.time - record.rest_used >= self._settings.rest_period
+        if quiet is not None and again and record.rejected_in_row == 0:
+            record = self._use_stillness(record, quiet)
+            record = self._use_equilibrium(record, reading)
+        return record
+
+    def _use_lengths(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
         """Weigh lengths, as they are or as a pose of rest; start anew after too many misfits."""
-        record, evidence = self._evidence(record, measurement)
+        record, evidence = self._evidence(record, reading)
         if evidence is None:
             return replace(record, failures=record.failures + 1)
         record = replace(record, slack=record.slack + evidence.left_out, tension=evidence.tension)
         if not len(evidence.residual):  # no cable seems taut: no motion lasts long that way
-            return self._misfit(record, measurement)
+            return self._misfit(record, reading)
         found = self._correct(record.state, evidence)
         if not found.accepted and len(evidence.residual) > 3:
             fewer = self._correct(record.state, corrections.without_worst(record.state, evidence))
             found = fewer if fewer.accepted else found
             record = replace(record, excluded=record.excluded + fewer.accepted)
-        record = replace(record, innovations=summed([found]))
+        record = replace(record, innovations=added(record.innovations, found))
         if found.accepted:
             state = record.state.injected(found.error, found.covariance)
             return replace(record, state=state, rejected_in_row=0)
-        return self._misfit(record, measurement)
+        return self._misfit(record, reading)
 
-    def _misfit(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
+    def _misfit(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
         """Count lengths that do not fit; too many in a row raise doubts."""
         record = replace(
             record, rejected=record.rejected + 1, rejected_in_row=record.rejected_in_row + 1
         )
         if record.rejected_in_row < self._settings.rejections_max:
             return record
-        return self._doubt(record, measurement)
+        return self._doubt(record, reading)
 
-    def _doubt(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
+    def _doubt(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
         """Believe less and less of the state, in the end nothing: then start anew."""
         robot, settings = self._robot, self._settings
         state = starting.doubted(robot, settings, record.state, DOUBT)
         if np.trace(state.covariance[POSITION, POSITION]) < settings.sway**2:
             return replace(record, state=state, doubts=record.doubts + 1)
         lost = starting.forgotten(robot, settings, record.state)
-        return self._restart(replace(record, state=lost), measurement)
+        return self._restart(replace(record, state=lost), reading)
 
     def _evidence(
-        self, record: KsEkfRecord, measurement: Measurement
+        self, record: KsEkfRecord, reading: Reading
     ) -> tuple[KsEkfRecord, Evidence | None]:
         """What the lengths say; None where they have no pose of rest but need one."""
         state, settings = record.state, self._settings
         if settings.coupling == "tight":
             turning = slope(record.window.samples, state.time, SLOPE)
-            lengths = measurement.unstrained_length[0]
-            evidence = corrections.of_lengths(self._robot, state, lengths, turning, settings)
-            return record, evidence
-        record, rest = self._rest(record, measurement)
+            tight = corrections.of_lengths(self._robot, state, reading.lengths, turning, settings)
+            return record, tight
+        record, rest = self._rest(record, reading)
         if rest is None:
             return record, None
         noise = corrections.sway_noise(rest, settings)
@@ -202,11 +213,11 @@ class KsEkf:
         evidence = corrections.of_stillness(record.state, quiet, gravity, self._settings)
         return self._use_rest(replace(record, rest_used=record.state.time), evidence)
 
-    def _use_equilibrium(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
+    def _use_equilibrium(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
         """Weigh that the platform is where it rests, unless that was the measurement anyway."""
         if self._settings.coupling == "loose":
             return record
-        record, rest = self._rest(record, measurement)
+        record, rest = self._rest(record, reading)
         if rest is None:
             return replace(record, failures=record.failures + 1)
         noise = corrections.rest_noise(self._settings)
@@ -226,47 +237,42 @@ class KsEkf:
             state.covariance, evidence.residual, evidence.jacobian, evidence.noise
         )
 
-    def _coast(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
+    def _coast(self, record: KsEkfRecord) -> KsEkfRecord:
         """Without inertial samples: the pose of rest, with the sway that there may be."""
-        state = replace(record.state, inertial=False, samples=NO_SAMPLES)
+        state = replace(starting.released(record.state, self._settings), samples=NO_SAMPLES)
         record = replace(record, state=state, coasted=record.coasted + 1)
-        return self._place(record, measurement, self._settings.sway)
+        return self._place(record, record.reading, self._settings.sway)
 
-    def _restart(self, record: KsEkfRecord, measurement: Measurement) -> KsEkfRecord:
+    def _restart(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
         """Start anew at the pose of rest, with the sway that there may be."""
-        found = self._place(record, measurement, self._settings.sway)
+        found = self._place(record, reading, self._settings.sway)
         if found.failures > record.failures:
             return replace(found, state=replace(found.state, samples=record.state.samples))
         return self._carry(replace(found, restarts=record.restarts + 1, rejected_in_row=0))
 
-    def _place(self, record: KsEkfRecord, measurement: Measurement, sway: float) -> KsEkfRecord:
+    def _place(self, record: KsEkfRecord, reading: Reading, sway: float) -> KsEkfRecord:
         """Put the state at the pose of rest of the lengths; where there is none, it is lost."""
-        time, lengths = self._lengths(measurement)
-        record, rest = self._rest(record, measurement)
+        record, rest = self._rest(record, reading)
         if rest is None:
-            state = starting.lost(self._robot, self._settings, record.state, time)
+            state = starting.lost(self._robot, self._settings, record.state, reading.time)
             return replace(record, state=state, failures=record.failures + 1)
-        rate = measurement.length_rate
-        rates = np.zeros_like(lengths) if rate is None else rate.value[0]
-        state = starting.placed(record.state, rest, rates, sway, time, self._settings)
+        state = starting.placed(record.state, rest, reading, sway, self._settings)
         return replace(record, state=state, tension=rest.tension)
 
     def _carry(self, record: KsEkfRecord) -> KsEkfRecord:
         """Let the inertial samples carry a state that was just placed."""
         return replace(record, state=starting.inertial(record.state, self._settings))
 
-    def _rest(
-        self, record: KsEkfRecord, measurement: Measurement
-    ) -> tuple[KsEkfRecord, RestPose | None]:
+    def _rest(self, record: KsEkfRecord, reading: Reading) -> tuple[KsEkfRecord, RestPose | None]:
         """Pose of rest of the lengths, without what the state knows of their errors."""
         state = record.state
-        lengths = measurement.unstrained_length[0] - state.length_bias
+        lengths = reading.lengths - state.length_bias
         rest = find_rest(self._robot, lengths, state.center, state.solution)
         solution = None if rest is None else rest.solution
         return replace(record, state=replace(state, solution=solution)), rest
 
     def _belief(self, record: KsEkfRecord, measurement: Measurement) -> Belief:
-        """The belief at the time of a measurement, which is later than that of its lengths."""
+        """The belief at the time of a measurement: none of the lengths used is later."""
         now = float(measurement.time[0])
         if record.state.inertial:
             state = self._motion.advance(record.state, now)
@@ -285,12 +291,6 @@ class KsEkf:
             tension=None if record.tension is None else record.tension[None],
             memory=record,
         )
-
-    def _lengths(self, measurement: Measurement) -> tuple[float, Array]:
-        """When the platform had these lengths [s], and the lengths [m], shape (n,)."""
-        rate = measurement.length_rate
-        taken = measurement.time if rate is None else rate.time
-        return float(taken[0]) + self._delay, measurement.unstrained_length[0]
 
     def _check(self, measurement: Measurement) -> None:
         """Refuse another robot, or several."""

@@ -73,7 +73,7 @@ NO_SAMPLES = Samples(time=np.zeros(0), rate=np.zeros((0, 3)), force=np.zeros((0,
 class FilterState:
     """State of the filter at one time, for one robot of n cables.
 
-    The filter stands at the time of the newest lengths; inertial samples after that wait in
+    The filter stands at the time of the lengths used last; inertial samples after that wait in
     `samples` and take the belief from there to now.
 
     Attributes:

@@ -30,12 +30,12 @@ from baselines.ks_ekf.filter_state import (
     Samples,
     cross,
 )
+from baselines.ks_ekf.readings import SHORTEST
 from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.values import Measurement
 
 MINUTE = 60.0  # [s]
-SHORTEST = 1e-9  # [s]: less is rounding
 
 
 def samples_of(measurement: Measurement, settings: KsEkfSettings) -> Samples:

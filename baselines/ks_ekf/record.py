@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from baselines.ks_ekf.filter_state import FilterState
+from baselines.ks_ekf.readings import Reading
 from baselines.ks_ekf.rest_detection import Window
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.consistency import Innovations
@@ -15,7 +16,9 @@ class KsEkfRecord:
     """Memory of a belief of `KsEkf`; counts are since the last reset.
 
     Attributes:
-        state: The filter itself, at the time of the newest lengths, with its biases.
+        state: The filter itself, at the time of the lengths used last, with its biases.
+        reading: The newest lengths whose time has come.
+        waiting: Lengths whose time is still to come, in its order.
         window: The last measurements, from which rest is detected.
         innovations: Of the lengths or poses of rest since the last belief, rejected ones left out
             of the squares.
@@ -39,8 +42,10 @@ class KsEkfRecord:
     """
 
     state: FilterState
+    reading: Reading
     window: Window
     innovations: Innovations
+    waiting: tuple[Reading, ...] = ()
     tension: Array | None = None
     resting: bool = False
     rest_used: float = -float("inf")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from baselines.ks_ekf.filter_state import NO_SAMPLES, Samples
+from baselines.ks_ekf.readings import Reading
 from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.arrays import Array
 
@@ -25,16 +27,17 @@ class Window:
     lengths: Array
     samples: Samples = NO_SAMPLES
 
-    def extended(self, time: float, lengths: Array, samples: Samples, span: float) -> Window:
-        """With new measurements, without those older than `span` seconds."""
-        when = np.append(self.time, time)
-        first = max(int(np.searchsorted(when, time - span, side="right")) - 1, 0)
-        inertial = self.samples.joined(samples).after(time - span)
-        return Window(
-            time=when[first:],
-            lengths=np.concatenate([self.lengths, lengths[None]])[first:],
-            samples=inertial,
-        )
+    def extended(self, readings: Sequence[Reading], samples: Samples, span: float) -> Window:
+        """With measurements that are later, without those older than `span` seconds."""
+        last = self.time[-1] if len(self.time) else -np.inf
+        new = [reading for reading in readings if reading.time > last]
+        when = np.append(self.time, [reading.time for reading in new])
+        lengths = np.concatenate([self.lengths, *(reading.lengths[None] for reading in new)])
+        first = max(int(np.searchsorted(when, when[-1] - span, side="right")) - 1, 0)
+        inertial = self.samples.joined(samples)
+        if len(inertial):
+            inertial = inertial.after(inertial.time[-1] - span)
+        return Window(time=when[first:], lengths=lengths[first:], samples=inertial)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

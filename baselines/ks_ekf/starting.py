@@ -18,6 +18,7 @@ from baselines.ks_ekf.filter_state import (
     FilterState,
 )
 from baselines.ks_ekf.platform_motion import moved_to_imu
+from baselines.ks_ekf.readings import Reading
 from baselines.ks_ekf.rest_pose import RestPose
 from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.arrays import Array
@@ -59,9 +60,9 @@ def blank(robot: Robot, settings: KsEkfSettings, time: float) -> FilterState:
 
 
 def forgotten(robot: Robot, settings: KsEkfSettings, state: FilterState) -> FilterState:
-    """A state of which nothing is known, with the samples of another one."""
-    nothing = blank(robot, settings, state.time)
-    return replace(nothing, samples=state.samples)
+    """A state of which nothing is known, with the pose and the samples of another one."""
+    nothing, kept = blank(robot, settings, state.time), released(state, settings)
+    return replace(nothing, position=kept.position, rotation=kept.rotation, samples=state.samples)
 
 
 def doubted(
@@ -77,17 +78,15 @@ def doubted(
 
 
 def placed(
-    state: FilterState, rest: RestPose, rates: Array, sway: float, time: float,
-    settings: KsEkfSettings,
-) -> FilterState:  # fmt: skip
+    state: FilterState, rest: RestPose, reading: Reading, sway: float, settings: KsEkfSettings
+) -> FilterState:
     """Put a state at a pose of rest; biases and what is known of them stay.
 
     Args:
         state: Whatever it was.
         rest: At the lengths measured, without the biases that the state knows.
-        rates: Of the lengths [m/s], shape (n,); the pose moves from rest to rest.
+        reading: The lengths, at whose rates the pose moves from rest to rest.
         sway: About it, root mean square of the position [m].
-        time: Of the lengths [s].
         settings: Noise of the lengths.
 
     Returns:
@@ -109,10 +108,10 @@ def placed(
     covariance[POSE, POSE] = effect @ known @ effect.T + energy * rest.softness + noise + least
     twist_covariance = energy * rest.lightness + least
     covariance[VELOCITY, VELOCITY] = twist_covariance[:3, :3]
-    twist = rest.per_length @ rates
+    twist = rest.per_length @ reading.rates
     return replace(
         state,
-        time=time,
+        time=reading.time,
         position=rest.position,
         rotation=rest.rotation,
         velocity=twist[:3],
@@ -125,8 +124,8 @@ def placed(
 
 
 def lost(robot: Robot, settings: KsEkfSettings, state: FilterState, time: float) -> FilterState:
-    """The same with a pose and a motion of which nothing is known any more."""
-    nothing = blank(robot, settings, time)
+    """The same, at the platform's origin, of whose pose and motion nothing is known any more."""
+    nothing, state = blank(robot, settings, time), released(state, settings)
     covariance = nothing.covariance.copy()
     covariance[9:, 9:] = state.covariance[9:, 9:]
     return replace(
@@ -134,7 +133,6 @@ def lost(robot: Robot, settings: KsEkfSettings, state: FilterState, time: float)
         time=time,
         velocity=nothing.velocity,
         covariance=covariance,
-        inertial=False,
         twist=nothing.twist,
         twist_covariance=nothing.twist_covariance,
         samples=NO_SAMPLES,
@@ -147,3 +145,11 @@ def inertial(state: FilterState, settings: KsEkfSettings) -> FilterState:
     rate = state.rotation @ (state.samples.at(state.time)[0] - state.rate_bias)
     moved = moved_to_imu(state, rate, settings.imu_position)
     return replace(moved, inertial=True, samples=state.samples.after(state.time))
+
+
+def released(state: FilterState, settings: KsEkfSettings) -> FilterState:
+    """A state that inertial samples carry no more: back at the platform's origin."""
+    if not state.inertial:
+        return state
+    rate = state.rotation @ (state.samples.at(state.time)[0] - state.rate_bias)
+    return replace(moved_to_imu(state, rate, -settings.imu_position), inertial=False)

@@ -55,6 +55,19 @@ class Run:
         error = [truth.position - belief.position for _, truth, belief in self.steps]
         return rms(np.concatenate(error))
 
+    def leading(self, lead: float, cycles: int) -> Run:
+        """The same with readings of some cycles later, on a robot that says that they lead [s]."""
+        kept = self.steps[: len(self.steps) - cycles]
+        steps = []
+        for (measurement, truth, belief), (later, _, _) in zip(
+            kept, self.steps[cycles:], strict=True
+        ):
+            stamp = replace(later.length_rate, time=later.length_rate.time - lead)
+            lengths = later.unstrained_length
+            early = replace(measurement, unstrained_length=lengths, length_rate=stamp)
+            steps.append((early, truth, belief))
+        return Run(robot=replace(self.robot, length_delay=lead), steps=steps)
+
     def until(self, count: int) -> Run:
         """Its first measurements."""
         return replace(self, steps=self.steps[:count])

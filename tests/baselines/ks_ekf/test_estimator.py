@@ -116,6 +116,32 @@ def test_late_lengths_count_for_their_own_time():
     assert position_error(delayed, beliefs(delayed, edit=said_by_the_robot)) < prompt + 2e-3
 
 
+@pytest.mark.parametrize(("lead", "cycles"), [(0.034, 2), (0.1, 5)])
+def test_lengths_that_lead_the_platform_wait_for_it(lead, cycles):
+    whole = swaying(0)
+    scene = whole.leading(lead, cycles)
+    prompt = position_error(scene, nominal(whole)[: len(scene.steps)])
+    found = beliefs(scene)
+    assert position_error(scene, found) < 1.2 * prompt
+    assert all(belief.memory.state.time <= belief.time[0] + 1e-9 for belief in found)
+    assert found[-1].memory.late == found[-1].memory.restarts == 0
+    # The first counts at once, the others at the first measurement after their time, all in turn.
+    used = [belief.memory.innovations.dof[0] > 0 for belief in found]
+    assert not any(used[: cycles + 1]) and all(used[cycles + 1 :])
+    assert len(found[-1].memory.waiting) == cycles
+
+
+def test_pose_of_rest_is_that_of_lengths_whose_time_has_come():
+    whole = swaying(0).until(100)
+    scene = whole.leading(0.1, 5)
+    waiting, prompt = (
+        beliefs(run, edit=lambda k, m: replace(m, imu=None)) for run in (scene, whole)
+    )
+    for k in range(5, len(scene.steps)):
+        assert waiting[k].position == pytest.approx(prompt[k].position, abs=1e-6)
+        assert waiting[k].twist == pytest.approx(prompt[k].twist, abs=1e-6)
+
+
 def test_without_imu_it_is_the_pose_of_rest_and_comes_back():
     scene = swaying(1)
 

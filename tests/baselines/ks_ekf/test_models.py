@@ -15,6 +15,7 @@ from baselines.ks_ekf.error_filter import ErrorFilter
 from baselines.ks_ekf.filter_state import FIXED, LENGTHS, POSE, FilterState, Samples
 from baselines.ks_ekf.inertial import InertialMotion, slope
 from baselines.ks_ekf.platform_motion import carried, moved_to_imu, origin
+from baselines.ks_ekf.readings import Reading
 from baselines.ks_ekf.rest_detection import Window, detect_rest
 from baselines.ks_ekf.rest_pose import find_rest
 from carosac_toolkit.arrays import Array
@@ -140,6 +141,23 @@ def test_map_from_imu_to_origin_is_that_of_small_errors():
     assert back.velocity == pytest.approx(state.velocity)
 
 
+def test_pose_is_kept_at_the_origin_where_the_state_is_lost():
+    state, lever = moving_state(), SETTINGS.imu_position
+    back = starting.inertial(starting.released(state, SETTINGS), SETTINGS)
+    assert back.velocity == pytest.approx(state.velocity)
+    assert back.covariance == pytest.approx(state.covariance)
+    assert difference(back, state) == pytest.approx(np.zeros(SIZE), abs=1e-9)
+    for found in (
+        starting.lost(ROBOT, SETTINGS, state, 1.0),
+        starting.forgotten(ROBOT, SETTINGS, state),
+    ):
+        assert not found.inertial
+        assert found.position == pytest.approx(state.position - state.rotation @ lever)
+        assert found.rotation == pytest.approx(state.rotation)
+        again = starting.lost(ROBOT, SETTINGS, found, 1.1)  # there already
+        assert again.position == pytest.approx(found.position)
+
+
 def state_at_rest(settings: KsEkfSettings) -> tuple[FilterState, statics.Equilibrium]:
     """An equilibrium away from home, as the filter sees it."""
     rest = statics.inverse_kinematics(ROBOT, np.array([[1.2, -3.0, 2.4]]))
@@ -236,7 +254,9 @@ def test_rest_is_quiet_encoders_and_quiet_imu():
         found = window
         for k in range(0, len(time), 4):
             part = samples.keep(slice(k, k + 4))
-            found = found.extended(time[k], 8.0 + wind * time[k] * np.ones(4), part, 1.0)
+            lengths = 8.0 + wind * time[k] * np.ones(4)
+            reading = Reading(time=time[k], lengths=lengths, rates=np.zeros(4))
+            found = found.extended([reading], part, 1.0)
         return found
 
     quiet = detect_rest(seen(0.0, 0.0), bias, settings)

@@ -1,0 +1,57 @@
+"""Lengths with the time for which they count; those of a time to come wait for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.values import Measurement
+
+SHORTEST = 1e-9  # [s]: less is rounding
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reading:
+    """Lengths of one robot of n cables.
+
+    Attributes:
+        time: At which the platform had them [s].
+        lengths: Unstrained [m], shape (n,).
+        rates: Their derivatives [m/s], shape (n,); 0 where none are measured.
+    """
+
+    time: float
+    lengths: Array
+    rates: Array
+
+
+def reading_of(measurement: Measurement, lead: float) -> Reading:
+    """The lengths of a measurement of one robot, which lead the platform by `lead` [s]."""
+    rate, lengths = measurement.length_rate, measurement.unstrained_length[0]
+    taken = measurement.time if rate is None else rate.time
+    return Reading(
+        time=float(taken[0]) + lead,
+        lengths=lengths,
+        rates=np.zeros_like(lengths) if rate is None else rate.value[0],
+    )
+
+
+def due(
+    waiting: tuple[Reading, ...], new: Reading, now: float
+) -> tuple[tuple[Reading, ...], tuple[Reading, ...]]:
+    """Split what waits and what came, in the order of time.
+
+    Args:
+        waiting: In the order of time.
+        new: What came; it may be one that waits already, sent again.
+        now: [s].
+
+    Returns:
+        Those whose time has come, and those that wait on.
+    """
+    if all(abs(new.time - reading.time) > SHORTEST for reading in waiting):
+        waiting = tuple(sorted((*waiting, new), key=lambda reading: reading.time))
+    count = sum(reading.time <= now + SHORTEST for reading in waiting)
+    return waiting[:count], waiting[count:]
