@@ -10,6 +10,7 @@ Exit status 1 means that the passes did not settle: the estimate is the last one
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from dataclasses import dataclass, replace
@@ -19,9 +20,10 @@ from typing import Annotated, Literal
 import tyro
 
 from baselines.smoother import Smoothed, SmootherSettings, smooth
-from baselines.smoother.output import recording_of, write
+from baselines.smoother.output import FILES, recording_of, write
 from baselines.smoother.report import sentences, warnings
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, check_writable
+from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.recording import load_recording
 from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.robot import FoundRobot, find_robot
@@ -29,6 +31,7 @@ from carosac_toolkit.report_page import check_folder
 from carosac_toolkit.text_tables import terminal_width, wrapped
 
 SUFFIXES = (".parquet", ".csv")
+RECORDING = "smoothed.parquet"
 KNOWN = ("mass", "center_of_mass", "length_bias", "length_bias_walk", "wind_force")  # as options
 
 
@@ -43,7 +46,7 @@ class Options(CommonOptions):
     recording names, or else the bundled one with the exit points measured in it."""
     poses: Literal["withheld", "half", "used"] = "withheld"
     """Measured poses: all withheld, to score with; every second one used, the others to score
-    with; all used."""
+    with, each at its own time; all used."""
     imu: bool = True
     """Use inertial samples, where the recording has them."""
     lag: float | None = None
@@ -67,7 +70,8 @@ class Options(CommonOptions):
     """Write the smoothed recording to this .parquet or .csv file; never over the old one. By
     default it goes beside the pictures."""
     report: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Folder for table and pictures; by default one in carosac-results/smooth."""
+    """Folder for table and pictures; by default one in carosac-results/smooth. Nothing there may
+    be the recording itself."""
 
 
 def run(options: Options) -> CommandResult:
@@ -79,6 +83,8 @@ def run(options: Options) -> CommandResult:
     found = find_robot(recording, path, options.robot)
     folder = options.report or _default_folder(path, found, options.poses)
     check_folder("--report", folder)
+    output = options.output or folder / RECORDING
+    _check_targets(options, folder, {"RECORDING": path, "--robot": Path(found.name)})
     result = smooth(
         recording, found.robot, settings,
         start=options.start, stop=options.stop, report=_progress,
@@ -88,7 +94,6 @@ def run(options: Options) -> CommandResult:
         print(wrapped(line, terminal_width(), "* "))
     source = f"carosac smooth, poses {options.poses}, of {Path(options.recording).name}"
     smoothed = recording_of(result, recording, found.robot, source)
-    output = options.output or folder / "smoothed.parquet"
     files = write(folder, result, found.robot.name)
     smoothed.save(output)
     print(f"\nsmoothed recording: {output}\ntable and pictures: {files[0].parent}")
@@ -99,6 +104,40 @@ def run(options: Options) -> CommandResult:
     return CommandResult(
         data | result.data() | {"output": output}, status=0 if result.converged else 1
     )
+
+
+def _check_targets(options: Options, folder: Path, inputs: dict[str, Path]) -> None:
+    """Refuse to write over what is read, or two things to one path.
+
+    Args:
+        options: What was asked for.
+        folder: Of table and pictures, and of the recording unless it goes elsewhere.
+        inputs: Paths by the option that gave them; a name of something bundled is no file.
+
+    Raises:
+        InvalidField: A target is an input or another target, maybe through a link.
+    """
+    in_folder = [*FILES, *([RECORDING] if options.output is None else [])]
+    targets = [("--report", folder / name) for name in in_folder]
+    given = (("--output", options.output), ("--json", options.json))
+    targets += [(option, path) for option, path in given if path is not None]
+    for k, (option, target) in enumerate(targets):
+        for other, path in inputs.items():
+            if path.exists() and _same(target, path):
+                allowed = f"another place; {other} is read from this file"
+                raise InvalidField(option, f"'{target}'", allowed)
+        for other, path in targets[:k]:
+            if _same(target, path):
+                allowed = f"another path; {other} writes '{path}'"
+                raise InvalidField(option, f"'{target}'", allowed)
+
+
+def _same(one: Path, other: Path) -> bool:
+    """Whether two paths lead to one file, through links and whether it is there or not."""
+    try:
+        return os.path.samefile(one, other)
+    except OSError:
+        return os.path.realpath(one) == os.path.realpath(other)
 
 
 def _settings(options: Options) -> SmootherSettings:

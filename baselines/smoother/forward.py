@@ -175,7 +175,7 @@ class Forward:
         by[:, : where.moving] = move.felt_by
         by[:, where.imu] = np.eye(6)
         pulled = self._tension * move.pulled
-        stretched = self._settings.dynamics.rate_noise * move.stretched
+        stretched = self._settings.dynamics.stretch_rate * move.stretched
         unknown = np.diag(self._sensor / felt.samples + self._vibration)
         unknown += pulled @ pulled.T + stretched @ stretched.T + by @ noise @ by.T
         return Said(residual=felt.values - move.felt - state.imu_bias, by=by @ carry, noise=unknown)

@@ -1,7 +1,7 @@
 """What a recording holds, put in order for a smoother: its key frames and what was measured there.
 
-There is a key frame at each length sample, at each pose that is used, and where an inertial
-measurement begins and ends.
+There is a key frame at each length sample, at each pose where any are used, so that the others
+can be scored, and where an inertial measurement begins and ends.
 """
 
 from __future__ import annotations
@@ -60,27 +60,34 @@ class Measured:
         return self.path.at(np.asarray(time - self.delay))
 
     def withheld(self, start: int, stop: int) -> tuple[NDArray[np.int64], Pose] | None:
-        """Length samples start <= i < stop with measured poses that were not used, and these.
+        """Key frames from length sample start to stop - 1 with measured poses that were not used.
 
-        With all poses withheld they are interpolated to the samples; else only those that were
-        measured at a sample count, as others would have poses in them that were used.
+        With all poses withheld they are interpolated to the length samples; else each counts at
+        its own time, as between them there are poses that were used.
+
+        Returns:
+            The key frames, shape (S,), and the poses there; None where there are none.
         """
         poses = self.recording.poses
         if poses is None or self.used.all():
             return None
-        index = np.arange(start, stop)
-        when = self.recording.time[index]
-        found = poses.at(when, gap_max=GAP)
-        good = found.valid
+        when = self.recording.time[start:stop]
         if self.used.any():
-            good = np.isin(when, poses.time[~self.used])
-        if not good.any():
-            return None
-        return index[good], Pose(
-            position=found.pose.position[good],
-            rotation=found.pose.rotation[good],
-            time=when[good],
-        )
+            inside = (poses.time >= when[0] - SHORTEST) & (poses.time <= when[-1] + SHORTEST)
+            rows = np.flatnonzero(~self.used & inside)
+            keys = nearest(self.time, poses.time[rows])
+            found = Pose(
+                position=poses.position[rows], rotation=poses.rotation[rows], time=poses.time[rows]
+            )
+        else:
+            between = poses.at(when, gap_max=GAP)
+            keys = self.samples[start:stop][between.valid]
+            found = Pose(
+                position=between.pose.position[between.valid],
+                rotation=between.pose.rotation[between.valid],
+                time=when[between.valid],
+            )
+        return (keys, found) if len(keys) else None
 
 
 def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> Measured:
@@ -104,7 +111,7 @@ def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> M
     groups = _groups(run, settings, first, last)
     stops = [run.time]
     if run.poses is not None:
-        when = run.poses.time[used]
+        when = run.poses.time if used.any() else run.poses.time[:0]
         stops.append(when[(when >= first) & (when <= last)])
     stops.append(np.array([when for when, _ in groups]))
     time = _apart(np.sort(np.concatenate(stops)))
@@ -118,8 +125,8 @@ def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> M
         path=LengthPath(kept),
         delay=delay,
         time=time,
-        samples=_nearest(time, run.time),
-        felt={int(_nearest(time, np.array([t]))[0]): felt for t, felt in groups},
+        samples=nearest(time, run.time),
+        felt={int(nearest(time, np.array([t]))[0]): felt for t, felt in groups},
         poses=_poses(run, used, time),
         used=used,
         outliers=outliers,
@@ -187,7 +194,7 @@ def _poses(run: Recording, used: NDArray[np.bool_], time: Array) -> dict[int, tu
         return {}
     when = run.poses.time
     rows = np.flatnonzero(used & (when >= time[0] - SHORTEST) & (when <= time[-1] + SHORTEST))
-    keys = _nearest(time, when[rows])
+    keys = nearest(time, when[rows])
     return {
         int(key): (run.poses.position[row], run.poses.rotation[row])
         for key, row in zip(keys, rows, strict=True)
@@ -204,7 +211,7 @@ def _previous(time: Array, end: float) -> float:
     return float(time[max(0, int(np.searchsorted(time, end - SHORTEST)) - 1)])
 
 
-def _nearest(time: Array, when: Array) -> NDArray[np.int64]:
+def nearest(time: Array, when: Array) -> NDArray[np.int64]:
     """Index of the sorted time that is nearest to each."""
     right = np.clip(np.searchsorted(time, when), 1, len(time) - 1)
     left_is_nearer = when - time[right - 1] <= time[right] - when

@@ -18,6 +18,8 @@ from carosac_toolkit.report_page import png, write_files
 from carosac_toolkit.robot import Robot
 
 TABLE = "estimate.parquet"
+PICTURES = ("estimate.png", "unknowns.png")
+FILES = (TABLE, *PICTURES)
 
 
 def recording_of(result: Smoothed, recording: Recording, robot: Robot, source: str) -> Recording:
@@ -91,8 +93,8 @@ def write(folder: Path, result: Smoothed, robot: str) -> list[Path]:
     """
     files = {
         TABLE: _parquet(table_of(result)),
-        "estimate.png": png(draw_estimate(result, robot)),
-        "unknowns.png": png(draw_unknowns(result, robot)),
+        PICTURES[0]: png(draw_estimate(result, robot)),
+        PICTURES[1]: png(draw_unknowns(result, robot)),
     }
     return write_files(folder, files)
 

@@ -27,14 +27,12 @@ def draw_estimate(result: Smoothed, robot: str) -> Figure:
             result.time, -band[:, i], band[:, i], color=COLORS[1], alpha=0.2, lw=0,
             label="two sigmas",
         )  # fmt: skip
-        if result.measured is not None:
-            rows, place = result.withheld, result.measured.position[:, i]
-            left.plot(
-                result.time[rows], place, ".", color=MEASURED, ms=3.0, label="measured, not used"
-            )
-            error = (result.position[rows, i] - place) * 1e3
+        if result.measured is not None and result.compared is not None:
+            when, place = result.measured.time, result.measured.position[:, i]
+            left.plot(when, place, ".", color=MEASURED, ms=3.0, label="measured, not used")
+            error = (result.compared.position[:, i] - place) * 1e3
             right.plot(
-                result.time[rows], error, ".-", color=COLORS[0], ms=3.0, lw=0.8,
+                when, error, ".-", color=COLORS[0], ms=3.0, lw=0.8,
                 label="smoothed minus measured",
             )  # fmt: skip
             widest = 1.3 * max(float(np.abs(error).max()), 0.5)

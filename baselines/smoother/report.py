@@ -7,6 +7,7 @@ import numpy as np
 from baselines.smoother.result import Smoothed
 from baselines.smoother.scores import Scores
 
+DOUBTFUL = 3.0  # sigma
 WORDS = {"all": "in all", "moving": "winches in motion", "resting": "winches at rest"}
 
 
@@ -29,6 +30,9 @@ def warnings(result: Smoothed) -> list[str]:
             f"not settled after {result.passes} passes: the last one would still change a "
             f"position by {result.change * 1e3:.2g} mm"
         )
+    found += _implausible(result)
+    if result.settings.poses != "used" and result.recording.poses and result.scores is None:
+        found.append("no score: no measured pose that was not used lies within the lengths")
     if result.outliers:
         found.append(
             f"{result.outliers} of {len(result.time)} length samples are not what winches can do "
@@ -36,6 +40,25 @@ def warnings(result: Smoothed) -> list[str]:
         )
     if result.doubted:
         found.append(f"{result.doubted} of {result.poses} poses are far off and count little")
+    return found
+
+
+def _implausible(result: Smoothed) -> list[str]:
+    """Constants that were found far from what was taken for granted."""
+    dynamics, robot, found = result.settings.dynamics, result.robot, []
+    away = abs(float(np.log(result.mass / robot.mass)))
+    if away > DOUBTFUL * dynamics.mass > 0.0:
+        found.append(
+            f"the mass found, {result.mass:.3f} kg for {robot.mass:.3f} kg, is "
+            f"{away / dynamics.mass:.1f} sigma away: the model is wrong, or it did not settle"
+        )
+    moved = float(np.abs(result.center_of_mass - robot.center_of_mass).max())
+    if moved > DOUBTFUL * dynamics.center_of_mass > 0.0:
+        found.append(
+            f"the centre of mass found is {moved * 1e3:.1f} mm, "
+            f"{moved / dynamics.center_of_mass:.1f} sigma, away from that of the robot: the model "
+            "is wrong, or it did not settle"
+        )
     return found
 
 

@@ -6,12 +6,12 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.smoother.scores import Scores
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.recording import Recording
+from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Pose
 
 AXES = ("x", "y", "z")
@@ -23,6 +23,7 @@ class Smoothed:
 
     Attributes:
         recording: The run as calibrated: lengths are material, poses in W.
+        robot: As it was taken for, before anything was found.
         settings: Those it was smoothed with.
         time: [s], shape (N,).
         position: Platform origin in W [m], shape (N, 3).
@@ -45,12 +46,13 @@ class Smoothed:
         poses: Measured poses that were used.
         doubted: Those of them that are so far off that they count less than half.
         outliers: Length samples that were not believed.
-        withheld: Length samples with a measured pose that was not used, shape (S,).
-        measured: These poses; None where there are none.
+        measured: Poses that were not used, at their times; None where there are none.
+        compared: The estimate at the same times, or None.
         scores: How far the estimate is from them, or None.
     """
 
     recording: Recording
+    robot: Robot
     settings: SmootherSettings
     time: Array
     position: Array
@@ -73,8 +75,8 @@ class Smoothed:
     poses: int
     doubted: int
     outliers: int
-    withheld: NDArray[np.int64]
     measured: Pose | None
+    compared: Pose | None
     scores: Scores | None
 
     @property

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
+from baselines.smoother.measured import nearest
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.consistency import normalised_square
+from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.recording import Recording
 from carosac_toolkit.validation.phases import find_phases
 from carosac_toolkit.validation.scores import PoseScores, rotation_angle, score_poses
@@ -37,7 +38,6 @@ class Scores:
 
 def score(
     recording: Recording,
-    index: NDArray[np.int64],
     measured: Pose,
     estimate: Pose,
     covariance: Array,
@@ -46,25 +46,25 @@ def score(
     """Score an estimate.
 
     Args:
-        recording: N length samples, which say when the winches rest.
-        index: Length samples to score, shape (S,).
-        measured: Poses there.
-        estimate: Poses at all N samples.
-        covariance: Of pose and twist, shape (N, 12, 12).
+        recording: Its length samples say when the winches rest.
+        measured: S poses with their times.
+        estimate: Poses at the same times.
+        covariance: Of pose and twist there, shape (S, 12, 12).
         settings: With the noise of measured poses.
     """
     from scipy.spatial.transform import Rotation
 
-    resting = find_phases(recording.time, recording.unstrained_length).resting[index]
-    error = estimate.position[index] - measured.position
-    rotation = estimate.rotation[index]
-    turn = Rotation.from_matrix(measured.rotation @ rotation.swapaxes(1, 2)).as_rotvec()
+    if measured.time is None:
+        raise InvalidField("measured.time", None, "the times of the poses")
+    resting = find_phases(recording.time, recording.unstrained_length).resting
+    resting = resting[nearest(recording.time, measured.time)]
+    error = estimate.position - measured.position
+    turned = measured.rotation @ estimate.rotation.swapaxes(1, 2)
+    turn = Rotation.from_matrix(turned).as_rotvec()
     noise = np.repeat([settings.position_noise**2, settings.rotation_noise**2], 3)
-    square = normalised_square(
-        np.hstack([-error, turn]), covariance[index, :6, :6] + np.diag(noise)
-    )
-    angle = rotation_angle(measured.rotation, rotation)
-    parts = {"all": np.ones(len(index), dtype=np.bool_), "moving": ~resting, "resting": resting}
+    square = normalised_square(np.hstack([-error, turn]), covariance[:, :6, :6] + np.diag(noise))
+    angle = rotation_angle(measured.rotation, estimate.rotation)
+    parts = {"all": np.ones(len(error), dtype=np.bool_), "moving": ~resting, "resting": resting}
     some = {name: mask for name, mask in parts.items() if mask.any()}
     return Scores(
         parts={name: score_poses(error[mask], angle[mask]) for name, mask in some.items()},

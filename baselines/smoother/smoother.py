@@ -25,6 +25,7 @@ from carosac_toolkit.values import Pose
 
 WEIGHINGS = 6  # of poses, at most, in one pass
 SAME_WEIGHT = 0.05
+SHORTEST_STEP = 0.125  # of what a pass found: how much goes into the next one, at least
 
 Report = Callable[[int, float], None]
 
@@ -68,16 +69,20 @@ def smooth(
     forward = Forward(model, measured, chosen)
     graph = Graph(model.errors, scales(model, chosen), rest.covariance)
     corrections: list[Correction] | None = None
+    step, before = 1.0, np.inf
     for passes in range(1, chosen.iterations + 1):
         passed = forward.run(rest, corrections)
         solution, weight = _solved(graph, passed, measured, chosen)
         change, turned = _change(passed, solution)
         if report is not None:
             report(passes, change)
-        settled = max(change, turned) <= chosen.tolerance
+        largest = max(change, turned)
+        settled = largest <= chosen.tolerance
         if settled or passes == chosen.iterations:
             break
-        corrections = _corrected(passed, solution, graph)
+        step = min(1.0, 2.0 * step) if largest < before else max(0.5 * step, SHORTEST_STEP)
+        before = largest
+        corrections = _corrected(passed, solution, graph, step)
     found = _Pass(passed, solution, weight, passes, change, settled)
     return _result(found, measured, robot, graph, measured.withheld(start, end))
 
@@ -98,7 +103,7 @@ def _rest(measured: Measured, robot: Robot, settings: SmootherSettings) -> Filte
     """Where the recording begins."""
     first = float(measured.time[0])
     reading = measured.reading(first)
-    found = Rest(robot, settings.dynamics).state(first, reading)
+    found = Rest(robot, settings.dynamics).state(first, reading, settings.dynamics.start_speed)
     if found is None:
         lengths = ", ".join(f"{value:.3f}" for value in reading)
         raise CarosacError(
@@ -143,17 +148,20 @@ def _change(passed: Passed, solution: Solution) -> tuple[float, float]:
     return float(size[0]), float(size[1])
 
 
-def _corrected(passed: Passed, solution: Solution, graph: Graph) -> list[Correction]:
-    """What is to be added at each key frame so that the next pass goes where the errors point."""
+def _corrected(passed: Passed, solution: Solution, graph: Graph, step: float) -> list[Correction]:
+    """What is to be added at each key frame so that the next pass goes where the errors point.
+
+    A `step` below 1 goes only that share of the way.
+    """
     constant = graph.constant
-    error = solution.error.copy()
+    error = step * solution.error
     error[:, constant] = error[-1, constant]
     added = passed.corrections.copy()
     added[0] += error[0]
     for k, link in enumerate(passed.links):
-        step = error[k + 1] - link.carry @ error[k]
-        step[constant] = 0.0
-        added[k + 1] += step
+        more = error[k + 1] - link.carry @ error[k]
+        more[constant] = 0.0
+        added[k + 1] += more
     return [
         Correction(error=one, ways=state.sway.ways)
         for one, state in zip(added, passed.states, strict=True)
@@ -169,25 +177,23 @@ def _result(
 ) -> Smoothed:
     """The estimate at the length samples."""
     settings = measured.settings
-    states, covariance = _states(found, measured, graph)
+    states, covariance = _states(found, measured.samples, graph)
     last = states[-1]
     sigma = np.zeros(last.errors.size)
     sigma[graph.constant] = np.sqrt(np.diag(found.solution.constant))
     noise = settings.dynamics.stretch_noise, settings.dynamics.rate_noise
-    estimate = Pose(
-        position=np.stack([state.position for state in states]),
-        rotation=np.stack([state.rotation for state in states]),
-        time=measured.recording.time,
-    )
-    platform = np.stack([state.platform_covariance(*noise) for state in states])
-    scores = None
+    estimate, platform = _poses(states, measured.recording.time, noise)
+    wanted = compared = scores = None
     if withheld is not None:
-        scores = score(measured.recording, *withheld, estimate, platform, settings.dynamics)
+        keys, wanted = withheld
+        compared, doubt = _poses(_states(found, keys, graph)[0], wanted.time, noise)
+        scores = score(measured.recording, wanted, compared, doubt, settings.dynamics)
     where = last.errors
     bias_variance = np.diagonal(covariance[:, where.bias, where.bias], axis1=1, axis2=2)
     mass = robot.mass * float(np.exp(last.log_mass))
     return Smoothed(
         recording=measured.recording,
+        robot=robot,
         settings=settings,
         time=measured.recording.time,
         position=estimate.position,
@@ -210,18 +216,30 @@ def _result(
         poses=len(measured.poses),
         doubted=sum(value < 0.5 for value in found.weight.values()),
         outliers=measured.outliers,
-        withheld=np.empty(0, dtype=np.int64) if withheld is None else withheld[0],
-        measured=None if withheld is None else withheld[1],
+        measured=wanted,
+        compared=compared,
         scores=scores,
     )
 
 
-def _states(found: _Pass, measured: Measured, graph: Graph) -> tuple[list[FilterState], Array]:
-    """States at the length samples, and the covariances of what changes, shape (N, size, size)."""
+def _poses(
+    states: list[FilterState], time: Array | None, noise: tuple[float, float]
+) -> tuple[Pose, Array]:
+    """Poses, and the covariances of pose and twist, shape (S, 12, 12)."""
+    poses = Pose(
+        position=np.stack([state.position for state in states]),
+        rotation=np.stack([state.rotation for state in states]),
+        time=time,
+    )
+    return poses, np.stack([state.platform_covariance(*noise) for state in states])
+
+
+def _states(found: _Pass, keys: NDArray[np.int64], graph: Graph) -> tuple[list[FilterState], Array]:
+    """States at S key frames, and the covariances of what changes, shape (S, size, size)."""
     solution, states = found.solution, []
     size = solution.error.shape[1]
-    covariance = np.zeros((len(measured.samples), size, size))
-    for row, k in enumerate(measured.samples):
+    covariance = np.zeros((len(keys), size, size))
+    for row, k in enumerate(keys):
         covariance[row][np.ix_(graph.changing, graph.changing)] = solution.covariance[k]
         states.append(found.passed.states[k].corrected(solution.error[k], covariance[row]))
     return states, covariance

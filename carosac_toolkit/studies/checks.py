@@ -14,6 +14,7 @@ from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.perturbations import CONDITIONS
 from carosac_toolkit.protocols import replays
 from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.studies.chosen_settings import check_types
 from carosac_toolkit.studies.folder import check_statuses
 from carosac_toolkit.studies.run_case import GIVEN, filled, plugin_name
 
@@ -94,8 +95,11 @@ def _plugin(kind: Any, name: str) -> Any:
     """Import a plug-in; whatever its import raises is one message.
 
     Raises:
-        CarosacError: It is not there, cannot be imported or has no `build`.
+        CarosacError: Its label is empty, it is not there, cannot be imported or has no `build`.
     """
+    _, at, label = name.partition("@")
+    if at and not label:
+        raise InvalidField(kind[:-1], repr(name), "NAME, or NAME@LABEL with a label")
     try:
         plugin = registry.load(kind, plugin_name(name))
     except CarosacError:
@@ -129,9 +133,11 @@ def _check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any
     kinds = getattr(plugin, "Settings", None)
     if not is_dataclass(kinds):
         raise InvalidField(field, repr(dict(wanted)), f"nothing: {name} has no settings")
-    _known(f"{field} of {name}", wanted, sorted(item.name for item in fields(kinds)))
+    where, usual = f"{field} of {name}", kinds()  # type: ignore[operator]
+    _known(where, wanted, sorted(item.name for item in fields(kinds)))
+    check_types(where, usual, wanted)
     try:
-        filled(f"{field} of {name}", kinds(), wanted)  # type: ignore[operator]
+        filled(where, usual, wanted)
     except TypeError as error:
         raise InvalidField(field, repr(dict(wanted)), f"settings of {name}: {error}") from error
 

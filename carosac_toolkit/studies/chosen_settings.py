@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import is_dataclass
+from numbers import Integral, Real
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
 
 from carosac_toolkit.errors import InvalidField
 
@@ -77,3 +82,102 @@ def _value(whole: str, text: str) -> Any:
         return json.loads(text, parse_constant=refuse)
     except json.JSONDecodeError:
         return text
+
+
+def check_types(where: str, settings: Any, values: Mapping[str, Any]) -> None:
+    """Refuse values of another kind than their fields, before anybody calculates with them.
+
+    Fields that are not there are left to others, as are fields of a kind that is not known here.
+
+    Args:
+        where: What the fields belong to, for messages.
+        settings: Instance of a settings dataclass.
+        values: By field; a mapping for a settings dataclass inside.
+
+    Raises:
+        InvalidField: A value is of another kind.
+    """
+    try:
+        hints = get_type_hints(type(settings))
+    except (NameError, TypeError):  # types that only a type checker sees: the default must do
+        hints = {}
+    for name, value in values.items():
+        if not hasattr(settings, name):
+            continue
+        usual, field = getattr(settings, name), f"{where}.{name}"
+        if is_dataclass(usual) and isinstance(value, Mapping):
+            check_types(field, usual, value)
+            continue
+        hint = hints.get(name, type(usual))
+        if not _fits(value, hint, usual):
+            raise InvalidField(field, repr(value), _kind(hint, usual))
+
+
+_SIMPLE = {bool: "true or false", int: "a whole number", float: "a number", str: "text",
+           NoneType: "null"}  # fmt: skip
+
+
+def _fits(value: Any, hint: Any, usual: Any) -> bool:
+    """Whether a value is of a kind; `usual` is the default, which tells the shape of arrays."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if hint in _SIMPLE:
+        return _simple(value, hint)
+    if origin in (Union, UnionType):
+        return any(_fits(value, part, usual) for part in parts)
+    if origin is Literal:
+        return any(type(value) is type(part) and value == part for part in parts)
+    if origin is tuple:
+        return _is_list(value) and _items_fit(list(value), parts)
+    if np.ndarray in (hint, origin):
+        return _is_list(value) and _shape(value) == np.shape(usual)
+    return isinstance(value, hint) if isinstance(hint, type) else True
+
+
+def _simple(value: Any, hint: Any) -> bool:
+    """Whether a value is of one of the simple kinds; true is no number, and 2 is a float too."""
+    truth = isinstance(value, bool | np.bool_)
+    if hint is float or hint is int:
+        return not truth and isinstance(value, Real if hint is float else Integral)
+    return truth if hint is bool else isinstance(value, hint)
+
+
+def _items_fit(items: list[Any], parts: tuple[Any, ...]) -> bool:
+    """Whether items are those of a tuple."""
+    if len(parts) == 2 and parts[1] is Ellipsis:
+        return all(_fits(item, parts[0], None) for item in items)
+    return len(items) == len(parts) and all(
+        _fits(item, part, None) for item, part in zip(items, parts, strict=True)
+    )
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, list | tuple | np.ndarray)
+
+
+def _shape(value: Any) -> tuple[int, ...] | None:
+    """Of nested lists of numbers; None of anything else."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of several lengths
+        return None
+    return array.shape if array.dtype.kind in "iuf" else None
+
+
+def _kind(hint: Any, usual: Any) -> str:
+    """What would have been accepted, in words."""
+    origin, parts = get_origin(hint), get_args(hint)
+    if hint in _SIMPLE:
+        return _SIMPLE[hint]
+    if origin in (Union, UnionType):
+        return " or ".join(_kind(part, usual) for part in parts)
+    if origin is Literal:
+        return f"one of {list(parts)}"
+    if origin is tuple and parts[-1:] == (Ellipsis,):
+        return f"a list, each of it {_kind(parts[0], None)}"
+    if origin is tuple:
+        return f"a list: [{', '.join(_kind(part, None) for part in parts)}]"
+    if np.ndarray in (hint, origin):
+        return f"{' x '.join(map(str, np.shape(usual)))} numbers, as [...]"
+    if is_dataclass(usual):
+        return "fields of it, each by its own name"
+    return str(getattr(hint, "__name__", hint))

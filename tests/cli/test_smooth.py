@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 
 import carosac_toolkit as ct
 from carosac_toolkit.cli.main import main
+from carosac_toolkit.robot_file import robot_text
 from tests.baselines.smoother.runs import swing
 
 
@@ -90,6 +92,68 @@ def test_the_recording_is_never_overwritten(run_file, capsys):
     assert main(words(run_file, "--output", str(run_file))) == 2
     assert "--output" in capsys.readouterr().err
     assert run_file.read_bytes() == content
+
+
+@pytest.mark.parametrize("name", ["smoothed.parquet", "estimate.parquet"])
+def test_nor_by_what_goes_into_the_folder(run_file, capsys, name):
+    Path("run").mkdir()
+    copied = Path(shutil.copy(run_file, Path("run") / name))
+    content = copied.read_bytes()
+    assert main(words(copied, "--report", "run")) == 2
+    message = f"--report: got 'run/{name}'; allowed: another place; RECORDING is read from"
+    assert message in capsys.readouterr().err
+    assert copied.read_bytes() == content and list(Path("run").iterdir()) == [copied]
+
+
+def test_nor_through_a_link(run_file, capsys):
+    copied = Path(shutil.copy(run_file, "run.parquet"))
+    Path("run").mkdir()
+    Path("run/smoothed.parquet").symlink_to(copied.resolve())
+    Path("hard").mkdir()
+    Path("hard/estimate.png").hardlink_to(copied)
+    for folder in ("run", "hard"):
+        assert main(words(copied, "--report", folder)) == 2
+        assert "RECORDING is read from this file" in capsys.readouterr().err
+    Path("away").symlink_to("run")
+    assert main(words("run/smoothed.parquet", "--report", "away")) == 2
+    assert "RECORDING is read from this file" in capsys.readouterr().err
+    assert copied.read_bytes() == run_file.read_bytes()
+
+
+def test_nor_by_default(run_file, capsys):
+    """Smoothed twice: the folder of the second time would be that of the first."""
+    folder = Path("carosac-results/smooth/smoothed-carosac")
+    folder.mkdir(parents=True)
+    copied = Path(shutil.copy(run_file, folder / "smoothed.parquet"))
+    assert main(words(copied)) == 2
+    assert "RECORDING is read from this file" in capsys.readouterr().err
+    assert copied.read_bytes() == run_file.read_bytes()
+
+
+def test_the_robot_is_never_overwritten(run_file, capsys):
+    Path("robot.yaml").write_text(robot_text("carosac"))
+    Path("report").mkdir()
+    Path("report/estimate.parquet").symlink_to(Path("robot.yaml").resolve())
+    assert main(["smooth", str(run_file), "--robot", "robot.yaml", "--report", "report"]) == 2
+    assert "--robot is read from this file" in capsys.readouterr().err
+    assert ct.load_robot("robot.yaml").n == 4
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (("--output", "report/estimate.parquet"), "--output: got 'report/estimate.parquet'"),
+        (("--output", "link/estimate.parquet"), "--report writes 'report/estimate.parquet'"),
+        (("--json", "report/estimate.png"), "--json: got 'report/estimate.png'"),
+        (("--json", "report/smoothed.parquet"), "--report writes 'report/smoothed.parquet'"),
+    ],
+)
+def test_nothing_is_written_twice(run_file, capsys, more, message):
+    Path("report").mkdir()
+    Path("link").symlink_to("report")
+    assert main(words(run_file, "--report", "report", *more)) == 2
+    assert message in capsys.readouterr().err
+    assert list(Path("report").iterdir()) == []
 
 
 def test_poses_that_are_to_be_used_must_be_there(run_file, capsys):

@@ -13,6 +13,7 @@ import carosac_toolkit as ct
 from baselines.dynamic_estimator import DynamicEstimator, DynamicEstimatorSettings
 from baselines.smoother import SmootherSettings, smooth
 from baselines.smoother.measured import arrange
+from baselines.smoother.report import warnings
 from carosac_toolkit.consistency import band, normalised_square
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.recordings.poses import PoseSamples
@@ -76,11 +77,65 @@ def test_its_covariance_holds_where_the_model_is_right(noisy, robot, with_poses)
 
 def test_poses_that_were_not_used_are_met_to_their_noise(noisy, robot):
     found = smooth(noisy[0], robot, settings(poses="half"))
-    assert found.poses + len(found.withheld) <= len(noisy[0].poses.time) + 1
+    assert found.poses + len(found.measured.time) <= len(noisy[0].poses.time)
     parts = found.scores.parts
-    assert parts["all"].samples == len(found.withheld) > 10
+    assert parts["all"].samples == len(found.measured.time) > 10
+    assert found.compared.time == pytest.approx(found.measured.time, abs=0.0)
     assert parts["all"].rmse[3] < 2.0 * np.sqrt(3.0) * 1e-3  # 1 mm an axis
     assert 0.2 < found.scores.nees["all"] < 2.0
+
+
+def test_poses_between_the_length_samples_are_scored_at_their_own_times(noisy, robot):
+    """13 ms of a swing are centimetres: an estimate at the nearest sample would be far off."""
+    recording = noisy[0]
+    shift = 0.013
+    turn, place = recording.poses.rotation, recording.poses.position
+    poses = PoseSamples.from_rotation(recording.poses.time + shift, place, turn)
+    lengths = replace(recording, time=recording.time + shift, imu=None)
+    late = replace(recording, poses=poses, imu=None)
+    same = smooth(replace(lengths, poses=poses), robot, settings(poses="half"))
+    # lengths lead by the shift now, and their own time says so
+    found = smooth(late, replace(robot, length_delay=shift), settings(poses="half"))
+    parts, fair = found.scores.parts["all"], same.scores.parts["all"]
+    own = poses.time[1::2]
+    own = own[own <= late.time[-1]]
+    assert found.measured.time == pytest.approx(own, abs=0.0)
+    assert parts.samples == len(own) >= fair.samples - 1
+    speed = np.linalg.norm(np.diff(place, axis=0), axis=1) / np.diff(recording.poses.time)
+    assert speed.max() * shift > 5e-3
+    assert parts.rmse[3] < 1.3 * fair.rmse[3] + 2e-4
+    assert parts.rmse[3] < 2.0 * np.sqrt(3.0) * 1e-3
+
+
+def test_what_is_scored_lies_between_start_and_stop(noisy, robot):
+    recording = noisy[0]
+    poses = replace(recording.poses, time=recording.poses.time + 0.013)
+    data = arrange(replace(recording, poses=poses), robot, settings(poses="half", imu=False))
+    keys, wanted = data.withheld(8, 20)
+    low, high = recording.time[[8, 19]]
+    inside = (poses.time >= low) & (poses.time <= high) & (np.arange(len(poses.time)) % 2 == 1)
+    assert wanted.time == pytest.approx(poses.time[inside], abs=0.0) and inside.sum() > 3
+    assert data.time[keys] == pytest.approx(wanted.time, abs=2e-6)
+    assert data.withheld(8, 9) is None
+
+
+def test_that_nothing_is_left_to_score_is_said(noisy, robot):
+    recording = noisy[0]
+    away = replace(recording.poses, time=recording.poses.time + 100.0)
+    found = smooth(replace(recording, poses=away), robot, settings(imu=False))
+    assert found.scores is None and found.measured is None
+    assert any("no score" in line for line in warnings(found))
+
+
+def test_constants_found_far_away_are_said(without_imu):
+    assert not any("sigma away" in line for line in warnings(without_imu))
+    known = replace(without_imu.settings.dynamics, mass=0.03, center_of_mass=0.01)
+    taken = replace(without_imu.settings, dynamics=known)
+    light = replace(without_imu, settings=taken, mass=0.85 * without_imu.robot.mass)
+    assert any("5.4 sigma away" in line for line in warnings(light))
+    center = without_imu.robot.center_of_mass - np.array([0.0, 0.04, 0.0])
+    aside = replace(without_imu, settings=taken, center_of_mass=center)
+    assert any("40.0 mm, 4.0 sigma, away" in line for line in warnings(aside))
 
 
 @pytest.fixture(scope="module")
