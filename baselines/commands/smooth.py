@@ -10,7 +10,6 @@ Exit status 1 means that the passes did not settle: the estimate is the last one
 
 from __future__ import annotations
 
-import os
 import re
 import sys
 from dataclasses import dataclass, replace
@@ -23,6 +22,7 @@ from baselines.smoother import Smoothed, SmootherSettings, smooth
 from baselines.smoother.output import FILES, recording_of, write
 from baselines.smoother.report import sentences, warnings
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, check_writable
+from carosac_toolkit.cli.outputs import same_file
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.recording import load_recording
 from carosac_toolkit.recordings.bundled import find_recording
@@ -123,21 +123,13 @@ def _check_targets(options: Options, folder: Path, inputs: dict[str, Path]) -> N
     targets += [(option, path) for option, path in given if path is not None]
     for k, (option, target) in enumerate(targets):
         for other, path in inputs.items():
-            if path.exists() and _same(target, path):
+            if path.exists() and same_file(target, path):
                 allowed = f"another place; {other} is read from this file"
                 raise InvalidField(option, f"'{target}'", allowed)
         for other, path in targets[:k]:
-            if _same(target, path):
+            if same_file(target, path):
                 allowed = f"another path; {other} writes '{path}'"
                 raise InvalidField(option, f"'{target}'", allowed)
-
-
-def _same(one: Path, other: Path) -> bool:
-    """Whether two paths lead to one file, through links and whether it is there or not."""
-    try:
-        return os.path.samefile(one, other)
-    except OSError:
-        return os.path.realpath(one) == os.path.realpath(other)
 
 
 def _settings(options: Options) -> SmootherSettings:

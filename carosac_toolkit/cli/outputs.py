@@ -47,11 +47,11 @@ def check_outputs(options: Any) -> None:
 def _check_clash(output: _Named, inputs: Sequence[_Named], earlier: Sequence[_Named]) -> None:
     """Refuse an output that is read as well, or written twice."""
     for other in inputs:
-        if _same(output.path, other.path):
+        if same_file(output.path, other.path):
             allowed = f"another path; {other.option} is read from this one"
             raise InvalidField(output.option, f"'{output.path}'", allowed)
     for other in earlier:
-        if _same(output.path, other.path):
+        if same_file(output.path, other.path):
             allowed = f"another path; {other.option} is written to this one"
             raise InvalidField(output.option, f"'{output.path}'", allowed)
 
@@ -67,7 +67,7 @@ def _check_folder(output: _Named) -> None:
     try_folder(output.option, output.path, existing)
 
 
-def _same(one: Path, other: Path) -> bool:
+def same_file(one: Path, other: Path) -> bool:
     """Whether two paths lead to one place, through links and whether it is there or not."""
     try:
         return os.path.samefile(one, other)

@@ -103,7 +103,7 @@ def test_sentences_compare_over_the_cases_that_both_finished():
     rows[0] = good(case("a", 0), (0.040, 0, 0))
     said = conclusions(study(rows))
     ratio = 30.0 / np.sqrt((40**2 + 10**2) / 2)
-    assert said[0].startswith(f"The tracking error of b is {ratio:.2g} times that of a: 30.0 mm")
+    assert said[0].startswith(f"The tracking error of b is {ratio:.3g} times that of a: 30.0 mm")
     assert "over the same 2 cases, larger in 1 of them." in said[0]
 
 
