@@ -30,8 +30,8 @@ from typing import ClassVar, Literal, Self, get_args
 import numpy as np
 
 from baselines.kinematic_solver_controller import UnreachableReference
-from baselines.reference_ahead import AheadSettings
-from baselines.shaped_signal import Past, ShapedSignal, interpolated
+from baselines.reference_ahead import AheadSettings, delay_of, interpolated
+from baselines.shaped_signal import Past, ShapedSignal
 from baselines.shapers import SHAPERS, Shaper, impulses, mean_delay
 from baselines.sway_modes import SwayModes, sway_modes
 from carosac_toolkit.arrays import Array
@@ -97,9 +97,7 @@ class InputShaping:
     _start: Array | None
 
     def __init__(self, robot: Robot, settings: InputShapingSettings) -> None:
-        delay = settings.delay
-        if delay is None:
-            delay = float(robot.winch_lag.mean()) + 0.5 * settings.period
+        delay = delay_of(robot, settings)
         self._robot, self._settings = robot, settings
         self._delay = delay
         self.modes = _slow_modes(robot, settings.frequency_max)

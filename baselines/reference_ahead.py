@@ -40,13 +40,28 @@ class AheadSettings:
             raise InvalidField("gain", f"{self.gain} 1/s", "gain >= 0")
 
 
+def delay_of(robot: Robot, settings: AheadSettings) -> float:
+    """How far ahead to aim [s], as the settings say."""
+    if settings.delay is not None:
+        return settings.delay
+    return float(robot.winch_lag.mean()) + 0.5 * settings.period
+
+
+def interpolated(where: Array, at: Array, value: Array) -> Array:
+    """Values (B, T, 3) at (B, T), linear between and constant outside, at (B, M): (B, M, 3)."""
+    return np.stack(
+        [
+            np.stack([np.interp(w, t, v[:, axis]) for axis in range(3)], axis=-1)
+            for w, t, v in zip(where, at, value, strict=True)
+        ]
+    )
+
+
 class Ahead:
     """Where to aim at, cycle by cycle."""
 
     def __init__(self, robot: Robot, settings: AheadSettings) -> None:
-        delay = settings.delay
-        if delay is None:
-            delay = float(robot.winch_lag.mean()) + 0.5 * settings.period
+        delay = delay_of(robot, settings)
         self._gain = settings.gain * settings.period
         self._delay = delay
         self.horizon = settings.period * float(np.ceil(delay / settings.period + 1e-9))
@@ -65,12 +80,7 @@ class Ahead:
         self._correction = self._correction + self._gain * error
         ahead = reference.time[:, 0] + self._delay
         position, velocity = (
-            np.stack(
-                [
-                    np.stack([np.interp(t, row, v[:, k]) for k in range(3)])
-                    for t, row, v in zip(ahead, reference.time, values, strict=True)
-                ]
-            )
+            interpolated(ahead[:, None], reference.time, values)[:, 0]
             for values in (reference.position, reference.velocity)
         )
         return position + self._correction, np.broadcast_to(velocity, error.shape)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.reference_ahead import interpolated
 from baselines.shapers import Shaper, impulses
 from carosac_toolkit.arrays import Array
 
@@ -78,13 +79,3 @@ class ShapedSignal:
         self._time, self._rate = time, rate
         values = self._past.at(phase[:, None] - back)
         return np.asarray((amplitudes[..., None] * values).sum(axis=1))
-
-
-def interpolated(where: Array, at: Array, value: Array) -> Array:
-    """Values (B, T, 3) at (B, T), linear between and constant outside, at (B, M): (B, M, 3)."""
-    return np.stack(
-        [
-            np.stack([np.interp(w, t, v[:, axis]) for axis in range(3)], axis=-1)
-            for w, t, v in zip(where, at, value, strict=True)
-        ]
-    )

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from carosac_toolkit.arrays import Array, check_rotations, frozen_array
+from carosac_toolkit.errors import InvalidField
 
 
 def _freeze(instance: Any, **shapes: tuple[int, ...]) -> None:
@@ -104,6 +105,20 @@ class Measurement:
         """Freeze the arrays."""
         shape = self.unstrained_length.shape
         _freeze(self, time=shape[:1], unstrained_length=shape)
+
+    def lengths_of(self, size: int, n: int) -> Array:
+        """The unstrained lengths, once they are those of so many robots and cables [m], (B, n).
+
+        Raises:
+            InvalidField: Another shape, or a length that is not positive.
+        """
+        lengths = self.unstrained_length
+        if lengths.shape != (size, n):
+            allowed = f"shape ({size}, {n})"
+            raise InvalidField("unstrained_length", f"shape {lengths.shape}", allowed)
+        if (lengths <= 0.0).any():
+            raise InvalidField("unstrained_length", f"{lengths.min()} m", "> 0 m")
+        return lengths
 
 
 @dataclass(frozen=True, kw_only=True)

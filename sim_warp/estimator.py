@@ -96,7 +96,7 @@ class SimulatorEstimator:
 
     def reset(self, measurement: Measurement) -> Belief:
         """Hang the platforms at rest on the first lengths."""
-        lengths = self._lengths(measurement, len(measurement.unstrained_length))
+        lengths = measurement.lengths_of(len(measurement.unstrained_length), self._robot.n)
         size = len(lengths)
         if self._simulator is None or self._simulator.size != size:
             options = self._settings.simulator_options
@@ -127,7 +127,7 @@ class SimulatorEstimator:
         """
         record, simulator = self._last(belief), self._simulator
         assert simulator is not None
-        lengths = self._lengths(measurement, simulator.size)
+        lengths = measurement.lengths_of(simulator.size, self._robot.n)
         step = self._step(measurement)
         pieces = self._delayed.advance(step, lengths)
         lost = self._lost
@@ -152,16 +152,6 @@ class SimulatorEstimator:
             restarts=record.restarts + again,
         )
         return self._belief(belief, measurement, record, state)
-
-    def _lengths(self, measurement: Measurement, size: int) -> Array:
-        """The measured lengths, checked."""
-        lengths = measurement.unstrained_length
-        if lengths.shape != (size, self._robot.n):
-            allowed = f"shape ({size}, {self._robot.n})"
-            raise InvalidField("unstrained_length", f"shape {lengths.shape}", allowed)
-        if (lengths <= 0.0).any():
-            raise InvalidField("unstrained_length", f"{lengths.min()} m", "> 0 m")
-        return lengths
 
     def _last(self, belief: Belief) -> SimulationRecord:
         """Memory of the last belief; refuse any other one."""

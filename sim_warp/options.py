@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, get_args
 
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics.dynamics import CABLE_DRAG
 from sim_warp.arguments import check_not_negative, check_positive, check_whole
 from sim_warp.simulator import SEGMENTS_MAX, Cables
 
@@ -25,7 +26,7 @@ class CableOptions:
     cables: Cables = "particles"
     segments: int = 16
     time_step: float | None = None
-    cable_drag: float = 0.5
+    cable_drag: float = CABLE_DRAG
     device: str = "cpu"
 
     def __post_init__(self) -> None:

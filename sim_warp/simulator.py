@@ -26,7 +26,7 @@ from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.perturbations import Condition, draw_plant, find_condition
 from carosac_toolkit.physics import statics, warp_setup
 from carosac_toolkit.physics.device import check_call
-from carosac_toolkit.physics.dynamics import NodelessDynamics
+from carosac_toolkit.physics.dynamics import CABLE_DRAG, NodelessDynamics
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.statics import Equilibrium
 from carosac_toolkit.physics.winch import WinchSettings
@@ -71,7 +71,7 @@ class Simulator:
         perturbation: str = "none",
         wind_force: float | None = None,
         wind_time: float | None = None,
-        cable_drag: float = 0.5,
+        cable_drag: float = CABLE_DRAG,
         winch: WinchSettings | None = None,
         iterations: int = 20,
     ) -> None:

@@ -68,8 +68,8 @@ class DynamicEstimator:
 
     def reset(self, measurement: Measurement) -> Belief:
         """Hang the platforms at rest on the first lengths."""
-        self._check(measurement, len(measurement.unstrained_length))
         size = len(measurement.unstrained_length)
+        measurement.lengths_of(size, self._robot.n)
         tracks = tuple(self._tracker.start(measurement, row) for row in range(size))
         home = Belief(
             time=measurement.time,
@@ -86,7 +86,7 @@ class DynamicEstimator:
                 that is not later than the last one.
         """
         record: DynamicRecord = belief.memory
-        self._check(measurement, len(record.tracks))
+        measurement.lengths_of(len(record.tracks), self._robot.n)
         late = ~(measurement.time > belief.time)
         if late.any():
             row = int(np.argmax(late))
@@ -97,15 +97,6 @@ class DynamicEstimator:
             for row, track in enumerate(record.tracks)
         )
         return _belief(measurement, tracks, belief, record.updates + 1, self._noise)
-
-    def _check(self, measurement: Measurement, size: int) -> None:
-        """Refuse another robot, and lengths that are none."""
-        lengths = measurement.unstrained_length
-        if lengths.shape != (size, self._robot.n):
-            allowed = f"shape ({size}, {self._robot.n})"
-            raise InvalidField("unstrained_length", f"shape {lengths.shape}", allowed)
-        if (lengths <= 0.0).any():
-            raise InvalidField("unstrained_length", f"{lengths.min()} m", "> 0 m")
 
 
 def _belief(

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from baselines.mpc.planner import Target
+from baselines.reference_ahead import interpolated
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.physics import statics
 from carosac_toolkit.robot import Robot
@@ -45,7 +46,7 @@ class Targets:
         """The reference, linear between its rows, and the last row beyond them."""
         when, rows = reference.time[0, 0] + self._grid, reference.time[0]
         position, velocity = (
-            np.stack([np.interp(when, rows, column) for column in values[0].T], axis=1)
+            interpolated(when[None], reference.time, values)[0]
             for values in (reference.position, reference.velocity)
         )
         rotation = None

@@ -26,6 +26,7 @@ from carosac_toolkit.physics import (
 from carosac_toolkit.physics.cable_kernels import vec6d
 from carosac_toolkit.physics.statics import Equilibrium
 
+CABLE_DRAG = 0.5  # air drag of the cables per mass, unless said otherwise [1/s]
 NodelessCables = Literal["catenary", "straight"]
 
 

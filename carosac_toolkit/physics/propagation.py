@@ -17,14 +17,13 @@ from carosac_toolkit.arrays import Array
 from carosac_toolkit.physics import dynamics_kernels, warp_setup
 from carosac_toolkit.physics.cable_kernels import vec6d
 from carosac_toolkit.physics.device import Buffers
-from carosac_toolkit.physics.dynamics import NodelessDynamics
+from carosac_toolkit.physics.dynamics import CABLE_DRAG, NodelessDynamics
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.winch import WinchSettings
 from carosac_toolkit.physics.worlds import allocate_worlds, rigid_body_record, upload_plants
 from carosac_toolkit.robot import Robot
 
 TIME_STEP = 0.01  # [s]
-CABLE_DRAG = 0.5  # air drag of the cables per mass [1/s], as simulators have it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
