@@ -6,25 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from baselines.dynamic_estimator.model import Model, NoMotion, Transition
+from baselines.dynamic_estimator.evidence import Felt, Sensors
+from baselines.dynamic_estimator.model import Model, NoMotion
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.state import FilterState
 from carosac_toolkit.arrays import Array
 
 SWEPT = (2.0, 5.0)  # [m/s^2, rad/s^2] by which twists change while a pose is late
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Felt:
-    """What an IMU said: the mean of some samples.
-
-    Attributes:
-        values: Angular rate [rad/s] and specific force [m/s^2] in its axes, shape (6,).
-        samples: How many.
-    """
-
-    values: Array
-    samples: int = 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,10 +45,7 @@ class Filter:
         """Take the dynamics and how wrong everything may be."""
         self._model = model
         self._settings = settings
-        s = settings
-        self._sensor = np.repeat([s.angular_rate_noise**2, s.specific_force_noise**2], 3)
-        self._vibration = np.repeat([s.angular_vibration**2, s.vibration**2], 3)
-        self._tension = s.tension_noise * model.robot.weight
+        self._sensors = Sensors(model, settings)
 
     def step(
         self, state: FilterState, reading: Array, end: Array, duration: float,
@@ -79,28 +64,21 @@ class Filter:
             NoMotion: The dynamics have no finite motion.
         """
         move = self._model.step(state, reading, end, duration)
-        where = self._model.errors
-        carry, noise = self._carry(move, duration)
-        matrix = carry @ state.covariance @ carry.T + noise
+        carry, keep = self._sensors.carried(move, duration)
+        matrix = carry @ state.covariance @ carry.T + self._noise(duration, keep)
         arrived = replace(
             move.state,
-            wind=float(carry[where.wind.start, where.wind.start]) * state.wind,
+            wind=keep * state.wind,
             covariance=0.5 * (matrix + matrix.T),
         )
         if felt is None:
             return arrived, Tally()
-        by = np.zeros((6, where.size))
-        by[:, : where.moving] = move.felt_by
-        by[:, where.imu] = np.eye(6)
-        pulled = self._tension * move.pulled
-        stretched = self._settings.stretch_rate * move.stretched
-        unknown = np.diag(self._sensor / felt.samples + self._vibration)
-        unknown += pulled @ pulled.T + stretched @ stretched.T
+        said = self._sensors.felt(move, felt)
         return self._corrected(
             arrived,
-            carry @ state.covariance @ by.T,
-            by @ state.covariance @ by.T + unknown,
-            felt.values - move.felt - state.imu_bias,
+            carry @ state.covariance @ said.by.T,
+            said.by @ state.covariance @ said.by.T + said.noise,
+            said.residual,
         )
 
     def pose(
@@ -119,29 +97,20 @@ class Filter:
 
         position = position + late * state.twist[:3]
         rotation = pinocchio.exp3(late * state.twist[3:]) @ rotation
-        turn = pinocchio.log3(np.ascontiguousarray(rotation @ state.rotation.T))
-        innovation = np.concatenate([position - state.position, turn])
-        s = self._settings
         swept = 0.5 * late**2 * np.repeat(SWEPT, 3)
-        by = state.pose_by()
-        cross = state.covariance @ by.T
-        rigid = s.stretch_noise * state.sway.slaved
-        sensor = np.repeat([s.position_noise**2, s.rotation_noise**2], 3)
-        own = by @ cross + np.diag(sensor + swept**2) + rigid @ rigid.T
-        return self._corrected(state, cross, own, innovation)
+        said = self._sensors.pose(state, position, rotation)
+        cross = state.covariance @ said.by.T
+        own = said.by @ cross + said.noise + np.diag(swept**2)
+        return self._corrected(state, cross, own, said.residual)
 
-    def _carry(self, move: Transition, duration: float) -> tuple[Array, Array]:
-        """Errors at the end per error at the start, and the noise added meanwhile."""
+    def _noise(self, duration: float, keep: float) -> Array:
+        """What a step adds to the covariance of the errors; `keep` of the wind is left [-]."""
         where, s = self._model.errors, self._settings
-        carry = np.eye(where.size)
-        carry[: 2 * where.m, : where.moving] = move.sway
-        keep = float(np.exp(-duration / s.wind_time))
-        carry[where.wind, where.wind] *= keep
         spread = np.zeros(where.size)
         spread[where.wind] = s.wind_force**2 * (1.0 - keep**2)
         spread[where.bias] = s.length_bias_walk**2 * duration
         spread[where.speed] = s.acceleration_noise**2 * self._model.robot.mass * duration
-        return carry, np.diag(spread)
+        return np.diag(spread)
 
     def _corrected(
         self, state: FilterState, cross: Array, total: Array, innovation: Array

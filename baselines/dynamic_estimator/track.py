@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.dynamic_estimator.filter import Felt, Filter, Tally
+from baselines.dynamic_estimator.evidence import Felt
+from baselines.dynamic_estimator.filter import Filter, Tally
 from baselines.dynamic_estimator.model import Model, NoMotion
 from baselines.dynamic_estimator.readings import SHORTEST, Readings
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings

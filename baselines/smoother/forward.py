@@ -7,29 +7,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from baselines.dynamic_estimator.filter import Felt
-from baselines.dynamic_estimator.model import Model, Transition
+from baselines.dynamic_estimator.evidence import Evidence, Felt, Sensors
+from baselines.dynamic_estimator.model import Model
 from baselines.dynamic_estimator.state import Errors, FilterState
 from baselines.smoother.measured import Measured
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.arrays import Array
 
 FLOOR = 1e-4  # of the scale of an error, per root of a second: noise of what is constant
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Said:
-    """What a measurement says of the errors of a state.
-
-    Attributes:
-        residual: Measured minus expected, shape (6,).
-        by: Its change per error, shape (6, size).
-        noise: Covariance, shape (6, 6).
-    """
-
-    residual: Array
-    by: Array
-    noise: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,7 +29,7 @@ class Link:
 
     carry: Array
     noise: Array
-    felt: Said | None
+    felt: Evidence | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,7 +68,7 @@ class Passed:
     states: list[FilterState]
     corrections: Array
     links: list[Link]
-    poses: dict[int, Said]
+    poses: dict[int, Evidence]
 
 
 class Forward:
@@ -94,10 +79,7 @@ class Forward:
         self._model = model
         self._measured = measured
         self._settings = settings
-        s = settings.dynamics
-        self._sensor = np.repeat([s.angular_rate_noise**2, s.specific_force_noise**2], 3)
-        self._vibration = np.repeat([s.angular_vibration**2, s.vibration**2], 3)
-        self._tension = s.tension_noise * model.robot.weight
+        self._sensors = Sensors(model, settings.dynamics)
         self._floor = (FLOOR * scales(model, settings)) ** 2
 
     def run(self, rest: FilterState, corrections: list[Correction] | None) -> Passed:
@@ -124,7 +106,8 @@ class Forward:
                 state = state.corrected(added[k], state.covariance)
             states.append(state)
         poses = {
-            k: self._pose(states[k], *pose) for k, pose in sorted(self._measured.poses.items())
+            k: self._sensors.pose(states[k], *pose)
+            for k, pose in sorted(self._measured.poses.items())
         }
         return Passed(states=states, corrections=added, links=links, poses=poses)
 
@@ -137,21 +120,18 @@ class Forward:
         for start, stop in pairwise(stops.tolist()):
             reading = self._measured.reading(start), self._measured.reading(stop)
             move = self._model.step(state, *reading, stop - start)
-            step, added = self._carry(move, stop - start)
+            step, keep = self._sensors.carried(move, stop - start)
+            added = self._noise(stop - start, keep)
             if felt is not None and stop == stops[-1]:
-                said = self._felt(move, state, felt, carry, noise)
+                now = self._sensors.felt(move, felt)
+                said = Evidence(now.residual, now.by @ carry, now.noise + now.by @ noise @ now.by.T)
             carry, noise = step @ carry, step @ noise @ step.T + added
-            keep = float(step[self._model.errors.wind.start, self._model.errors.wind.start])
             state = replace(move.state, time=stop, wind=keep * state.wind)
         return replace(state, time=end), Link(carry=carry, noise=noise, felt=said)
 
-    def _carry(self, move: Transition, duration: float) -> tuple[Array, Array]:
-        """Errors at the end per error at the start, and the noise added meanwhile."""
+    def _noise(self, duration: float, keep: float) -> Array:
+        """What a step adds to the covariance of the errors; `keep` of the wind is left [-]."""
         where, s = self._model.errors, self._settings.dynamics
-        carry = np.eye(where.size)
-        carry[: 2 * where.m, : where.moving] = move.sway
-        keep = float(np.exp(-duration / s.wind_time))
-        carry[where.wind, where.wind] *= keep
         spread = self._floor * duration
         spread[where.wind] += s.wind_force**2 * (1.0 - keep**2)
         spread[where.bias] += s.length_bias_walk**2 * duration
@@ -164,35 +144,7 @@ class Forward:
         noise[where.sway, where.sway] += density * duration**3 / 3.0 * one
         noise[where.sway, where.speed] += density * duration**2 / 2.0 * one
         noise[where.speed, where.sway] += density * duration**2 / 2.0 * one
-        return carry, noise
-
-    def _felt(
-        self, move: Transition, state: FilterState, felt: Felt, carry: Array, noise: Array
-    ) -> Said:
-        """What the IMU says of the errors where the link began."""
-        where = self._model.errors
-        by = np.zeros((6, where.size))
-        by[:, : where.moving] = move.felt_by
-        by[:, where.imu] = np.eye(6)
-        pulled = self._tension * move.pulled
-        stretched = self._settings.dynamics.stretch_rate * move.stretched
-        unknown = np.diag(self._sensor / felt.samples + self._vibration)
-        unknown += pulled @ pulled.T + stretched @ stretched.T + by @ noise @ by.T
-        return Said(residual=felt.values - move.felt - state.imu_bias, by=by @ carry, noise=unknown)
-
-    def _pose(self, state: FilterState, position: Array, rotation: Array) -> Said:
-        """What a measured pose says."""
-        import pinocchio
-
-        s = self._settings.dynamics
-        turn = pinocchio.log3(np.ascontiguousarray(rotation @ state.rotation.T))
-        rigid = s.stretch_noise * state.sway.slaved
-        sensor = np.repeat([s.position_noise**2, s.rotation_noise**2], 3)
-        return Said(
-            residual=np.concatenate([position - state.position, turn]),
-            by=state.pose_by(),
-            noise=np.diag(sensor) + rigid @ rigid.T,
-        )
+        return noise
 
 
 def scales(model: Model, settings: SmootherSettings) -> Array:

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.dynamic_estimator.evidence import Evidence
 from baselines.dynamic_estimator.state import Errors
-from baselines.smoother.forward import Passed, Said
+from baselines.smoother.forward import Passed
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import CarosacError
 
@@ -134,7 +135,7 @@ class Graph:
         ]
         return _linear(blocks, -root @ correction[changing])
 
-    def _said(self, k: int, said: Said, weight: float) -> Any:
+    def _said(self, k: int, said: Evidence, weight: float) -> Any:
         """A measurement of key frame k."""
         root = np.sqrt(weight) * _whitening(said.noise)
         return self._factor(k, root @ said.by, root @ said.residual)

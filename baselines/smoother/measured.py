@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.dynamic_estimator.filter import Felt
+from baselines.dynamic_estimator.evidence import Felt
 from baselines.dynamic_estimator.readings import SHORTEST, Readings
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.arrays import Array

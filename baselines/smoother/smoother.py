@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.dynamic_estimator.evidence import Evidence
 from baselines.dynamic_estimator.model import Model
 from baselines.dynamic_estimator.start import Rest
 from baselines.dynamic_estimator.state import FilterState
-from baselines.smoother.forward import Correction, Forward, Passed, Said, scales
+from baselines.smoother.forward import Correction, Forward, Passed, scales
 from baselines.smoother.graph import Graph, Solution
 from baselines.smoother.measured import Measured, arrange
 from baselines.smoother.result import Smoothed
@@ -132,7 +133,7 @@ def _solved(
     return solution, weight
 
 
-def _distance(said: Said, error: Array) -> float:
+def _distance(said: Evidence, error: Array) -> float:
     """How far a measurement is off after an error is put right, in standard deviations."""
     left = said.residual - said.by @ error
     return float(np.sqrt(left @ np.linalg.solve(said.noise, left)))

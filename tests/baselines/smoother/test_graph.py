@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from baselines.dynamic_estimator.evidence import Evidence
 from baselines.dynamic_estimator.state import Errors
-from baselines.smoother.forward import Link, Passed, Said
+from baselines.smoother.forward import Link, Passed
 from baselines.smoother.graph import Graph
 
 COUNT = 25
@@ -29,12 +30,12 @@ def linear():
         carry[fixed] = np.eye(size)[fixed]
         noise = covariance(size, 0.02)
         noise[fixed] = noise[:, fixed] = 0.0
-        felt = Said(
+        felt = Evidence(
             residual=rng.normal(size=6), by=rng.normal(size=(6, size)), noise=covariance(6, 1.0)
         )
         links.append(Link(carry=carry, noise=noise, felt=felt))
     poses = {
-        k: Said(
+        k: Evidence(
             residual=rng.normal(size=6), by=rng.normal(size=(6, size)), noise=covariance(6, 1.0)
         )
         for k in range(0, COUNT, 4)

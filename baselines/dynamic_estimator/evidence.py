@@ -1,0 +1,94 @@
+"""What IMU and poses say of the errors, and what becomes of errors: for filter and smoother."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from baselines.dynamic_estimator.model import Model, Transition
+from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
+from baselines.dynamic_estimator.state import FilterState
+from carosac_toolkit.arrays import Array
+
+
+class Felt(NamedTuple):
+    """What an IMU said: the mean of some samples.
+
+    Attributes:
+        values: Angular rate [rad/s] and specific force [m/s^2] in its axes, shape (6,).
+        samples: How many.
+    """
+
+    values: Array
+    samples: int = 1
+
+
+class Evidence(NamedTuple):
+    """What a measurement says of the errors.
+
+    Attributes:
+        residual: Measured minus expected, shape (6,).
+        by: Its change per error, shape (6, size).
+        noise: Covariance of its own, shape (6, 6).
+    """
+
+    residual: Array
+    by: Array
+    noise: Array
+
+
+class Sensors:
+    """Measurements of one robot, with their noise."""
+
+    def __init__(self, model: Model, settings: DynamicEstimatorSettings) -> None:
+        """Take the numbers of the sensors."""
+        self._errors, self._settings, s = model.errors, settings, settings
+        self._imu = np.repeat([s.angular_rate_noise**2, s.specific_force_noise**2], 3)
+        self._vibration = np.repeat([s.angular_vibration**2, s.vibration**2], 3)
+        self._poses = np.repeat([s.position_noise**2, s.rotation_noise**2], 3)
+        self._tension = s.tension_noise * model.robot.weight
+
+    def carried(self, move: Transition, duration: float) -> tuple[Array, float]:
+        """Errors at the end of a step per error at its start, and the share of wind that is left.
+
+        Args:
+            move: The step.
+            duration: Of it [s].
+        """
+        where = self._errors
+        carry = np.eye(where.size)
+        carry[: 2 * where.m, : where.moving] = move.sway
+        keep = float(np.exp(-duration / self._settings.wind_time))
+        carry[where.wind, where.wind] *= keep
+        return carry, keep
+
+    def felt(self, move: Transition, felt: Felt) -> Evidence:
+        """What an IMU at the end of a step says of the errors at its start."""
+        where = self._errors
+        by = np.zeros((6, where.size))
+        by[:, : where.moving] = move.felt_by
+        by[:, where.imu] = np.eye(6)
+        pulled = self._tension * move.pulled
+        stretched = self._settings.stretch_rate * move.stretched
+        noise = np.diag(self._imu / felt.samples + self._vibration)
+        noise += pulled @ pulled.T + stretched @ stretched.T
+        return Evidence(felt.values - move.felt - move.state.imu_bias, by, noise)
+
+    def pose(self, state: FilterState, position: Array, rotation: Array) -> Evidence:
+        """What a pose that was measured at the time of a state says.
+
+        Args:
+            state: The estimate.
+            position: Platform origin in W [m], shape (3,).
+            rotation: From P to W, shape (3, 3).
+        """
+        import pinocchio
+
+        turn = pinocchio.log3(np.ascontiguousarray(rotation @ state.rotation.T))
+        rigid = self._settings.stretch_noise * state.sway.slaved
+        return Evidence(
+            residual=np.concatenate([position - state.position, turn]),
+            by=state.pose_by(),
+            noise=np.diag(self._poses) + rigid @ rigid.T,
+        )
