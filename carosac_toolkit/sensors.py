@@ -9,6 +9,7 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.number_checks import check_fields
 
 SUITES = ("lengths", "lengths+imu", "lengths+pose", "lengths+imu+pose")
 
@@ -65,12 +66,8 @@ class SensorSettings:
         """Refuse negative numbers and rates of zero."""
         if not isinstance(self.tension, bool):
             raise InvalidField("tension", repr(self.tension), "True or False")
-        for name, value in vars(self).items():
-            if name == "tension":
-                continue
-            lowest = "> 0" if name in _RATES else ">= 0"
-            if not (value > 0.0 or (value == 0.0 and lowest == ">= 0")) or not np.isfinite(value):
-                raise InvalidField(name, value, f"{name} {lowest}")
+        others = [name for name in vars(self) if name not in (*_RATES, "tension")]
+        check_fields(self, positive=_RATES, not_negative=others)
 
 
 _RATES = ("encoder_rate", "pose_rate", "imu_rate", "tension_rate")

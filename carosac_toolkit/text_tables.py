@@ -22,6 +22,11 @@ def wrapped(text: str, width: int, start: str = "") -> str:
     )  # fmt: skip
 
 
+def counted(count: int, noun: str, plural: str | None = None) -> str:
+    """A number of things in words: 1 case, 2 cases."""
+    return f"{count} {noun if count == 1 else plural or noun + 's'}"
+
+
 def fit(
     header: tuple[str, ...],
     rows: Rows,

@@ -35,30 +35,6 @@ def as_seeds(seed: int | Sequence[int], size: int) -> NDArray[np.int64]:
     return given.astype(np.int64)
 
 
-def check_whole(name: str, value: object, lowest: int, highest: int | None) -> None:
-    """Refuse what is no whole number in a range."""
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not whole or value < lowest or (highest is not None and value > highest):  # type: ignore[operator]
-        top = "" if highest is None else f" to {highest}"
-        raise InvalidField(name, repr(value), f"a whole number from {lowest}{top}")
-
-
-def check_positive(name: str, value: object, unit: str) -> None:
-    """Refuse what is no positive finite number."""
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if not number or not 0.0 < value < np.inf:  # type: ignore[operator]
-        raise InvalidField(
-            name, f"{value} {unit}" if number else repr(value), f"{name} > 0, finite"
-        )
-
-
-def check_not_negative(name: str, value: object, unit: str) -> None:
-    """Refuse what is no finite number from zero."""
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if not number or not 0.0 <= value < np.inf:  # type: ignore[operator]
-        raise InvalidField(name, f"{value} {unit}", f"{name} >= 0, finite")
-
-
 def check_rows(name: str, value: Array, count: int) -> None:
     """Refuse another number of rows than there are worlds."""
     if len(value) != count:

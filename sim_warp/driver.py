@@ -11,10 +11,10 @@ import numpy as np
 from carosac_toolkit.arrays import Array, as_floats
 from carosac_toolkit.drivers.simulated import SimulatedDriver, SimulatedSettings
 from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.number_checks import check_not_negative, check_positive
 from carosac_toolkit.physics.winch import Encoders
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import State
-from sim_warp.arguments import check_not_negative, check_positive
 from sim_warp.options import CableOptions
 from sim_warp.simulator import STEPS, Simulator
 

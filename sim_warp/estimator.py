@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.number_checks import check_not_negative, check_positive
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Belief, Command, Measurement
-from sim_warp.arguments import check_not_negative, check_positive
 from sim_warp.delayed_lengths import DelayedLengths
 from sim_warp.options import CableOptions
 from sim_warp.simulator import Simulator

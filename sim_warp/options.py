@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any, get_args
 
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.number_checks import check_not_negative, check_positive, check_whole
 from carosac_toolkit.physics.dynamics import CABLE_DRAG
-from sim_warp.arguments import check_not_negative, check_positive, check_whole
 from sim_warp.simulator import SEGMENTS_MAX, Cables
 
 

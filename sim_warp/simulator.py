@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from carosac_toolkit.arrays import Array, batch, check_rotations
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.number_checks import check_not_negative, check_positive, check_whole
 from carosac_toolkit.perturbations import Condition, draw_plant, find_condition
 from carosac_toolkit.physics import statics, warp_setup
 from carosac_toolkit.physics.device import check_call
@@ -36,10 +37,7 @@ from sim_warp.arguments import (
     as_robots,
     as_seeds,
     check_lengths,
-    check_not_negative,
-    check_positive,
     check_rows,
-    check_whole,
 )
 from sim_warp.particles import ParticleDynamics
 from sim_warp.snapshot import Snapshot

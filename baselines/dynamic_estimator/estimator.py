@@ -29,6 +29,7 @@ class DynamicRecord:
         updates: Measurements since the last reset, the first one included.
         restarts: How often the platform was hung anew on measured lengths, shape (B,).
         outliers: Length readings that were not believed, shape (B,).
+        slips: How often an encoder slipped, shape (B,).
         stale: How often lengths were held for want of readings, shape (B,).
         tracks: State of the filter of each robot.
     """
@@ -38,6 +39,7 @@ class DynamicRecord:
     updates: int
     restarts: NDArray[np.int64]
     outliers: NDArray[np.int64]
+    slips: NDArray[np.int64]
     stale: NDArray[np.int64]
     tracks: tuple[Track, ...]
 
@@ -119,6 +121,7 @@ def _belief(
         updates=updates,
         restarts=np.array([track.restarts for track in tracks]),
         outliers=np.array([track.readings.rejected for track in tracks]),
+        slips=np.array([track.readings.slips for track in tracks]),
         stale=np.array([track.stale for track in tracks]),
         tracks=tracks,
     )

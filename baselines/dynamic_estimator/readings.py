@@ -11,6 +11,8 @@ from carosac_toolkit.arrays import Array
 SHORTEST = 1e-6  # [s] between two readings
 AHEAD = 0.1  # [s] for which the last rate goes on
 PATIENCE = 5  # readings in a row that cannot all be outliers
+STAYS = 0.5  # of a jump: by how much less or more it may be after these readings
+FROZEN = 3  # equal readings in a row: the encoder is stuck, or the winch rests
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -22,15 +24,27 @@ class Readings:
         length: What they say [m], shape (K, n).
         outliers: Readings in a row, up to the last one, that were not believed.
         rejected: Readings that were not believed since the start.
+        offset: By how much the first of these outliers was off [m], shape (n,), or None.
+        frozen: How many of the last readings of each cable were the same, shape (n,), or None.
+        slipped: By how much encoders slipped with the last reading [m], shape (n,), or None.
+        slips: How often one did since the start.
     """
 
     time: Array
     length: Array
     outliers: int = 0
     rejected: int = 0
+    offset: Array | None = None
+    frozen: Array | None = None
+    slipped: Array | None = None
+    slips: int = 0
 
     def taken(self, time: float, length: Array, speed: Array, jump: float, keep: float) -> Readings:
         """With one more reading, if it is one, and can be true.
+
+        A cable that jumps farther than its winch can wind, and stays there, has not moved: its
+        encoder slipped. Earlier readings are then moved as well, so that the path has no step. One
+        whose readings stood still before is believed: it was stuck, and has come free.
 
         Args:
             time: When it counts [s]; one that is not later than the last says nothing new.
@@ -43,14 +57,27 @@ class Readings:
         if step < SHORTEST:
             return self
         far = np.abs(length - self.length[-1]) > speed * step + jump
+        off = length - self.at(time)
+        start = np.where(far, off, 0.0) if self.offset is None else self.offset
+        far |= (start != 0.0) & (np.abs(off) > STAYS * np.abs(start))
         if far.any() and self.outliers + 1 < PATIENCE:
-            return replace(self, outliers=self.outliers + 1, rejected=self.rejected + 1)
+            return replace(
+                self, outliers=self.outliers + 1, rejected=self.rejected + 1, offset=start,
+                slipped=None,
+            )  # fmt: skip
+        still = np.zeros(len(length)) if self.frozen is None else self.frozen
+        stays = far & (np.abs(off - start) <= STAYS * np.abs(start)) & (np.abs(start) > jump)
+        slipped = np.where(stays & (still < FROZEN), start, 0.0)
         first = max(0, int(np.searchsorted(self.time, keep, side="right")) - 2)
         return replace(
             self,
             time=np.append(self.time[first:], time),
-            length=np.vstack([self.length[first:], length]),
+            length=np.vstack([self.length[first:] + slipped, length]),
             outliers=0,
+            offset=None,
+            frozen=np.where(length == self.length[-1], still + 1, 0),
+            slipped=slipped if slipped.any() else None,
+            slips=self.slips + int(np.count_nonzero(slipped)),
         )
 
     def held(self, time: float) -> Readings:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-import numpy as np
-
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.arrays import frozen_array
+from carosac_toolkit.number_checks import check_fields, check_not_negative
 
 Mount = tuple[float, float, float]
 
@@ -55,7 +54,8 @@ class DynamicEstimatorSettings:
             measurement counts as disturbed: its noise is then taken as so large that it is just
             within.
         reading_jump: Distance from what the last readings led to expect, beyond what a winch can
-            do, from which a length reading is taken as an outlier [m].
+            do, from which a length reading is taken as an outlier, or its encoder to have slipped
+            where it stays there [m].
         delay: By how much lengths lead poses [s]; None: what the robot says,
             `Robot.length_delay`.
         time_step: Longest time step of the dynamics [s].
@@ -87,26 +87,23 @@ class DynamicEstimatorSettings:
     position_noise: float = 1e-3
     rotation_noise: float = 0.5e-3
     gate: float = 6.0
-    reading_jump: float = 0.1
+    reading_jump: float = 0.05
     delay: float | None = None
     time_step: float = 0.01
     gap_max: float = 60.0
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if item.name in ("imu_position", "imu_rotation"):
-                if len(value) != 3 or not np.isfinite(value).all():
-                    raise InvalidField(item.name, value, "three numbers")
-                continue
-            if item.name == "delay" and value is None:
-                continue
-            low = "> 0" if item.name in _POSITIVE else ">= 0"
-            if not (value > 0.0 or (value == 0.0 and low == ">= 0")) or not np.isfinite(value):
-                raise InvalidField(item.name, value, f"{item.name} {low}, finite")
+        for name in _MOUNTS:
+            frozen_array(name, getattr(self, name), (3,))
+        if self.delay is not None:
+            check_not_negative("delay", self.delay, "s")
+        apart = (*_POSITIVE, *_MOUNTS, "delay")
+        others = [item.name for item in fields(self) if item.name not in apart]
+        check_fields(self, positive=_POSITIVE, not_negative=others)
 
 
+_MOUNTS = ("imu_position", "imu_rotation")
 _POSITIVE = (
     "stretch_noise", "wind_time", "start_speed", "restart_speed", "angular_rate_noise",
     "specific_force_noise", "position_noise", "rotation_noise", "rate_noise", "gate",

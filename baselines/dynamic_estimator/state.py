@@ -9,6 +9,8 @@ import numpy as np
 from baselines.dynamic_estimator.sway import Sway
 from carosac_toolkit.arrays import Array
 
+SLIP_DOUBT = (5e-3, 0.03)  # [m] and share: one sigma of how far an encoder slipped
+
 
 class Errors:
     """The order of errors, truth minus estimate, of a robot of n cables with m ways to sway.
@@ -117,6 +119,11 @@ class FilterState:
         where = self.errors.bias
         matrix[where, where] += np.diag(deviation**2)
         return replace(self, covariance=matrix)
+
+    def slipped(self, slip: Array) -> FilterState:
+        """The state after encoders slipped, by (n,) [m]: the platform is where it was."""
+        doubt = np.where(slip == 0.0, 0.0, SLIP_DOUBT[0] + SLIP_DOUBT[1] * np.abs(slip))
+        return replace(self, length_bias=self.length_bias + slip).loosened(doubt)
 
     def platform_covariance(self, reading: float, speed: float) -> Array:
         """Covariance of pose and twist, as of a `Belief`, shape (12, 12).

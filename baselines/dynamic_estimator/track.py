@@ -105,13 +105,19 @@ class Tracker:
         gap = when - track.readings.time[-1]
         if track.state is None or gap > self._settings.gap_max:
             return self._hung_anew(track, measurement, row)
-        keep = min(track.state.time, now)
+        state = track.state
+        keep = min(state.time, now)
         readings = track.readings.taken(
             when, length, self._robot.speed_max, self._settings.reading_jump, keep
         )
         track = replace(track, readings=readings, tally=Tally(),
                         waiting=_waiting(track.waiting, measurement, row),
                         poses=_known_poses(track.poses, measurement, row))  # fmt: skip
+        if readings.slipped is not None:
+            track = replace(
+                track, state=state.slipped(readings.slipped),
+                readings=replace(readings, slipped=None),
+            )  # fmt: skip
         if now - readings.time[-1] > STALE:
             track = self._held(track, now)
         try:
@@ -128,7 +134,8 @@ class Tracker:
     def _hung_anew(self, track: Track, measurement: Measurement, row: int) -> Track:
         """Start again at rest; what was counted goes on."""
         fresh = self.start(measurement, row, self._settings.restart_speed)
-        readings = replace(fresh.readings, rejected=track.readings.rejected)
+        before = track.readings
+        readings = replace(fresh.readings, rejected=before.rejected, slips=before.slips)
         return replace(
             fresh, readings=readings, stale=track.stale,
             restarts=track.restarts + int(fresh.state is not None),

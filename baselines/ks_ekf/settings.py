@@ -9,9 +9,10 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array, check_rotations, frozen_array
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.number_checks import check_fields, check_fraction, check_whole
 
 Coupling = Literal["loose", "tight"]
-NOT_NUMBERS = ("coupling", "imu_position", "imu_rotation", "rejections_max")
+CHECKED_APART = ("coupling", "imu_position", "imu_rotation", "rejections_max", "gate")
 MAY_BE_ZERO = (
     "tension_change", "center_of_mass_prior", "bias_walk", "length_walk", "initial_sway",
 )  # fmt: skip
@@ -102,17 +103,10 @@ class KsEkfSettings:
         for name, shape in (("imu_position", (3,)), ("imu_rotation", (3, 3))):
             object.__setattr__(self, name, frozen_array(name, getattr(self, name), shape))
         check_rotations("imu_rotation", self.imu_rotation[None])
-        if isinstance(self.rejections_max, bool) or not self.rejections_max >= 1:
-            raise InvalidField("rejections_max", self.rejections_max, "1 or more")
-        for entry in fields(self):
-            if entry.name not in NOT_NUMBERS:
-                self._check_number(entry.name)
-        if not self.gate < 1.0:
-            raise InvalidField("gate", self.gate, "0 < gate < 1")
-
-    def _check_number(self, name: str) -> None:
-        """Refuse what is not positive and finite; zero where it makes sense."""
-        value = getattr(self, name)
-        zero = value == 0.0 and name in MAY_BE_ZERO
-        if not (value > 0.0 or zero) or np.isinf(value):
-            raise InvalidField(name, value, f"{name} {'>=' if name in MAY_BE_ZERO else '>'} 0")
+        check_whole("rejections_max", self.rejections_max, 1)
+        check_fraction("gate", self.gate)
+        numbers = [entry.name for entry in fields(self) if entry.name not in CHECKED_APART]
+        check_fields(
+            self, not_negative=MAY_BE_ZERO,
+            positive=[name for name in numbers if name not in MAY_BE_ZERO],
+        )  # fmt: skip

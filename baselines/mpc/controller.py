@@ -7,6 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from baselines.mpc.agreement import Agreement
 from baselines.mpc.fallback import Rest
 from baselines.mpc.geometry import Geometry, excess_at, geometry_at
 from baselines.mpc.observer import Observer, Start
@@ -21,7 +22,6 @@ from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Belief, Command, Reference
 
-AGREED = 0.5  # share of the gate within which a belief must be for a new plan to begin
 SOFTENED = 0.01  # share of a limit beyond which a plan counts as softened
 
 
@@ -53,6 +53,7 @@ class Mpc:
         self._winches = WinchReference(robot, period=self.period, jerk_max=settings.jerk_max)
         self._targets = Targets(robot, self._planner.grid)
         self._rest = Rest(robot)
+        self._agreement = Agreement(settings.belief_gate)
         self.horizon = self.period * float(np.ceil(settings.lookahead / self.period - 1e-9))
         self.record = MpcRecord()
         self._ready = False
@@ -76,6 +77,7 @@ class Mpc:
         self._observer.reset()
         self._targets.reset()
         self._rest.reset()
+        self._agreement.reset()
         self._failed = 0
         self._place = belief.position[0]
         position, rotation = belief.position[0], belief.rotation[0]
@@ -105,14 +107,16 @@ class Mpc:
         now = float(belief.time[0])
         start = self._observer.start(
             belief, self._winches.length - self._excess, self._winches.rate,
-            settled=self._resting and self._winches.at_rest,
+            within=self._agreement.within(self._resting), stuck=self._agreement.stuck,
         )  # fmt: skip
+        self._agreement.update(start.distance, resting=self._resting, still=self._winches.at_rest)
         if start.distance <= self._settings.belief_gate:
             self._place = start.position
         plan = self._solve(start, reference, now)
         if plan is None:
             lengths = self._fall_back(now)
         else:
+            self.record.recovered += self._resting
             self._failed = 0
             self._rest.reset()
             self._planner.plan = plan
@@ -128,7 +132,7 @@ class Mpc:
         if not np.isfinite(start.distance) or not start.geometry.valid:
             self._fail("geometry", "a believed pose that cables cannot reach")
             return None
-        if start.distance > self._settings.belief_gate * (AGREED if self._resting else 1.0):
+        if not self._agreement.usable:
             self._fail("belief", f"{start.distance:.3g} m from the lengths that were sent")
             return None
         began = time.perf_counter()
@@ -138,7 +142,7 @@ class Mpc:
         found = self._planner.improve(
             start, target, time=now, disturbance=self._observer.disturbance,
             acceleration=self._winches.acceleration_range(),
-            offset=self._excess + self._observer.offset,
+            offset=self._excess + self._observer.surplus,
         )  # fmt: skip
         self.record.solve_time = time.perf_counter() - began
         self.record.solves += 1
@@ -172,7 +176,7 @@ class Mpc:
             Start(position=position, rotation=rotation, twist=state[6:], geometry=geometry,
                   distance=0.0)
         )  # fmt: skip
-        length = geometry.length + self._excess + self._observer.offset
+        length = geometry.length + self._excess + self._observer.surplus
         return self._winches.follow(length, geometry.jacobian @ state[6:])
 
     def _fall_back(self, now: float) -> Array:
@@ -191,7 +195,7 @@ class Mpc:
             rate = geometry.jacobian @ states[0, 6:]
             return self._winches.accelerate((rate - self._winches.rate) / self.period)
         self._planner.reset()
-        self._observer.predict(None)
+        self._observer.forget()
         acceleration, found = self._rest.acceleration(
             self._place, self._winches.length, self._winches.rate, self._observer.kept
         )

@@ -25,6 +25,8 @@ from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Belief
 
 ACCELERATION_MAX = np.repeat([2.0, 10.0], 3)  # [m/s^2, rad/s^2]: more is no disturbance
+STEPS = 5  # of Newton's method
+CLOSE = 1e-6  # [m]: lengths that agree
 SLACK = 0.05  # [m]: a cable that is longer than believed by more is slack
 
 
@@ -52,8 +54,9 @@ class Observer:
 
     Attributes:
         offset: Of the lengths: sent minus modelled [m], shape (n,).
+        slack: What lengths differ by so suddenly that it is no offset [m], shape (n,).
         disturbance: Unknown acceleration in W [m/s^2, rad/s^2], shape (6,).
-        rebased: How often a belief beyond the gate was taken over, since the reset.
+        rebased: How often a belief that disagreed was taken over, since the reset.
     """
 
     def __init__(self, robot: Robot, settings: MpcSettings) -> None:
@@ -61,72 +64,127 @@ class Observer:
 
     def reset(self) -> None:
         """Forget everything."""
-        self.offset = np.zeros(self._robot.n)
+        self.offset, self.slack = np.zeros((2, self._robot.n))
         self.disturbance = np.zeros(6)
         self.rebased = 0
         self._most = np.full(self._robot.n, self._settings.offset_max)
         self._predicted: Start | None = None
 
     @property
+    def surplus(self) -> Array:
+        """What is sent beyond modelled lengths [m], shape (n,): offset and slack."""
+        return np.asarray(self.offset + self.slack)
+
+    @property
     def kept(self) -> Array:
-        """Offset within its bounds [m], shape (n,); what is beyond them is slack."""
+        """Offset within its bounds [m], shape (n,)."""
         return np.asarray(np.clip(self.offset, -self._most, self._most))
 
-    def predict(self, start: Start | None) -> None:
-        """Keep what the next belief should say; None where nothing was planned."""
+    def forget(self) -> None:
+        """Nothing is planned, and what was learned of the motion may be wrong."""
+        self.disturbance = np.zeros(6)
+        self._predicted = None
+
+    def predict(self, start: Start) -> None:
+        """Keep what the next belief should say."""
         self._predicted = start
 
-    def start(self, belief: Belief, length: Array, rate: Array, *, settled: bool = False) -> Start:
+    def start(
+        self, belief: Belief, length: Array, rate: Array, *, within: float | None = None,
+        stuck: bool = False,
+    ) -> Start:  # fmt: skip
         """Where the platform is.
 
         Args:
             belief: Of one robot.
             length: Straight length that the cables were sent to, less offsets aside [m], (n,).
             rate: [m/s], shape (n,).
-            settled: Whether the winches have come to rest after a failure: then what a belief
-                beyond the gate differs by becomes the offset, which moves nothing by itself.
+            within: Distance up to which something is learned [m]; None: the gate.
+            stuck: Whether the belief has disagreed for long while the winches rest: then what it
+                differs by becomes the offset, which moves nothing by itself.
 
         Returns:
             The start; offsets and disturbance are updated if it is plausible.
         """
         position, rotation = belief.position[0], belief.rotation[0]
         geometry = geometry_at(self._robot, position, rotation)
-        if not (geometry.valid and np.isfinite(geometry.jacobian).all()):
-            return Start(position=position, rotation=rotation, twist=np.zeros(6),
-                         geometry=geometry, distance=np.inf)  # fmt: skip
-        settings = self._settings
+        if not _sound(geometry):
+            return _nowhere(position, rotation, geometry)
+        allowed = self._settings.belief_gate if within is None else within
         missing = length - geometry.length  # of the believed pose, before offsets
         distance = float(np.abs(missing - self.kept).max())
-        if settled and distance > settings.belief_gate:
-            self.offset, self.disturbance = missing, np.zeros(6)
-            self._most = np.maximum(self._most, np.abs(missing))
-            self._predicted, distance = None, 0.0
-            self.rebased += 1
-        mass = mass_matrix(self._robot, rotation[None], geometry.length[None])[0]
-        motion = constrained_motion(mass, geometry.jacobian)
+        if stuck and distance > allowed:
+            self._rebase(missing)
+            distance = 0.0
         twist = self._twist(belief)
-        if distance <= settings.belief_gate:
-            share = settings.period / settings.offset_time
-            self.offset = self.offset + share * (missing - self.offset)
-            self._keep_bounded(missing, share)
-            self._learn(twist, np.eye(6) - motion @ geometry.jacobian)
-        step = motion @ (missing - self.offset)
+        if distance > allowed:
+            return Start(position=position, rotation=rotation, twist=twist, geometry=geometry,
+                         distance=distance)  # fmt: skip
+        self._learn_lengths(missing)
+        if not self.slack.any():
+            self._learn(twist, np.eye(6) - self._motion(geometry, rotation) @ geometry.jacobian)
+        position, rotation, geometry = self._onto(
+            length - self.surplus, position, rotation, geometry
+        )
+        if not _sound(geometry):
+            return _nowhere(position, rotation, geometry)
+        motion = self._motion(geometry, rotation)
         twist = twist + motion @ (rate - geometry.jacobian @ twist)
-        position = position + step[:3]
-        rotation = Rotation.from_rotvec(step[3:]).as_matrix() @ rotation
-        return Start(
-            position=position, rotation=rotation, twist=twist, distance=distance,
-            geometry=geometry_at(self._robot, position, rotation),
-        )  # fmt: skip
+        return Start(position=position, rotation=rotation, twist=twist, geometry=geometry,
+                     distance=distance)  # fmt: skip
 
-    def _keep_bounded(self, missing: Array, share: float) -> None:
-        """Follow what a cable is too long by at once where it is much, and lead it back.
+    def _rebase(self, missing: Array) -> None:
+        """Take what lengths differ by as offset, whatever it is."""
+        self.offset, self.slack = missing, np.zeros(self._robot.n)
+        self._most = np.maximum(self._most, np.abs(missing))
+        self.forget()
+        self.rebased += 1
+
+    def _motion(self, geometry: Geometry, rotation: Array) -> Array:
+        """Motion of least energy per length of the cables, shape (6, n)."""
+        mass = mass_matrix(self._robot, rotation[None], geometry.length[None])[0]
+        return constrained_motion(mass, geometry.jacobian)
+
+    def _onto(
+        self, length: Array, position: Array, rotation: Array, geometry: Geometry
+    ) -> tuple[Array, Array, Geometry]:
+        """The nearest pose at which the cables have the lengths, by Newton's method.
+
+        One step is not enough: a tenth of a millimetre that is left over at every command is paid
+        out as speed that no plan has asked for.
+
+        Args:
+            length: Wanted straight lengths [m], shape (n,).
+            position: Where to begin [m], shape (3,).
+            rotation: Shape (3, 3).
+            geometry: There.
+
+        Returns:
+            Position, rotation and geometry there.
+        """
+        for _ in range(STEPS):
+            step = self._motion(geometry, rotation) @ (length - geometry.length)
+            if np.abs(geometry.jacobian @ step).max() < CLOSE:
+                break
+            position = position + step[:3]
+            rotation = Rotation.from_rotvec(step[3:]).as_matrix() @ rotation
+            geometry = geometry_at(self._robot, position, rotation)
+            if not _sound(geometry):
+                break
+        return position, rotation, geometry
+
+    def _learn_lengths(self, missing: Array) -> None:
+        """Take a share of what the lengths differ by as offset, and what is far off as slack.
 
         A slack cable is longer than its chord, and says nothing about where the platform is. Were
         that an offset, it would be sent for ever, and the cable would stay slack.
         """
+        share = self._settings.period / self._settings.offset_time
         self._most = self._most + share * (self._settings.offset_max - self._most)
-        self.offset = missing - np.clip(missing - self.offset, -SLACK, SLACK)
+        error = missing - self.offset
+        near = np.clip(error, -SLACK, SLACK)
+        self.slack = (1.0 - share) * (error - near)
+        self.offset = self.offset + share * near
         self.offset = self.offset + share * (self.kept - self.offset)
 
     def _twist(self, belief: Belief) -> Array:
@@ -148,3 +206,15 @@ class Observer:
         gained = free @ (twist - self._predicted.twist)
         learned = self.disturbance + gained / self._settings.disturbance_time
         self.disturbance = np.clip(learned, -ACCELERATION_MAX, ACCELERATION_MAX)
+
+
+def _sound(geometry: Geometry) -> bool:
+    """Whether all cables exist."""
+    return geometry.valid and bool(np.isfinite(geometry.jacobian).all())
+
+
+def _nowhere(position: Array, rotation: Array, geometry: Geometry) -> Start:
+    """A start that no plan can begin at."""
+    return Start(
+        position=position, rotation=rotation, twist=np.zeros(6), geometry=geometry, distance=np.inf
+    )

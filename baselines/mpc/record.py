@@ -21,8 +21,9 @@ class MpcRecord:
             ``hold`` (braked to rest where it is, as there are no such lengths).
         held: Commands that were changed to keep speed, acceleration, jerk or length within limits.
         softened: Solves whose plan exceeds a soft limit by over 1 %.
-        rebased: Beliefs beyond the gate that were taken over once the winches rested.
-        approached: Commands that led back to the reference slowly, from over 0.2 m away.
+        rebased: Beliefs that disagreed with winches at rest for long, and were taken over.
+        recovered: How often a plan took over again after the platform had been brought to rest.
+        approached: Commands that led back to the reference slowly, from over 0.3 m away.
         no_rest: References at which there is no rest within the tension limits.
         no_cable: Commands with a cable too slack to hang as planned; its last sag was used.
         solve_time: Wall time of the last solve, with its linearisation [s].
@@ -38,6 +39,7 @@ class MpcRecord:
     held: int = 0
     softened: int = 0
     rebased: int = 0
+    recovered: int = 0
     approached: int = 0
     no_rest: int = 0
     no_cable: int = 0

@@ -39,11 +39,12 @@ class MpcSettings:
         offset_time: Time constant of the estimate of length offsets [s].
         offset_max: Largest offset that is kept [m]; what exceeds it is slack, and reeled in.
         disturbance_time: Time constant of the estimate of the unknown acceleration [s].
-        excess_time: Time constant by which sag and stretch of the plan reach the command [s].
+        excess_time: Time constant by which sag and stretch of the plan reach the command [s]; short
+            ones shake cables that hang loosely, as their sag changes much with little tension.
         twist_gain: Share of a position difference that becomes velocity where beliefs have no
             twist.
         belief_gate: Largest distance between believed and predicted cable lengths [m]; beyond it
-            the belief is not used.
+            the belief is not used, and cables are so slack that the plan is given up.
         shifted_steps: Steps for which the last plan goes on after a failed solve.
         time_budget: Longest solve [s], by the wall clock; later ones are thrown away. None: any,
             so that runs can be repeated.
@@ -67,9 +68,9 @@ class MpcSettings:
     offset_time: float = 0.5
     offset_max: float = 0.1
     disturbance_time: float = 0.6
-    excess_time: float = 0.1
+    excess_time: float = 0.3
     twist_gain: float = 0.2
-    belief_gate: float = 0.5
+    belief_gate: float = 0.2
     shifted_steps: int = 5
     time_budget: float | None = None
     compiled: Compiled = "auto"

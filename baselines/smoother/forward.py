@@ -25,33 +25,13 @@ class Link:
         carry: Errors at the end per error at the start, shape (size, size).
         noise: Covariance of what is added, shape (size, size).
         felt: What the IMU said at its end of the errors at its start, or None.
+        expected: What the IMU was expected to say then, shape (6,), or None.
     """
 
     carry: Array
     noise: Array
     felt: Evidence | None
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Correction:
-    """What was added to a state of the forward pass where it arrived.
-
-    Attributes:
-        error: In the order of `Errors`, shape (size,).
-        ways: To sway, in which it is given, shape (6, m).
-    """
-
-    error: Array
-    ways: Array
-
-    def seen_from(self, state: FilterState) -> Array:
-        """The same in the ways to sway of another state nearby, shape (size,)."""
-        where = state.errors
-        turn = state.sway.momentum @ self.ways
-        found = self.error.copy()
-        found[where.sway] = turn @ self.error[where.sway]
-        found[where.speed] = turn @ self.error[where.speed]
-        return found
+    expected: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,12 +39,14 @@ class Passed:
     """A forward pass through K key frames.
 
     Attributes:
+        delay: By how much lengths led [s].
         states: At each key frame, corrections included; their covariance means nothing.
         corrections: What was added to each, shape (K, size): to the first, against rest.
         links: K - 1 of them.
         poses: What measured poses say, by key frame.
     """
 
+    delay: float
     states: list[FilterState]
     corrections: Array
     links: list[Link]
@@ -72,7 +54,11 @@ class Passed:
 
 
 class Forward:
-    """Forward passes through one recording."""
+    """Forward passes through one recording.
+
+    Errors are those of `Errors`, and one more at the end: that of the delay [s]. A longer one is
+    the same motion later.
+    """
 
     def __init__(self, model: Model, measured: Measured, settings: SmootherSettings) -> None:
         """Take the dynamics and the recording."""
@@ -80,14 +66,17 @@ class Forward:
         self._measured = measured
         self._settings = settings
         self._sensors = Sensors(model, settings.dynamics)
-        self._floor = (FLOOR * scales(model, settings)) ** 2
+        self._floor = (FLOOR * scales(model, settings)[:-1]) ** 2
 
-    def run(self, rest: FilterState, corrections: list[Correction] | None) -> Passed:
+    def run(self, rest: FilterState, wanted: list[FilterState] | None, delay: float) -> Passed:
         """Go through the recording.
 
         Args:
             rest: Where it begins without a correction.
-            corrections: To be added at each key frame, or None.
+            delay: By how much lengths lead [s].
+            wanted: States that are to be reached at each key frame, as far as errors lead there:
+                the dynamics start anew from each, so that what they are told too little or too
+                much does not add up; None: they go on from rest.
 
         Raises:
             NoMotion: The dynamics have no finite motion.
@@ -95,39 +84,48 @@ class Forward:
         time = self._measured.time
         size = self._model.errors.size
         states, links = [], []
-        added = np.zeros((len(time), size))
+        added = np.zeros((len(time), size + 1))
+        added[0, size] = delay - self._measured.delay
         state = rest
         for k in range(len(time)):
             if k:
-                state, link = self._to(state, float(time[k]), self._measured.felt.get(k))
+                state, link = self._to(state, float(time[k]), self._measured.felt.get(k), delay)
                 links.append(link)
-            if corrections is not None:
-                added[k] = corrections[k].seen_from(state)
-                state = state.corrected(added[k], state.covariance)
+            if wanted is not None:
+                added[k, :size] = missing(state, wanted[k])
+                state = state.corrected(added[k, :size], state.covariance)
             states.append(state)
         poses = {
-            k: self._sensors.pose(states[k], *pose)
+            k: widened(self._sensors.pose(states[k], *pose), -states[k].twist)
             for k, pose in sorted(self._measured.poses.items())
         }
-        return Passed(states=states, corrections=added, links=links, poses=poses)
+        return Passed(
+            delay=delay, states=states, corrections=added, links=_delayed(links, time), poses=poses
+        )
 
-    def _to(self, state: FilterState, end: float, felt: Felt | None) -> tuple[FilterState, Link]:
+    def _to(
+        self, state: FilterState, end: float, felt: Felt | None, delay: float
+    ) -> tuple[FilterState, Link]:
         """Move a state to the next key frame."""
         size = self._model.errors.size
-        carry, noise, said = np.eye(size), np.zeros((size, size)), None
+        carry, noise, said, expected = np.eye(size), np.zeros((size, size)), None, None
         count = max(1, int(np.ceil((end - state.time) / self._settings.grid - 1e-6)))
         stops = np.linspace(state.time, end, count + 1)
         for start, stop in pairwise(stops.tolist()):
-            reading = self._measured.reading(start), self._measured.reading(stop)
+            reading = self._measured.reading(start, delay), self._measured.reading(stop, delay)
             move = self._model.step(state, *reading, stop - start)
             step, keep = self._sensors.carried(move, stop - start)
             added = self._noise(stop - start, keep)
             if felt is not None and stop == stops[-1]:
                 now = self._sensors.felt(move, felt)
+                expected = move.felt
                 said = Evidence(now.residual, now.by @ carry, now.noise + now.by @ noise @ now.by.T)
             carry, noise = step @ carry, step @ noise @ step.T + added
             state = replace(move.state, time=stop, wind=keep * state.wind)
-        return replace(state, time=end), Link(carry=carry, noise=noise, felt=said)
+        kept = np.eye(size + 1)  # the delay stays as it is
+        kept[:size, :size] = carry
+        link = Link(carry=kept, noise=np.pad(noise, (0, 1)), felt=said, expected=expected)
+        return replace(state, time=end), link
 
     def _noise(self, duration: float, keep: float) -> Array:
         """What a step adds to the covariance of the errors; `keep` of the wind is left [-]."""
@@ -147,8 +145,62 @@ class Forward:
         return noise
 
 
+def widened(said: Evidence, late: Array) -> Evidence:
+    """The same, and its change per second (6,) by which the delay is longer."""
+    return said._replace(by=np.column_stack([said.by, late]))
+
+
+def _delayed(links: list[Link], time: Array) -> list[Link]:
+    """The same, where the IMU tells of the delay too: by how its readings change with time."""
+    heard = [k for k, link in enumerate(links) if link.felt is not None]
+    if not heard:
+        return links
+    expected = np.array([links[k].expected for k in heard])
+    rate = np.zeros_like(expected)
+    if len(heard) > 1:
+        rate = np.gradient(expected, time[np.array(heard) + 1], axis=0)
+    found = list(links)
+    for k, change in zip(heard, rate, strict=True):
+        said = links[k].felt
+        assert said is not None
+        found[k] = replace(links[k], felt=widened(said, -change))
+    return found
+
+
+def shifted(state: FilterState, delay: float) -> FilterState:
+    """Where a state is if the motion is later by a delay [s]."""
+    import pinocchio
+
+    turn = pinocchio.exp3(-delay * state.twist[3:])
+    return replace(
+        state, position=state.position - delay * state.twist[:3], rotation=turn @ state.rotation
+    )
+
+
+def missing(state: FilterState, wanted: FilterState) -> Array:
+    """Errors of a state against another nearby, in the order of `Errors`, shape (size,).
+
+    Of pose and twist these are what sway and length biases can put right; the rest, stretch, is
+    the business of the dynamics.
+    """
+    import pinocchio
+
+    where, found = state.errors, np.zeros(state.errors.size)
+    turn = pinocchio.log3(np.ascontiguousarray(wanted.rotation @ state.rotation.T))
+    found[where.bias] = wanted.length_bias - state.length_bias
+    moved = np.concatenate([wanted.position - state.position, turn])
+    moved -= state.sway.slaved @ found[where.bias]
+    found[where.sway] = state.sway.momentum @ moved
+    found[where.speed] = state.sway.momentum @ (wanted.twist - state.twist)
+    found[where.wind] = wanted.wind - state.wind
+    found[where.mass] = wanted.log_mass - state.log_mass
+    found[where.center] = wanted.center - state.center
+    found[where.imu] = wanted.imu_bias - state.imu_bias
+    return found
+
+
 def scales(model: Model, settings: SmootherSettings) -> Array:
-    """What errors are measured in, so that all are of order one, shape (size,)."""
+    """What errors are measured in, so that all are of order one, shape (size + 1,)."""
     where: Errors = model.errors
     s = settings.dynamics
     found = np.full(where.size, 0.01 * np.sqrt(model.robot.mass))
@@ -158,4 +210,4 @@ def scales(model: Model, settings: SmootherSettings) -> Array:
     found[where.center] = s.center_of_mass or 0.01
     found[where.bias] = s.length_bias or 7e-3
     found[where.imu] = np.repeat([s.angular_rate_bias or 5e-3, s.specific_force_bias or 0.05], 3)
-    return found
+    return np.append(found, settings.delay)

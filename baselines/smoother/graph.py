@@ -1,8 +1,9 @@
 """The factor graph: errors of all key frames from all that was measured, with gtsam.
 
-Variables are what changes, at each key frame, and one of what is constant: mass, centre of mass
-and the biases of the IMU. Factors are the start, the dynamics from key frame to key frame, poses
-and inertial samples, linear in the errors of a forward pass.
+Variables are what changes, at each key frame, and one of what is constant: mass, centre of mass,
+the biases of the IMU, and the delay where it is among the errors. Factors are the start, the
+dynamics from key frame to key frame, poses and inertial samples, linear in the errors of a forward
+pass.
 """
 
 from __future__ import annotations
@@ -46,13 +47,13 @@ class Graph:
         """Take the covariance of the start.
 
         Args:
-            errors: Their order.
+            errors: Their order; what follows it is constant.
             scale: What errors are measured in, shape (size,).
             start: Covariance of the errors at the start, shape (size, size).
         """
-        every = np.arange(errors.size)
-        fixed = np.zeros(errors.size, dtype=np.bool_)
-        fixed[errors.mass] = fixed[errors.center] = fixed[errors.imu] = True
+        every = np.arange(len(scale))
+        fixed = every >= errors.imu.start
+        fixed[errors.mass] = fixed[errors.center] = True
         self.changing, self.constant = every[~fixed], every[fixed]
         self._scale = scale
         self._start = start + np.diag((FLOOR * scale) ** 2)

@@ -35,7 +35,8 @@ class Measured:
         recording: As calibrated.
         settings: What of it is used.
         path: Of the lengths, without outliers.
-        delay: By how much readings lead [s].
+        delay: By how much readings lead, as far as it is known [s].
+        delay_sigma: One sigma of it, 0 where it is known [s].
         time: Of the key frames [s], shape (K,).
         samples: Key frame of each length sample, shape (N,).
         felt: By the IMU, of the key frames that end a step of it.
@@ -48,6 +49,7 @@ class Measured:
     settings: SmootherSettings
     path: LengthPath
     delay: float
+    delay_sigma: float
     time: Array
     samples: NDArray[np.int64]
     felt: dict[int, Felt]
@@ -55,9 +57,9 @@ class Measured:
     used: NDArray[np.bool_]
     outliers: int
 
-    def reading(self, time: float) -> Array:
-        """Length reading that counts at a time [m], shape (n,)."""
-        return self.path.at(np.asarray(time - self.delay))
+    def reading(self, time: float, delay: float) -> Array:
+        """Length reading that counts at a time [s] after a delay [s], in m, shape (n,)."""
+        return self.path.at(np.asarray(time - delay))
 
     def withheld(self, start: int, stop: int) -> tuple[NDArray[np.int64], Pose] | None:
         """Key frames from length sample start to stop - 1 with measured poses that were not used.
@@ -117,13 +119,14 @@ def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> M
     time = _apart(np.sort(np.concatenate(stops)))
     begins = [when - BEFORE for when, _ in groups if when - _previous(time, when) > BEFORE]
     time = _apart(np.sort(np.concatenate([time, np.maximum(begins, first)])))
-    known = robot.length_delay or 0.0
-    delay = known if settings.dynamics.delay is None else settings.dynamics.delay
+    known = settings.dynamics.delay
+    known = robot.length_delay if known is None else known
     return Measured(
         recording=run,
         settings=settings,
         path=LengthPath(kept),
-        delay=delay,
+        delay=known or 0.0,
+        delay_sigma=settings.delay if known is None else 0.0,
         time=time,
         samples=nearest(time, run.time),
         felt={int(nearest(time, np.array([t]))[0]): felt for t, felt in groups},

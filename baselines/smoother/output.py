@@ -22,7 +22,9 @@ PICTURES = ("estimate.png", "unknowns.png")
 FILES = (TABLE, *PICTURES)
 
 
-def recording_of(result: Smoothed, recording: Recording, robot: Robot, source: str) -> Recording:
+def recording_of(
+    result: Smoothed, recording: Recording, robot: Robot, source: str, named: str | None
+) -> Recording:
     """A recording as it was, with smoothed poses in place of measured ones.
 
     All else is left as it was recorded, and poses are given in the frame of measured ones: the same
@@ -33,9 +35,11 @@ def recording_of(result: Smoothed, recording: Recording, robot: Robot, source: s
         recording: As it was recorded.
         robot: That it was smoothed with.
         source: What made it, for the metadata.
+        named: Name or path by which the robot is found from it; None: as it was.
     """
     metadata = replace(
         recording.metadata,
+        robot=recording.metadata.robot if named is None else named,
         description=f"Smoothed: {recording.metadata.description}".strip(),
         source="; ".join(part for part in (source, recording.metadata.source) if part),
         created_by=f"carosac-toolkit {__version__}",

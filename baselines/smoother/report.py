@@ -6,6 +6,8 @@ import numpy as np
 
 from baselines.smoother.result import Smoothed
 from baselines.smoother.scores import Scores
+from carosac_toolkit.text_tables import counted
+from carosac_toolkit.validation.plausibility import doubt_exit_points, exit_point_distance
 
 DOUBTFUL = 3.0  # sigma
 WORDS = {"all": "in all", "moving": "winches in motion", "resting": "winches at rest"}
@@ -17,18 +19,20 @@ def sentences(result: Smoothed) -> list[str]:
         _used(result),
         _sigma(result),
         *([] if result.scores is None else _scored(result, result.scores)),
-        _found(result),
+        *_found(result),
         _passes(result),
     ]
 
 
 def warnings(result: Smoothed) -> list[str]:
     """What must not be overlooked."""
-    found = []
+    distance = exit_point_distance(result.recording, result.robot)
+    found = [*result.misfits, *doubt_exit_points(distance)]
     if not result.converged:
+        passes = counted(result.passes, "pass", "passes")
         found.append(
-            f"not settled after {result.passes} passes: the last one would still change a "
-            f"position by {result.change * 1e3:.2g} mm"
+            f"not settled after {passes}: the last one would still change a position by "
+            f"{result.change * 1e3:.2g} mm"
         )
     found += _implausible(result)
     if result.settings.poses != "used" and result.recording.poses and result.scores is None:
@@ -46,18 +50,25 @@ def warnings(result: Smoothed) -> list[str]:
 def _implausible(result: Smoothed) -> list[str]:
     """Constants that were found far from what was taken for granted."""
     dynamics, robot, found = result.settings.dynamics, result.robot, []
+    why = "the model is wrong" + ("" if result.converged else ", or it did not settle")
     away = abs(float(np.log(result.mass / robot.mass)))
     if away > DOUBTFUL * dynamics.mass > 0.0:
         found.append(
             f"the mass found, {result.mass:.3f} kg for {robot.mass:.3f} kg, is "
-            f"{away / dynamics.mass:.1f} sigma away: the model is wrong, or it did not settle"
+            f"{away / dynamics.mass:.1f} sigma away: {why}"
         )
     moved = float(np.abs(result.center_of_mass - robot.center_of_mass).max())
     if moved > DOUBTFUL * dynamics.center_of_mass > 0.0:
         found.append(
             f"the centre of mass found is {moved * 1e3:.1f} mm, "
-            f"{moved / dynamics.center_of_mass:.1f} sigma, away from that of the robot: the model "
-            "is wrong, or it did not settle"
+            f"{moved / dynamics.center_of_mass:.1f} sigma, away from that of the robot: {why}"
+        )
+    wind = float(np.sqrt((result.wind**2).mean()))
+    if wind > DOUBTFUL * dynamics.wind_force > 0.0:
+        found.append(
+            f"the wind found is {wind:.1f} N per axis, {wind / dynamics.wind_force:.1f} times what "
+            "was taken for granted: the model does not sway as the platform did, and mass and "
+            "centre of mass may be off by more than their sigmas"
         )
     return found
 
@@ -96,8 +107,8 @@ def _scored(result: Smoothed, scores: Scores) -> list[str]:
     return found
 
 
-def _found(result: Smoothed) -> str:
-    """What was learnt beside the motion."""
+def _found(result: Smoothed) -> list[str]:
+    """What the data told beside the motion, and what was only taken for granted."""
     bias = ", ".join(
         f"{value * 1e3:+.1f} +-{sigma * 1e3:.1f}"
         for value, sigma in zip(
@@ -110,15 +121,24 @@ def _found(result: Smoothed) -> str:
         f"{value * 1e3:.1f} +-{sigma * 1e3:.1f}"
         for value, sigma in zip(result.center_of_mass, result.center_sigma, strict=True)
     )
-    wind = np.linalg.norm(result.wind, axis=1)
-    return (
-        f"Found: readings too long by {bias} mm; mass {result.mass:.3f} "
-        f"+-{result.mass_sigma:.3f} kg, its centre at {center} mm in P; wind "
-        f"{np.sqrt((wind**2).mean()):.2f} N RMS, {wind.max():.2f} N at most."
-    )
+    told, wind = result.told, np.linalg.norm(result.wind, axis=1)
+    blown = f"wind {np.sqrt((wind**2).mean()):.2f} N RMS, {wind.max():.2f} N at most"
+    unknown = f"wind of 0 +-{result.wind_sigma.max():.2g} N per axis"
+    ahead = f" +-{result.delay_sigma * 1e3:.1f}" if result.delay_sigma else ""
+    words = {
+        "length_bias": f"readings too long by {bias} mm",
+        "mass": f"mass {result.mass:.3f} +-{result.mass_sigma:.3f} kg",
+        "center_of_mass": f"centre of mass at {center} mm in P",
+        "wind": blown if told["wind"] else unknown,
+        "delay": f"lengths lead by {result.delay * 1e3:.1f}{ahead} ms",
+    }
+    found = [words[name] for name in words if told[name]]
+    left = [words[name] for name in words if not told[name]]
+    lines = [f"Told by the data: {'; '.join(found)}."] if found else []
+    return [*lines, *([f"Taken for granted: {'; '.join(left)}."] if left else [])]
 
 
 def _passes(result: Smoothed) -> str:
     """Whether it settled."""
     state = "settled" if result.converged else "did not settle"
-    return f"It {state} in {result.passes} passes."
+    return f"It {state} in {counted(result.passes, 'pass', 'passes')}."

@@ -15,6 +15,7 @@ from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Pose
 
 AXES = ("x", "y", "z")
+CLEARLY = 0.7  # of a sigma that was taken for granted: what is less was told by the data
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,11 +35,14 @@ class Smoothed:
         wind: Force of the wind along x and y of W [N], shape (N, 2).
         length_bias: What readings say too much, after calibration [m], shape (N, n).
         length_bias_sigma: Shape (N, n).
+        wind_sigma: Per axis, in root mean square [N], shape (2,).
         mass: Of the platform [kg].
         mass_sigma: [kg].
         center_of_mass: In P [m], shape (3,).
         center_sigma: Shape (3,).
         imu_bias: Of gyroscope [rad/s] and accelerometer [m/s^2], shape (6,).
+        delay: By how much lengths lead what else was measured [s].
+        delay_sigma: [s]; 0: it was known.
         passes: Forward passes that were made.
         change: What the last of them would still have changed in a position [m].
         converged: Whether that is none.
@@ -46,6 +50,7 @@ class Smoothed:
         poses: Measured poses that were used.
         doubted: Those of them that are so far off that they count less than half.
         outliers: Length samples that were not believed.
+        misfits: What shows that the robot does not belong to the recording.
         measured: Poses that were not used, at their times; None where there are none.
         compared: The estimate at the same times, or None.
         scores: How far the estimate is from them, or None.
@@ -63,11 +68,14 @@ class Smoothed:
     wind: Array
     length_bias: Array
     length_bias_sigma: Array
+    wind_sigma: Array
     mass: float
     mass_sigma: float
     center_of_mass: Array
     center_sigma: Array
     imu_bias: Array
+    delay: float
+    delay_sigma: float
     passes: int
     change: float
     converged: bool
@@ -75,6 +83,7 @@ class Smoothed:
     poses: int
     doubted: int
     outliers: int
+    misfits: tuple[str, ...]
     measured: Pose | None
     compared: Pose | None
     scores: Scores | None
@@ -83,6 +92,20 @@ class Smoothed:
     def sigma(self) -> Array:
         """Of pose and twist, shape (N, 12)."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)))
+
+    @property
+    def told(self) -> dict[str, bool]:
+        """Whether the data told it: one sigma is clearly less than what was taken for granted."""
+        known = self.settings.dynamics
+        bias = np.sqrt((self.length_bias_sigma**2).mean())
+        pairs = {
+            "mass": (self.mass_sigma, known.mass * self.robot.mass),
+            "center_of_mass": (self.center_sigma.max(), known.center_of_mass),
+            "length_bias": (bias, known.length_bias),
+            "wind": (self.wind_sigma.max(), known.wind_force),
+            "delay": (self.delay_sigma, self.settings.delay),
+        }
+        return {name: bool(0.0 < sigma < CLEARLY * prior) for name, (sigma, prior) in pairs.items()}
 
     def data(self) -> dict[str, Any]:
         """The numbers in short, under names with units, ready for JSON."""
@@ -96,6 +119,8 @@ class Smoothed:
             "poses": {"treatment": self.settings.poses, "used": self.poses,
                       "doubted": self.doubted},
             "length_outliers": self.outliers,
+            "misfits": self.misfits,
+            "found": self.told,
             "lag_s": self.settings.lag,
             "dynamics": asdict(self.settings.dynamics),
             "position_sigma_m": dict(zip(AXES, mean[:3], strict=True)),
@@ -108,6 +133,8 @@ class Smoothed:
             "mass_sigma_kg": self.mass_sigma,
             "center_of_mass_m": self.center_of_mass,
             "center_of_mass_sigma_m": self.center_sigma,
+            "delay_s": self.delay,
+            "delay_sigma_s": self.delay_sigma,
             "imu_bias": self.imu_bias if self.inertial else None,
             "scores": None if self.scores is None else self.scores.data(),
         }  # fmt: skip

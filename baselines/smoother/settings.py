@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.number_checks import check_fields, check_positive, check_whole
 
 POSES = ("withheld", "half", "used")
 
@@ -36,6 +35,8 @@ class SmootherSettings:
         iterations: Forward passes at most.
         tolerance: Change of the estimate from pass to pass that counts as none: of positions [m],
             and of rotations in rad per m.
+        delay: One sigma of the delay by which lengths lead what else is measured, where neither
+            the robot nor `dynamics` says it [s].
         dynamics: What the dynamics take for granted, as for `DynamicEstimator`; `gate` and
             `gap_max` have no effect.
     """
@@ -47,23 +48,19 @@ class SmootherSettings:
     imu_step: float = 0.01
     imu_damping: float = 0.04
     huber: float = 4.0
-    iterations: int = 8
+    iterations: int = 12
     tolerance: float = 2e-4
+    delay: float = 0.03
     dynamics: DynamicEstimatorSettings = field(default_factory=_dynamics)
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
         if self.poses not in POSES:
             raise InvalidField("poses", repr(self.poses), f"one of {list(POSES)}")
-        for name in ("grid", "huber", "tolerance", "lag"):
-            value = getattr(self, name)
-            if name == "lag" and value is None:
-                continue
-            if not (value > 0.0 and np.isfinite(value)):
-                raise InvalidField(name, value, f"{name} > 0, finite")
-        if not 0.0 <= self.imu_step < np.inf:
-            raise InvalidField("imu_step", f"{self.imu_step} s", ">= 0 s, finite")
-        if not 0.0 <= self.imu_damping < np.inf:
-            raise InvalidField("imu_damping", f"{self.imu_damping} s", ">= 0 s, finite")
-        if self.iterations < 1:
-            raise InvalidField("iterations", self.iterations, ">= 1")
+        check_fields(
+            self, positive=("grid", "huber", "tolerance"),
+            not_negative=("imu_step", "imu_damping", "delay"),
+        )  # fmt: skip
+        if self.lag is not None:
+            check_positive("lag", self.lag, "s")
+        check_whole("iterations", self.iterations, 1)

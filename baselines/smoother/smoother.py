@@ -12,7 +12,7 @@ from baselines.dynamic_estimator.evidence import Evidence
 from baselines.dynamic_estimator.model import Model
 from baselines.dynamic_estimator.start import Rest
 from baselines.dynamic_estimator.state import FilterState
-from baselines.smoother.forward import Correction, Forward, Passed, scales
+from baselines.smoother.forward import Forward, Passed, scales, shifted
 from baselines.smoother.graph import Graph, Solution
 from baselines.smoother.measured import Measured, arrange
 from baselines.smoother.result import Smoothed
@@ -22,10 +22,12 @@ from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.recording import Recording
 from carosac_toolkit.robot import Robot
+from carosac_toolkit.validation.plausibility import find_misfits
 from carosac_toolkit.values import Pose
 
 WEIGHINGS = 6  # of poses, at most, in one pass
 SAME_WEIGHT = 0.05
+SAME_CONSTANT = 0.3  # of a sigma
 SHORTEST_STEP = 0.125  # of what a pass found: how much goes into the next one, at least
 
 Report = Callable[[int, float], None]
@@ -64,34 +66,49 @@ def smooth(
         allowed = f"0 <= start < stop <= {len(recording.time)}, the number of samples"
         raise InvalidField("start, stop", f"{start}, {end}", allowed)
     measured = arrange(recording, robot, chosen)
+    misfits = find_misfits(measured.recording, robot)
+    try:
+        found = _settled(measured, robot, chosen, report)
+    except CarosacError as error:
+        raise CarosacError("\n  ".join([str(error), *misfits])) from error
+    return _result(found, measured, misfits, measured.withheld(start, end))
+
+
+def _settled(
+    measured: Measured, robot: Robot, chosen: SmootherSettings, report: Report | None
+) -> _Pass:
+    """Go through the recording until nothing changes; see `smooth`."""
     rest = _rest(measured, robot, chosen)
     damping = max(chosen.dynamics.stretch_damping, chosen.imu_damping if measured.felt else 0.0)
     model = Model(robot, replace(chosen.dynamics, stretch_damping=damping))
     forward = Forward(model, measured, chosen)
-    graph = Graph(model.errors, scales(model, chosen), rest.covariance)
-    corrections: list[Correction] | None = None
-    step, before = 1.0, np.inf
+    start_covariance = np.pad(rest.covariance, (0, 1))
+    start_covariance[-1, -1] = measured.delay_sigma**2
+    graph = Graph(model.errors, scales(model, chosen), start_covariance)
+    wanted: list[FilterState] | None = None
+    delay, step, before = measured.delay, 1.0, np.inf
     for passes in range(1, chosen.iterations + 1):
-        passed = forward.run(rest, corrections)
+        passed = forward.run(rest, wanted, delay)
         solution, weight = _solved(graph, passed, measured, chosen)
         change, turned = _change(passed, solution)
         if report is not None:
             report(passes, change)
         largest = max(change, turned)
-        settled = largest <= chosen.tolerance
+        settled = largest <= chosen.tolerance and _still(solution, graph)
         if settled or passes == chosen.iterations:
             break
         step = min(1.0, 2.0 * step) if largest < before else max(0.5 * step, SHORTEST_STEP)
         before = largest
-        corrections = _corrected(passed, solution, graph, step)
-    found = _Pass(passed, solution, weight, passes, change, settled)
-    return _result(found, measured, robot, graph, measured.withheld(start, end))
+        wanted, delay = _wanted(passed, solution, graph, step)
+    return _Pass(robot, graph, passed, solution, weight, passes, change, settled)
 
 
 @dataclass(frozen=True)
 class _Pass:
     """The last pass."""
 
+    robot: Robot
+    graph: Graph
     passed: Passed
     solution: Solution
     weight: dict[int, float]
@@ -103,7 +120,7 @@ class _Pass:
 def _rest(measured: Measured, robot: Robot, settings: SmootherSettings) -> FilterState:
     """Where the recording begins."""
     first = float(measured.time[0])
-    reading = measured.reading(first)
+    reading = measured.reading(first, measured.delay)
     found = Rest(robot, settings.dynamics).state(first, reading, settings.dynamics.start_speed)
     if found is None:
         lengths = ", ".join(f"{value:.3f}" for value in reading)
@@ -142,55 +159,61 @@ def _distance(said: Evidence, error: Array) -> float:
 def _change(passed: Passed, solution: Solution) -> tuple[float, float]:
     """Largest change of a position [m] and of an orientation [rad]."""
     moved = np.array([
-        state.pose_by() @ error
+        state.pose_by() @ error[:-1] - error[-1] * state.twist
         for state, error in zip(passed.states, solution.error, strict=True)
     ])  # fmt: skip
     size = np.linalg.norm(moved.reshape(-1, 2, 3), axis=2).max(axis=0)
     return float(size[0]), float(size[1])
 
 
-def _corrected(passed: Passed, solution: Solution, graph: Graph, step: float) -> list[Correction]:
-    """What is to be added at each key frame so that the next pass goes where the errors point.
+def _still(solution: Solution, graph: Graph) -> bool:
+    """Whether what is constant stays as it is, too, against one sigma of it."""
+    moved = np.abs(solution.error[-1, graph.constant])
+    return bool((moved <= SAME_CONSTANT * np.sqrt(np.diag(solution.constant))).all())
+
+
+def _wanted(
+    passed: Passed, solution: Solution, graph: Graph, step: float
+) -> tuple[list[FilterState], float]:
+    """States that the next pass is to reach, and the delay that it is to have [s].
 
     A `step` below 1 goes only that share of the way.
     """
-    constant = graph.constant
     error = step * solution.error
-    error[:, constant] = error[-1, constant]
-    added = passed.corrections.copy()
-    added[0] += error[0]
-    for k, link in enumerate(passed.links):
-        more = error[k + 1] - link.carry @ error[k]
-        more[constant] = 0.0
-        added[k + 1] += more
-    return [
-        Correction(error=one, ways=state.sway.ways)
-        for one, state in zip(added, passed.states, strict=True)
+    error[:, graph.constant] = error[-1, graph.constant]
+    wanted = [
+        _put_right(state, one, state.covariance)
+        for state, one in zip(passed.states, error, strict=True)
     ]
+    return wanted, passed.delay + float(error[-1, -1])
+
+
+def _put_right(state: FilterState, error: Array, covariance: Array) -> FilterState:
+    """A state after an error was estimated, that of the delay included."""
+    return shifted(state.corrected(error[:-1], covariance), float(error[-1]))
 
 
 def _result(
     found: _Pass,
     measured: Measured,
-    robot: Robot,
-    graph: Graph,
+    misfits: tuple[str, ...],
     withheld: tuple[NDArray[np.int64], Pose] | None,
 ) -> Smoothed:
     """The estimate at the length samples."""
-    settings = measured.settings
-    states, covariance = _states(found, measured.samples, graph)
+    settings, robot, graph = measured.settings, found.robot, found.graph
+    states, covariance = _states(found, measured.samples)
     last = states[-1]
-    sigma = np.zeros(last.errors.size)
+    sigma = np.zeros(last.errors.size + 1)
     sigma[graph.constant] = np.sqrt(np.diag(found.solution.constant))
-    noise = settings.dynamics.stretch_noise, settings.dynamics.rate_noise
+    noise = settings.dynamics.stretch_noise, settings.dynamics.rate_noise, float(sigma[-1])
     estimate, platform = _poses(states, measured.recording.time, noise)
     wanted = compared = scores = None
     if withheld is not None:
         keys, wanted = withheld
-        compared, doubt = _poses(_states(found, keys, graph)[0], wanted.time, noise)
+        compared, doubt = _poses(_states(found, keys)[0], wanted.time, noise)
         scores = score(measured.recording, wanted, compared, doubt, settings.dynamics)
     where = last.errors
-    bias_variance = np.diagonal(covariance[:, where.bias, where.bias], axis1=1, axis2=2)
+    variance = np.diagonal(covariance, axis1=1, axis2=2)
     mass = robot.mass * float(np.exp(last.log_mass))
     return Smoothed(
         recording=measured.recording,
@@ -204,12 +227,15 @@ def _result(
         tension=np.stack([state.tension for state in states]),
         wind=np.stack([state.wind for state in states]),
         length_bias=np.stack([state.length_bias for state in states]),
-        length_bias_sigma=np.sqrt(bias_variance),
+        length_bias_sigma=np.sqrt(variance[:, where.bias]),
+        wind_sigma=np.sqrt(variance[:, where.wind].mean(axis=0)),
         mass=mass,
         mass_sigma=mass * float(sigma[where.mass][0]),
         center_of_mass=last.center,
         center_sigma=sigma[where.center],
         imu_bias=last.imu_bias,
+        delay=found.passed.delay + float(found.solution.error[-1, -1]),
+        delay_sigma=float(sigma[-1]) if measured.delay_sigma else 0.0,
         passes=found.passes,
         change=found.change,
         converged=found.settled,
@@ -217,6 +243,7 @@ def _result(
         poses=len(measured.poses),
         doubted=sum(value < 0.5 for value in found.weight.values()),
         outliers=measured.outliers,
+        misfits=misfits,
         measured=wanted,
         compared=compared,
         scores=scores,
@@ -224,23 +251,30 @@ def _result(
 
 
 def _poses(
-    states: list[FilterState], time: Array | None, noise: tuple[float, float]
+    states: list[FilterState], time: Array | None, noise: tuple[float, float, float]
 ) -> tuple[Pose, Array]:
-    """Poses, and the covariances of pose and twist, shape (S, 12, 12)."""
+    """Poses, and the covariances of pose and twist, shape (S, 12, 12).
+
+    What is left open of the delay counts as if it were independent of all else: it is where
+    nothing tells it, and next to nothing where something does.
+    """
     poses = Pose(
         position=np.stack([state.position for state in states]),
         rotation=np.stack([state.rotation for state in states]),
         time=time,
     )
-    return poses, np.stack([state.platform_covariance(*noise) for state in states])
+    covariance = np.stack([state.platform_covariance(*noise[:2]) for state in states])
+    twist = np.stack([state.twist for state in states])
+    covariance[:, :6, :6] += noise[2] ** 2 * twist[:, :, None] * twist[:, None, :]
+    return poses, covariance
 
 
-def _states(found: _Pass, keys: NDArray[np.int64], graph: Graph) -> tuple[list[FilterState], Array]:
+def _states(found: _Pass, keys: NDArray[np.int64]) -> tuple[list[FilterState], Array]:
     """States at S key frames, and the covariances of what changes, shape (S, size, size)."""
-    solution, states = found.solution, []
-    size = solution.error.shape[1]
+    solution, graph, states = found.solution, found.graph, []
+    size = len(graph.changing) + len(graph.constant) - 1  # without the delay
     covariance = np.zeros((len(keys), size, size))
     for row, k in enumerate(keys):
         covariance[row][np.ix_(graph.changing, graph.changing)] = solution.covariance[k]
-        states.append(found.passed.states[k].corrected(solution.error[k], covariance[row]))
+        states.append(_put_right(found.passed.states[k], solution.error[k], covariance[row]))
     return states, covariance

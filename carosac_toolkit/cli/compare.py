@@ -25,8 +25,8 @@ from carosac_toolkit.studies.report import write_report
 from carosac_toolkit.studies.results import StudyResults
 from carosac_toolkit.studies.run_case import DRIVER
 from carosac_toolkit.studies.study import QUICK_SEEDS, SEEDS, TRAJECTORIES, Study
-from carosac_toolkit.studies.tables import SHORT_UNITS, failures, text_table
-from carosac_toolkit.text_tables import terminal_width, wrapped
+from carosac_toolkit.studies.tables import failures, text_table, units
+from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,20 +144,19 @@ def _words(options: Options, study: Study) -> list[str]:
 
 def _what(study: Study) -> str:
     """What is about to be run."""
-    count, paths = len(study.seed_list), len(study.trajectories)
     return (
         f"{', '.join(map(str, study.robots))} on driver {study.driver}, plants drawn from "
-        f"{', '.join(study.perturbations)}: {paths} trajector"
-        + ("ies" if paths > 1 else "y")
-        + f" ({', '.join(study.trajectories)}) of up to {study.speed_max:g} m/s and "
-        f"{study.acceleration_max:g} m/s^2, {count} seed" + ("s" if count > 1 else "")
+        f"{', '.join(study.perturbations)}: "
+        f"{counted(len(study.trajectories), 'trajectory', 'trajectories')} "
+        f"({', '.join(study.trajectories)}) of up to {study.speed_max:g} m/s and "
+        f"{study.acceleration_max:g} m/s^2, {counted(len(study.seed_list), 'seed')}"
     )
 
 
 def _print(results: StudyResults, said: list[str], width: int) -> None:
     """Print the table, what failed, and what it all says."""
-    print(f"\n{SHORT_UNITS}")
-    print(text_table(results, width))
+    print(f"\n{text_table(results, width)}\n")
+    print(wrapped(units(results), width))
     lost = failures(results)
     if lost:
         print()

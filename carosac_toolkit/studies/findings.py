@@ -14,6 +14,7 @@ from carosac_toolkit.studies.results import (
     tracked,
 )
 from carosac_toolkit.studies.rows import Row
+from carosac_toolkit.text_tables import counted
 from carosac_toolkit.validation.quantities import say_length
 
 SWAY_MIN = 1e-3  # [m]: a smaller swing is not worth a sentence
@@ -114,7 +115,8 @@ def _pair(results: StudyResults, one: int, two: int, what: _Compared) -> str:
     if size[0] > size[1]:  # the ranking is over all cases, this is over those they share
         rows, size, names = rows[::-1], size[::-1], names[::-1]
     low, high = float(size[0] or 0.0), float(size[1] or 0.0)
-    over = f"RMSE over the same {len(common)} case" + ("s" if len(common) > 1 else "")
+    single = len(common) == 1
+    over = "RMSE in the one case of both" if single else f"RMSE over the same {len(common)} cases"
     if high <= ALIKE * low:
         texts = f"{say_length(low)} and {say_length(high)}"
         return f"{names[0]} and {names[1]} {what.verb} alike: {texts} {over}."
@@ -124,9 +126,10 @@ def _pair(results: StudyResults, one: int, two: int, what: _Compared) -> str:
     )
     ratio = high / low if low > 0.0 else None
     factor = "larger than" if ratio is None else f"{ratio:.{3 if ratio < CLOSE else 2}g} times"
+    often = "" if single else f", larger in {worse} of them"
     return (
         f"The {what.error} error of {names[1]} is {factor} that of {names[0]}: "
-        f"{say_length(high)} against {say_length(low)} {over}, larger in {worse} of them."
+        f"{say_length(high)} against {say_length(low)} {over}{often}."
     )
 
 
@@ -135,15 +138,15 @@ def _consistency(results: StudyResults, group: int) -> str | None:
     line, label = results.summary[group], _believer(results, group)
     square = line["nees_pose"]
     if line["covariance_faults"]:
+        cycles = counted(line["covariance_faults"], "cycle")
         return (
-            f"In {line['covariance_faults']} cycles the covariance of {label} was not positive "
-            "definite: its NEES leaves them out."
+            f"In {cycles} the covariance of {label} was not positive definite: its NEES leaves "
+            "them out."
         )
     if square is None:
         return None
     mean, (low, high) = square["mean"], square["band"]
-    seeds = f"{square['seeds']} seed" + ("s" if square["seeds"] > 1 else "")
-    band = f"95 % band {low:.2f} to {high:.2f} of {seeds}"
+    band = f"95 % band {low:.2f} to {high:.2f} of {counted(square['seeds'], 'seed')}"
     if low <= mean <= high and square["seeds"] < ENOUGH:
         return f"Nothing contradicts {label}: NEES of the pose {mean:.2f}, in the {band}."
     if low <= mean <= high:
@@ -168,11 +171,12 @@ def _notes(results: StudyResults) -> list[str]:
     failed = sum(line["failures"] for line in results.summary)
     if failed:
         notes.append(
-            f"{failed} of {len(results.rows)} cases without a score: errors are those of the rest."
+            f"{failed} of {counted(len(results.rows), 'case')} without a score: errors are those "
+            "of the rest."
         )
     short = sum(line["incomplete"] for line in results.summary)
     if short:
-        notes.append(f"In {short} cases the driver ended before the trajectory did.")
+        notes.append(f"In {counted(short, 'case')} the driver ended before the trajectory did.")
     drivers = {str(row["settings"]) for row in results.rows}
     if all('"driver":"quasi_static"' in text for text in drivers):
         notes.append("The driver quasi_static has no inertia: the platform cannot sway in it.")

@@ -50,6 +50,8 @@ def write_report(results: StudyResults, said: Sequence[str], words: Sequence[str
     from carosac_toolkit.pictures.comparison import PICTURES
 
     names = list(PICTURES) if tracked(results.rows) else []
+    if all(len(tracked(rows)) < 2 for rows in results.groups):  # one case does not scatter
+        names = [name for name in names if name != "rmse_gaussians"]
     if not names and estimated(results.rows):  # nothing follows commands on a recording
         names = ["estimation"]
     images = {f"{name}.png": png(PICTURES[name](results)) for name in names}

@@ -6,7 +6,7 @@ import textwrap
 from typing import Any
 
 from carosac_toolkit.studies.results import NAMES, StudyResults
-from carosac_toolkit.text_tables import Rows, fit
+from carosac_toolkit.text_tables import Rows, counted, fit
 
 UNITS = (
     "Errors in mm. x, y, z, norm: RMSE of the tracking error, all steps of all cases; std: "
@@ -23,7 +23,6 @@ CONSISTENCY = (
     "seeds lie in: the estimator is too sure of itself; - is below. rejected: cycles in which a "
     "measurement was not believed."
 )
-SHORT_UNITS = "Tracking error in mm: RMSE over all cases, standard deviation from case to case"
 COLUMNS = (
     *NAMES, "std", "centre", "boundary", "estimate", "p95", "turn", "sway", "failed",
     "cycle [ms]",
@@ -78,7 +77,8 @@ def failures(results: StudyResults) -> list[str]:
     for label, line in zip(results.labels, results.summary, strict=True):
         if not line["failures"]:
             continue
-        lines.append(f"{label}: {line['failures']} of {line['cases']} cases without a score")
+        cases = counted(line["cases"], "case")
+        lines.append(f"{label}: {line['failures']} of {cases} without a score")
         listed = list(line["reasons"].items())
         lines += [f"  {count} {_short(reason)}" for reason, count in listed[:REASONS_SHOWN]]
         if len(listed) > REASONS_SHOWN:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from carosac_toolkit.validation.plausibility import doubt_exit_points
 from carosac_toolkit.validation.quantities import say_length
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 
@@ -14,7 +15,6 @@ DELAY_MIN = 3e-3  # [s]
 DELAY_SURE = 3.0  # standard deviations from none
 OFFSET_MIN = 2e-3  # [m]
 OFFSET_SHARE = 0.1  # of the RMSE in norm
-EXIT_POINT_MAX = 0.01  # [m]
 NATURAL_MAX = 0.25  # of the observed frequency: farther is no agreement
 SAMPLES_MIN = 10  # fewer say nothing about causes
 CAUSE_MIN = 1e-4  # [m]: a smaller error needs no cause
@@ -69,12 +69,7 @@ def _norm(model: ModelResult) -> float:
 
 def _doubts(result: ValidationResult) -> Iterator[str]:
     """What makes the numbers doubtful."""
-    distance = result.exit_point_distance
-    if distance is not None and distance > EXIT_POINT_MAX:
-        yield (
-            f"Check the robot: its exit points lie up to {distance * 1e3:.0f} mm from those "
-            "measured in the recording."
-        )
+    yield from doubt_exit_points(result.exit_point_distance)
     for model in result.models.values():
         if model.reason is not None:
             yield f"{model.name} has no scores: {model.reason}."

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.physics.straight_line import straight_length
+from carosac_toolkit.recording import Recording
 from carosac_toolkit.recordings import quaternions
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.validation.scores import rotation_angle
@@ -28,6 +29,7 @@ CLEAR = 0.5  # a mix-up is named where putting it right leaves less than this of
 OUTSIDE = 3.0  # times the size of the frame: positions farther from it are in other units
 SAMPLES = 500  # compared, evenly spread
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+EXIT_POINT_MAX = 0.01  # [m] from the measured ones
 STILL_MIN = 0.03  # of the distance: misfit from which lengths that hardly change tell an order
 XYZW = "The orientation fits if the quaternion is x y z w: the format wants w x y z."
 
@@ -77,6 +79,44 @@ def find_mix_ups(
         return tuple(said)
     said += _differences(trial)
     return tuple(said or _winch_range(trial))
+
+
+def find_misfits(recording: Recording, robot: Robot) -> tuple[str, ...]:
+    """Say what shows that a robot does not belong to a recording; all its samples are compared.
+
+    Args:
+        recording: N length samples, as calibrated.
+        robot: With as many cables.
+
+    Returns:
+        Sentences; none without poses, or where nothing contradicts the robot.
+    """
+    if recording.poses is None:
+        return ()
+    measured = recording.pose_at(recording.time)
+    if not measured.valid.any():
+        return ()
+    pose = Pose(
+        position=measured.pose.position[measured.valid],
+        rotation=measured.pose.rotation[measured.valid],
+    )
+    return find_mix_ups(robot, recording.unstrained_length[measured.valid], pose)
+
+
+def exit_point_distance(recording: Recording, robot: Robot) -> float | None:
+    """Largest distance of a measured exit point from the robot's [m]; None: none was measured."""
+    if recording.exit_points is None:
+        return None
+    return float(np.linalg.norm(recording.exit_points - robot.exit_points, axis=1).max())
+
+
+def doubt_exit_points(distance: float | None) -> Iterator[str]:
+    """Say that exit points are not those of the robot."""
+    if distance is not None and distance > EXIT_POINT_MAX:
+        yield (
+            f"Check the robot: its exit points lie up to {distance * 1e3:.0f} mm from those "
+            "measured in the recording."
+        )
 
 
 def _units(trial: _Trial) -> tuple[list[str], _Trial]:

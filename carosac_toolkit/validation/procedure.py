@@ -16,7 +16,7 @@ from carosac_toolkit.recording import Recording
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.validation.diagnostics import find_delay, find_sway, rest_frequencies
 from carosac_toolkit.validation.phases import find_phases, slope
-from carosac_toolkit.validation.plausibility import find_mix_ups
+from carosac_toolkit.validation.plausibility import exit_point_distance, find_mix_ups
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 from carosac_toolkit.validation.run import ModelRun, build_model, load_model, run_open_loop
 from carosac_toolkit.validation.scores import rotation_angle, score_lengths, score_poses
@@ -83,7 +83,7 @@ def validate(
         rests=rests,
         models={name: scoring.result(name, target, end, seed) for name, target in targets.items()},
         natural_frequency=rest_frequencies(robot, lengths, rests),
-        exit_point_distance=_distance(recording, robot),
+        exit_point_distance=exit_point_distance(recording, robot),
         warnings=find_mix_ups(robot, lengths, measured),
     )
 
@@ -219,10 +219,3 @@ def _kept(
     """Rests counted in the samples that are scored."""
     ends = [(int(np.searchsorted(index, a)), int(np.searchsorted(index, b))) for a, b in rests]
     return tuple((a, b) for a, b in ends if b > a)
-
-
-def _distance(recording: Recording, robot: Robot) -> float | None:
-    """Largest distance of a measured exit point from the robot's [m]."""
-    if recording.exit_points is None:
-        return None
-    return float(np.linalg.norm(recording.exit_points - robot.exit_points, axis=1).max())

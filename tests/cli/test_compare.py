@@ -7,6 +7,8 @@ import pytest
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.studies import read_rows
 
+pytestmark = pytest.mark.usefixtures("quick_pictures")  # tests/pictures draw them
+
 FAST = ["--trajectories", "line", "--speed", "2.5", "--acceleration", "2.5", "--seeds", "1"]
 ALONE = [*FAST, "--workers", "0"]
 PACKAGE = "somebodys_controllers"
@@ -95,6 +97,7 @@ def test_the_contract_of_the_json_the_table_and_the_files(capsys):
     for line in data["summary"]:
         assert f"{line['tracking_rmse_m']['norm'] * 1e3:.1f}" in out
     assert max(map(len, out.splitlines())) <= 80
+    assert "cycle: latency of estimator and controller" in " ".join(out.split())
     assert all(f"* {line}" in " ".join(out.split()) for line in data["conclusions"])
     kinds = {path.suffix for path in Path("out").iterdir()}
     assert {".parquet", ".png", ".html", ".json"} <= kinds

@@ -12,6 +12,7 @@ import pytest
 
 import carosac_toolkit as ct
 from carosac_toolkit.cli.main import main
+from carosac_toolkit.recordings.robot import find_robot
 from carosac_toolkit.robot_file import robot_text
 from tests.baselines.smoother.runs import swing
 
@@ -60,6 +61,31 @@ def test_the_contract_of_the_json_and_the_files(run_file, capsys):
     assert sigma**2 == pytest.approx(table["covariance_01_01"].to_numpy())
 
 
+def test_the_smoothed_recording_finds_its_robot_again(run_file):
+    Path("rigs").mkdir()
+    Path("rigs/mine.yaml").write_text(robot_text("carosac"))
+    recording = replace(ct.load_recording(run_file), imu=None)
+    replace(recording, metadata=replace(recording.metadata, robot="mine.yaml")).save("rigs/a.csv")
+    assert main(["smooth", "rigs/a.csv", "--report", "report"]) == 0
+    again = Path("report/smoothed.parquet")
+    assert ct.load_recording(again).metadata.robot == "../rigs/mine.yaml"
+    assert find_robot(ct.load_recording(again), again).robot.n == 4
+    assert main(["smooth", "rigs/a.csv", "--report", "report", "--robot", "carosac"]) == 0
+    assert ct.load_recording(again).metadata.robot == "carosac"
+
+
+def test_a_robot_that_does_not_belong_to_the_recording_is_said(run_file, capsys):
+    recording = replace(ct.load_recording(run_file), imu=None)
+    moved = ct.load_robot("carosac").exit_points + np.array([0.02, 0.0, 0.0])
+    replace(recording, exit_points=moved).save("moved.parquet")
+    assert main(words("moved.parquet")) == 0
+    assert "Check the robot: its exit points lie up to 20 mm" in capsys.readouterr().err
+    poses = replace(recording.poses, position=1e3 * recording.poses.position)
+    replace(recording, poses=poses).save("far.parquet")
+    assert main(words("far.parquet")) == 1
+    assert "Lengths and poses fit if the positions are in mm" in capsys.readouterr().err
+
+
 def test_without_poses_there_are_no_scores(run_file, capsys):
     replace(ct.load_recording(run_file), poses=None, imu=None).save("blind.parquet")
     assert main(words("blind.parquet", "--json", "x.json", "--length-bias", "0.001")) == 0
@@ -72,7 +98,7 @@ def test_without_poses_there_are_no_scores(run_file, capsys):
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        (("--lag", "-1"), "lag: got -1.0; allowed: lag > 0"),
+        (("--lag", "-1"), "lag: got -1.0 s; allowed: lag > 0"),
         (("--poses", "all"), "poses"),
         (("--wind-force", "-1"), "wind_force: got -1.0"),
         (("--output", "nowhere/x.csv"), "a file in an existing folder"),

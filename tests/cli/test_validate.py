@@ -12,6 +12,8 @@ from carosac_toolkit.recordings.bundled import find_recording, list_recordings
 from carosac_toolkit.robot_file import robot_text
 from tests.validation.models import NAME
 
+pytestmark = pytest.mark.usefixtures("quick_pictures")  # tests/pictures draw them
+
 BUNDLED = "synthetic"
 
 

@@ -29,6 +29,12 @@ def results():
     return study(sorted(rows, key=lambda row: order.index(row["controller"])))
 
 
+def test_one_case_has_no_scatter_to_draw(tmp_path):
+    rows = [good(case(name), (size, 0, 0), series=series(size)) for name, size in SCALES.items()]
+    files = write_report(study(rows, tmp_path / "out"), [], ["carosac", "compare"])
+    assert {file.stem for file in files} == {*PICTURES, "report"} - {"rmse_gaussians"}
+
+
 def colours(axes):
     return {to_hex(line.get_color()) for line in axes.lines}
 

@@ -11,6 +11,8 @@ from carosac_toolkit.studies.parts import part_files
 from carosac_toolkit.studies.tables import failures, text_table
 from tests.studies.tables import bad, case, good, study
 
+pytestmark = pytest.mark.usefixtures("quick_pictures")  # tests/pictures draw them
+
 PLAIN = "tests.studies.tables:PlainDriver"
 FAST = {"trajectories": ["line"], "speed_max": 2.5, "acceleration_max": 2.5}
 
@@ -105,6 +107,17 @@ def test_sentences_compare_over_the_cases_that_both_finished():
     ratio = 30.0 / np.sqrt((40**2 + 10**2) / 2)
     assert said[0].startswith(f"The tracking error of b is {ratio:.3g} times that of a: 30.0 mm")
     assert "over the same 2 cases, larger in 1 of them." in said[0]
+
+
+def test_one_case_is_not_spoken_of_as_many():
+    rows = [good(case("a", 0), (0.010, 0, 0)), good(case("b", 0), (0.030, 0, 0))]
+    said = conclusions(study(rows))
+    assert said[0] == (
+        "The tracking error of b is 3 times that of a: 30.0 mm against 10.0 mm RMSE in the one "
+        "case of both."
+    )
+    lost = study([bad(case("a", 0), "no")])
+    assert "1 of 1 case without a score: errors are those of the rest." in conclusions(lost)
 
 
 def test_a_ranking_is_turned_round_where_the_shared_cases_say_so():

@@ -174,6 +174,35 @@ def test_an_outlier_of_a_length_is_counted_and_not_believed(robot):
     assert np.linalg.norm(errors[:, :3], axis=1).max() < 0.05
 
 
+def test_an_encoder_that_slips_moves_nothing(robot):
+    """No winch is that fast: the step, there and back after a second, is in the reading alone."""
+    found = swing(robot, "lengths", SensorSettings(encoder_bias=0.0), duration=2.5)
+    clean, _ = believe(DynamicEstimator.build(robot), found)
+    for k in range(50, 100):
+        measurement, truth = found[k]
+        wrong = measurement.unstrained_length + np.array([0.0, 0.2, 0.0, 0.0])
+        found[k] = (replace(measurement, unstrained_length=wrong), truth)
+    errors, beliefs = believe(DynamicEstimator.build(robot), found)
+    assert beliefs[99].memory.slips[0] == 1 and beliefs[-1].memory.slips[0] == 2
+    assert beliefs[-1].memory.outliers[0] == 8
+    assert rms(errors) < rms(clean) + 0.01
+    bias = beliefs[99].memory.tracks[0].state.length_bias
+    assert bias == pytest.approx([0.0, 0.2, 0.0, 0.0], abs=0.01)
+
+
+def test_an_encoder_that_comes_free_is_believed(robot):
+    """It stood still exactly, and then jumps to where it should be: that is no slip."""
+    found = swing(robot, "lengths", SensorSettings(encoder_bias=0.0), duration=2.5)
+    for k in range(30, 70):
+        measurement, truth = found[k]
+        length = measurement.unstrained_length.copy()
+        length[:, 0] = found[30][0].unstrained_length[:, 0]
+        found[k] = (replace(measurement, unstrained_length=length), truth)
+    _, beliefs = believe(DynamicEstimator.build(robot), found)
+    bias = beliefs[-1].memory.tracks[0].state.length_bias
+    assert beliefs[-1].memory.slips[0] == 0 and bias == pytest.approx(0.0, abs=1e-9)
+
+
 def test_lengths_that_lead_the_poses_are_waited_for(robot):
     """A robot whose readings lead by 60 ms: the belief is where the platform is, not will be."""
     found = swing(robot, "lengths", PERFECT, duration=3.0)

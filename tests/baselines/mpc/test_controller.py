@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import carosac_toolkit as ct
+from baselines.dynamic_estimator import DynamicEstimator
 from baselines.kinematic_solver_controller import KinematicSolverController
 from baselines.mpc import Mpc, MpcSettings, NoStart
 from carosac_toolkit import conformance, trajectories
@@ -136,6 +138,63 @@ def test_after_failures_the_plan_goes_on_and_then_the_platform_rests(monkeypatch
     assert swing < 0.5  # nobody damps it
 
 
+def test_after_a_second_without_solves_on_the_way_it_comes_back(monkeypatch):
+    robot = simple_robot()
+    path = move(robot)
+    controller = Mpc.build(robot)
+    improve = controller._planner.improve
+    monkeypatch.setattr(
+        controller._planner, "improve",
+        lambda *a, time, **k: None if 0.5 <= time < 1.6 else improve(*a, time=time, **k),
+    )  # fmt: skip
+    log = live(controller, plant=robot, path=path, rest=6.0)
+    assert errors(log).max() > 0.2
+    assert errors(log)[-50:].max() < 10e-3
+    assert controller.record.recovered == 1
+
+
+def test_a_platform_that_was_thrown_about_on_slack_cables_comes_back(monkeypatch):
+    """For 0.8 s the winches do what nobody has planned; then the controller is on its own."""
+    robot = ct.load_robot("scampi")
+    path = move(robot)
+    controller = Mpc.build(robot)
+    rng = np.random.default_rng(102)
+    throws = np.repeat(rng.uniform(-5.0, 5.0, size=(5, 4)), 8, axis=0)  # [m/s^2]
+    follow = controller._follow
+
+    def thrown(plan):
+        count = controller.record.commands - 25
+        if 0 <= count < len(throws):
+            return controller._winches.accelerate(throws[count])
+        return follow(plan)
+
+    monkeypatch.setattr(controller, "_follow", thrown)
+    log = live(controller, plant=robot, path=path, rest=7.0)
+    assert (log.tension < 0.1 * robot.weight).any(axis=2).mean() > 0.02  # it was slack
+    assert errors(log).max() > 0.4
+    assert errors(log)[-50:].max() < 10e-3
+    assert controller.record.recovered >= 1
+
+
+def test_wrong_exit_points_do_not_shake_the_platform_while_the_estimator_finds_out():
+    """The belief moves by 2 cm under way; what does not fit the lengths must not drive winches."""
+    robot = ct.load_robot("carosac")
+    rng = np.random.default_rng([0, 11])
+    off = rng.normal(size=(4, 3))
+    plant = replace(robot, exit_points=robot.exit_points
+                    + 0.02 * off / np.linalg.norm(off, axis=1, keepdims=True))  # fmt: skip
+    path = trajectories.line([-0.52, -1.25, 3.6], [1.22, -1.14, 2.16],
+                             speed_max=2.0, acceleration_max=3.0)  # fmt: skip
+    controller = Mpc.build(robot)
+    settings = SimDriverSettings(suite="lengths+imu", cables="catenary", period=0.02,
+                                 start_position=(-0.52, -1.25, 3.6))  # fmt: skip
+    driver = SimDriver.build(plant, settings, seed=0)
+    log = run(driver, DynamicEstimator.build(robot), controller, path, duration=1.2)
+    assert errors(log).max() < 0.06
+    assert controller.record.held < 5
+    assert not controller.record.softened
+
+
 def test_late_solves_are_thrown_away_and_counted():
     robot = simple_robot()
     controller = Mpc.build(robot, MpcSettings(time_budget=1e-9))
@@ -158,7 +217,7 @@ def test_a_belief_that_jumps_away_is_not_followed_until_the_winches_rest():
     before = controller.command(belief, reference).unstrained_length
     away = replace(belief, position=belief.position + np.array([[0.0, 2.0, 0.0]]))
     held = before
-    for _ in range(60):
+    for _ in range(100):
         after = controller.command(away, reference).unstrained_length
         held = held if controller.record.rebased else after
     assert controller.record.failures["belief"] >= 5

@@ -1,7 +1,10 @@
 """What the controller learns from beliefs, and what it must not learn."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
 from baselines.mpc import MpcSettings
@@ -42,11 +45,48 @@ def test_an_offset_of_millimetres_is_learned_whole(robot):
 
 
 def test_a_slack_cable_is_no_offset_and_is_reeled_in(robot):
-    """A cable that is 30 cm too long says nothing about the pose; sent on, it would stay slack."""
-    observer, start = observed(robot, np.array([0.3, 0.0, 0.0, 0.0]), 500)
-    assert observer.kept[0] == pytest.approx(MpcSettings().offset_max, abs=1e-9)
-    assert observer.offset[0] > 0.3 - 1.2 * SLACK  # what is beyond moves no platform
-    assert np.linalg.norm(start.position - robot.home_position) < 3.0 * SLACK
+    """A cable that is 18 cm too long says nothing about the pose; sent on, it would stay slack."""
+    observer = Observer(robot, MpcSettings())
+    observer.reset()
+    belief = at_home(robot)
+    taut = geometry_at(robot, belief.position[0], belief.rotation[0]).length
+    surplus = np.array([0.18, 0.0, 0.0, 0.0])
+    for _ in range(200):
+        start = observer.start(belief, taut + surplus, np.zeros(robot.n))
+        surplus = observer.surplus  # what is sent is longer than the chord by it
+    assert surplus[0] < MpcSettings().offset_max
+    assert surplus[1:] == pytest.approx(np.zeros(3), abs=1e-9)
+    assert np.linalg.norm(start.position - robot.home_position) < SLACK
+
+
+def test_nothing_is_learned_of_the_motion_of_a_platform_on_a_slack_cable(robot):
+    """It falls; that is no disturbance, and would be planned for once the cable is taut."""
+    observer = Observer(robot, MpcSettings())
+    observer.reset()
+    for k in range(20):
+        belief = at_home(robot, (0.1 * k, 0.0, -0.2 * k, 0.0, 0.0, 0.0))
+        length = geometry_at(robot, belief.position[0], belief.rotation[0]).length
+        slack = np.array([0.19, 0.0, 0.0, 0.0])
+        observer.predict(observer.start(belief, length + slack, np.zeros(robot.n)))
+    assert not observer.disturbance.any()
+
+
+@pytest.mark.parametrize("size", [0.01, 0.045])
+def test_the_plan_starts_at_exactly_the_lengths_and_rates_that_were_sent(robot, size):
+    """What is left over at every command would be paid out as speed that no plan has asked for."""
+    observer = Observer(robot, MpcSettings())
+    observer.reset()
+    rest = at_home(robot)
+    turn = Rotation.from_rotvec([0.3, -0.2, 0.4]).as_matrix()
+    belief = replace(rest, rotation=turn[None] @ rest.rotation,
+                     twist=np.array([[0.4, -0.3, -0.8, 1.0, -0.6, 0.9]]))  # fmt: skip
+    length = geometry_at(robot, belief.position[0], belief.rotation[0]).length
+    length = length + size * np.array([1.0, -1.0, 0.8, -0.7])
+    rate = np.array([0.5, -0.2, 0.1, 0.3])
+    start = observer.start(belief, length, rate)
+    assert start.geometry.length == pytest.approx(length - observer.surplus, abs=2e-6)
+    there = geometry_at(robot, start.position, start.rotation)
+    assert there.jacobian @ start.twist == pytest.approx(rate, abs=1e-9)
 
 
 def test_an_unknown_acceleration_of_the_sway_is_found(robot):

@@ -42,7 +42,7 @@ def linear():
     }
     corrections = 0.1 * rng.normal(size=(COUNT, size))
     corrections[1:, fixed] = 0.0
-    passed = Passed(states=[], corrections=corrections, links=links, poses=poses)
+    passed = Passed(delay=0.0, states=[], corrections=corrections, links=links, poses=poses)
     return errors, covariance(size, 1.0), passed
 
 
@@ -117,7 +117,7 @@ def test_a_measurement_of_no_weight_is_not_there(linear):
     errors, start, passed = linear
     graph = Graph(errors, np.ones(errors.size), start)
     gone = Passed(
-        states=[], corrections=passed.corrections, links=passed.links,
+        delay=0.0, states=[], corrections=passed.corrections, links=passed.links,
         poses={k: said for k, said in passed.poses.items() if k != 8},
     )  # fmt: skip
     left = graph.solve(passed, TIME, {8: 1e-12}, None)

@@ -13,9 +13,10 @@ import carosac_toolkit as ct
 from baselines.dynamic_estimator import DynamicEstimator, DynamicEstimatorSettings
 from baselines.smoother import SmootherSettings, smooth
 from baselines.smoother.measured import arrange
-from baselines.smoother.report import warnings
+from baselines.smoother.report import sentences, warnings
 from carosac_toolkit.consistency import band, normalised_square
 from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.sensors import PERFECT
 from tests.baselines.smoother.runs import errors_of, filtered, rms, swing
@@ -143,6 +144,47 @@ def without_imu(noisy, robot):
     return smooth(noisy[0], robot, settings(poses="used", imu=False))
 
 
+@pytest.fixture(scope="module")
+def uncalibrated():
+    """The bundled recording: another plant, wind, and lengths that lead poses by 30 ms."""
+    recording = ct.load_recording(find_recording("synthetic")).slice(0, 220)
+    return smooth(recording, ct.load_robot("carosac"), SmootherSettings(poses="half"))
+
+
+def test_an_uncalibrated_robot_settles_and_its_delay_is_found(uncalibrated):
+    """Each key frame starts anew from where the last pass left it: sway does not add up."""
+    assert uncalibrated.converged and uncalibrated.passes <= 6
+    assert uncalibrated.delay == pytest.approx(0.03, abs=1.5e-3)
+    assert uncalibrated.delay_sigma < 1e-3
+    assert uncalibrated.scores.parts["moving"].rmse[3] < 1.3 * np.sqrt(3.0) * 1e-3
+    assert 0.4 < uncalibrated.scores.nees["moving"] < 1.5
+
+
+def test_what_the_data_told_is_kept_apart_from_what_was_taken_for_granted(uncalibrated, noisy):
+    assert uncalibrated.told["delay"] and uncalibrated.told["length_bias"]
+    assert any(line.startswith("Told by the data: readings") for line in sentences(uncalibrated))
+    alone = smooth(noisy[0], ct.load_robot("carosac"), SmootherSettings(imu=False))
+    assert not any(alone.told.values())
+    said = [line for line in sentences(alone) if "mass" in line]
+    assert len(said) == 1 and said[0].startswith("Taken for granted: readings too long by +0.0 +-7")
+
+
+def test_what_is_not_known_of_the_delay_counts_where_nothing_tells_it(noisy, robot):
+    """Lengths alone: the platform is somewhere along its path, by its speed times the delay."""
+    known = smooth(noisy[0], replace(robot, length_delay=0.0), settings(imu=False))
+    found = smooth(noisy[0], robot, settings(imu=False, delay=0.02))
+    more = np.trace((found.covariance - known.covariance)[:, :3, :3], axis1=1, axis2=2)
+    assert more == pytest.approx(((0.02 * known.twist[:, :3]) ** 2).sum(axis=1), abs=1e-9)
+    assert found.delay_sigma == pytest.approx(0.02, rel=1e-6) and known.delay_sigma == 0.0
+
+
+def test_a_robot_of_another_recording_is_said(noisy, robot):
+    assert smooth(noisy[0], robot, settings(imu=False)).misfits == ()
+    longer = replace(noisy[0], unstrained_length=noisy[0].unstrained_length + 50.0)
+    with pytest.raises(CarosacError, match=r"(?s)cannot hang at rest.*times the distance at the"):
+        smooth(longer, robot, settings())
+
+
 def test_gross_poses_count_little(noisy, robot, without_imu):
     recording, truths = noisy
     wrong = recording.poses.position.copy()
@@ -177,7 +219,9 @@ def test_lengths_count_late_by_the_delay(noisy, robot):
     late = replace(robot, length_delay=0.03)
     data = arrange(noisy[0], late, settings())
     when = float(noisy[0].time[20])
-    assert data.reading(when + 0.03) == pytest.approx(data.path.at(np.array(when)), abs=1e-12)
+    assert data.reading(when + 0.03, data.delay) == pytest.approx(
+        data.path.at(np.array(when)), abs=1e-12
+    )
 
 
 def test_key_frames_are_where_something_was_measured(noisy, robot):
@@ -195,9 +239,9 @@ def test_key_frames_are_where_something_was_measured(noisy, robot):
     ("changes", "message"),
     [
         (dict(poses="all"), "poses: got 'all'; allowed: one of"),
-        (dict(lag=0.0), "lag: got 0.0; allowed: lag > 0"),
+        (dict(lag=0.0), "lag: got 0.0 s; allowed: lag > 0"),
         (dict(grid=float("nan")), "grid"),
-        (dict(iterations=0), "iterations: got 0; allowed: >= 1"),
+        (dict(iterations=0), "iterations: got 0; allowed: a whole number from 1"),
         (dict(imu_step=-1.0), "imu_step"),
     ],
 )

@@ -86,7 +86,7 @@ def test_the_real_robot_is_followed_within_a_centimetre(real_data):
         anchor_points=0.0, length_scale=0.0, mass=0.0, linear_density=0.0, axial_damping=0.0,
         run_length=0.0, time_step=1.0 / 70.0,
     )  # fmt: skip  # for speed; with all of them free it is 6 mm
-    found = identify(recording, ct.load_robot("scampi"), held, train=(0, 400), test=(400, 600))
+    found = identify(recording, ct.load_robot("scampi"), held, train=(0, 250), test=(250, 400))
     assert found.test.before.rmse[3] > 0.02
     assert found.test.after.rmse[3] < 0.009
     assert found.estimate.value[found.estimate.index("length_delay")] == pytest.approx(

@@ -1,0 +1,51 @@
+"""Whether a belief can be planned from: as long as it agrees with the lengths that were sent."""
+
+from __future__ import annotations
+
+from baselines.mpc.observer import SLACK
+
+TAUT = 15  # beliefs in a row with all cables taut, before a new plan begins
+STUCK = 50  # beliefs in a row that disagree while the winches rest: then the lengths are wrong
+
+
+class Agreement:
+    """Counts beliefs that agree.
+
+    On slack cables a platform flies, and a plan for taut ones would drive it on. Such a plan is
+    given up, and none is made before all cables have been taut for some time.
+
+    Attributes:
+        usable: Whether to plan from the last belief.
+    """
+
+    def __init__(self, gate: float) -> None:
+        """Take the distance beyond which a plan is given up [m]."""
+        self._gate = gate
+        self.reset()
+
+    def reset(self) -> None:
+        """Start over."""
+        self.usable = True
+        self._near, self._far = TAUT, 0
+
+    @property
+    def stuck(self) -> bool:
+        """Whether it has disagreed for long with winches at rest."""
+        return self._far >= STUCK
+
+    def within(self, resting: bool) -> float:
+        """Distance up to which something is learned from a belief [m]."""
+        return min(SLACK, self._gate) if resting else self._gate
+
+    def update(self, distance: float, *, resting: bool, still: bool) -> None:
+        """Take in one more belief.
+
+        Args:
+            distance: Largest difference of believed and sent lengths [m].
+            resting: Whether the last plan was given up.
+            still: Whether the winches rest.
+        """
+        near = distance <= self.within(True)
+        self._near = self._near + 1 if near else 0
+        self._far = self._far + 1 if resting and still and not near else 0
+        self.usable = self._near >= TAUT if resting else distance <= self._gate
