@@ -152,12 +152,12 @@ def made_with() -> dict[str, str]:
     """Version, commit and date, as terms of `definitions`."""
     return {
         "toolkit": f"carosac-toolkit {__version__}",
-        "git commit": _commit() or "",
+        "git commit": commit_of_code() or "",
         "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     }
 
 
-def _commit() -> str | None:
+def commit_of_code() -> str | None:
     """Git commit of the toolkit's own sources, or None where they are not under git."""
     here = Path(__file__)
 

@@ -1,0 +1,290 @@
+"""The environment: B robots that follow targets, one implementation behind all interfaces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.number_checks import check_positive, check_whole
+from carosac_toolkit.physics import statics, straight_line
+from carosac_toolkit.robot import Robot
+from learned.actions import Absolute, ActionMap, Displacement
+from learned.episodes import Path, PathPool, PathSettings
+from learned.moving_worlds import MovingSettings, MovingWorlds
+from learned.observation import Look, Scales, check_parts, observe
+from learned.rewards import Reward, RewardSettings
+from learned.transition import Transition
+from learned.worlds import NoSagWorlds, Reached, SettledWorlds, Worlds
+
+WorldName = Literal["no_sag", "settle", "realtime"]
+FAILURE = -1.0  # reward of a step without a solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvironmentSettings:
+    """What is learned in.
+
+    Attributes:
+        world: ``no_sag``: straight cables; ``settle``: sagging ones, each set-point settles;
+            ``realtime``: sagging ones on a platform that sways, with winches.
+        observation: Parts, of `learned.observation.PARTS`.
+        preview: How many steps ahead the later targets of the observation are.
+        action: ``absolute``: lengths; ``displacement``: how far the target is moved off the
+            reference before catenary inverse kinematics.
+        reach: Largest displacement per axis [m].
+        reward: Terms of the reward.
+        path: How targets move.
+        moving: Plants, winches and sensors of ``realtime``.
+    """
+
+    world: WorldName = "no_sag"
+    observation: tuple[str, ...] = ("length", "position", "target")
+    preview: tuple[int, ...] = ()
+    action: Literal["absolute", "displacement"] = "absolute"
+    reach: float = 0.3
+    reward: RewardSettings = field(default_factory=RewardSettings)
+    path: PathSettings = field(default_factory=PathSettings)
+    moving: MovingSettings = field(default_factory=MovingSettings)
+
+    def __post_init__(self) -> None:
+        """Refuse what does not fit together."""
+        check_parts(self.observation)
+        if self.world not in ("no_sag", "settle", "realtime"):
+            raise InvalidField("world", repr(self.world), "'no_sag', 'settle' or 'realtime'")
+        if self.action not in ("absolute", "displacement"):
+            raise InvalidField("action", repr(self.action), "'absolute' or 'displacement'")
+        if (self.world == "realtime") != (self.path.period is not None):
+            allowed = "a number of seconds with world 'realtime', none with the others"
+            raise InvalidField("path.period", self.path.period, allowed)
+        for k, step in enumerate(self.preview):
+            check_whole(f"preview[{k}]", step, 1)
+        if ("preview" in self.observation) != bool(self.preview):
+            allowed = "steps where the observation has the part 'preview', and only there"
+            raise InvalidField("preview", self.preview, allowed)
+        check_positive("reach", self.reach, "m")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StepResult:
+    """What a step of B environments gave.
+
+    Attributes:
+        observation: Of the next step, after a reset where the episode ended, shape (B, d).
+        final_observation: Of the state that the step ended in, shape (B, d).
+        reward: Shape (B,).
+        terminated: Episodes that ended for lack of a solution, shape (B,).
+        truncated: Episodes that ended at their last step, shape (B,).
+        transition: All quantities behind the reward.
+        reached: Where the platforms were at the end of the step.
+    """
+
+    observation: Array
+    final_observation: Array
+    reward: Array
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    transition: Transition
+    reached: Reached
+
+
+class CableEnvironment:
+    """B environments that advance together; an episode that ends begins anew in the same step."""
+
+    def __init__(
+        self, robot: Robot, settings: EnvironmentSettings, *, size: int = 1, seed: int = 0
+    ) -> None:
+        """Make the worlds; call `reset` before `step`.
+
+        Args:
+            robot: The nominal robot.
+            settings: What is learned in.
+            size: B.
+            seed: Of paths, plants and sensors.
+        """
+        self.robot = robot
+        self.settings = settings
+        self.size = size
+        self.scales = Scales.of(robot)
+        self.worlds = _worlds(robot, settings, size, seed)
+        self.actions = make_actions(robot, settings, self.scales)
+        span = float(np.linalg.norm(robot.workspace_max - robot.workspace_min))
+        self.reward = Reward(settings.reward, span)
+        feasible = None if settings.world == "no_sag" else self._feasible
+        self._pool = PathPool(robot, settings.path, seed, feasible)
+        self._rng = np.random.default_rng([seed, 3])
+        self._paths: list[Path] = []
+        self._step = np.zeros(size, dtype=np.int64)
+        self._last_action = np.zeros((size, self.actions.size))
+        self._asked = np.zeros((size, robot.n))
+        self._reached: Reached | None = None
+        self.observation_size = len(
+            observe(settings.observation, self._empty_look(), self.scales)[0]
+        )
+
+    @property
+    def action_size(self) -> int:
+        """Numbers of an action."""
+        return self.actions.size
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The targets of the present episodes."""
+        return tuple(self._paths)
+
+    def reset(self, paths: list[Path] | None = None) -> Array:
+        """Begin an episode in every environment; first observations, shape (B, d).
+
+        Args:
+            paths: The targets, one path for each; None draws them.
+
+        Raises:
+            InvalidField: More or fewer paths than environments.
+        """
+        if paths is not None and len(paths) != self.size:
+            raise InvalidField("paths", f"{len(paths)} paths", f"{self.size}, one for each row")
+        self._paths = paths or [self._draw() for _ in range(self.size)]
+        return self._begin(np.arange(self.size))
+
+    def step(self, action: Array) -> StepResult:
+        """Act once in every environment.
+
+        Args:
+            action: In [-1, 1], shape (B, a).
+        """
+        before = self._reached
+        if before is None:
+            raise InvalidField("environment", "not reset yet", "reset before step")
+        look = self._look(before)
+        asked = self.actions.lengths(action, look)
+        reached = self.worlds.advance(asked)
+        transition = self._transition(before, reached, look, asked, action)
+        reward = np.where(reached.failed, FAILURE, self.reward(transition))
+        self._step += 1
+        self._last_action = np.array(action)
+        self._asked = np.array(asked)
+        self._reached = reached
+        final = self._observe()
+        truncated = (self._step >= self.settings.path.steps) & ~reached.failed
+        ended = np.flatnonzero(truncated | reached.failed)
+        observation = final
+        if len(ended):
+            for row in ended:
+                self._paths[row] = self._draw()
+            observation = self._begin(ended)
+        return StepResult(
+            observation=observation, final_observation=final, reward=reward,
+            terminated=reached.failed, truncated=truncated, transition=transition,
+            reached=reached,
+        )  # fmt: skip
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes; `restore` goes on from there, bit by bit."""
+        return {
+            "worlds": self.worlds.state(), "paths": list(self._paths), "step": self._step.copy(),
+            "last_action": self._last_action.copy(), "asked": self._asked.copy(),
+            "reached": self._reached, "rng": self._rng.bit_generator.state,
+        }  # fmt: skip
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state of an environment of the same settings and size."""
+        self.worlds.restore(state["worlds"])
+        self._paths = list(state["paths"])
+        self._step = state["step"].copy()
+        self._last_action = state["last_action"].copy()
+        self._asked = state["asked"].copy()
+        self._reached = state["reached"]
+        self._rng.bit_generator.state = state["rng"]
+
+    def _draw(self) -> Path:
+        """A path of an episode."""
+        return self._pool.path(int(self._rng.integers(self.settings.path.pool)))
+
+    def _feasible(self, position: Array) -> NDArray[np.bool_]:
+        """Where the nominal robot can rest."""
+        rest = statics.inverse_kinematics(self.robot, position)
+        return rest.converged & rest.stable
+
+    def _begin(self, rows: NDArray[Any]) -> Array:
+        """Put environments at the start of their paths; observations of all."""
+        start = np.stack([self._paths[row].position[0] for row in rows])
+        self._reached = self.worlds.reset(rows, start)
+        self._step[rows] = 0
+        self._last_action[rows] = 0.0
+        self._asked[rows] = self._reached.length[rows]
+        return self._observe()
+
+    def _observe(self) -> Array:
+        assert self._reached is not None
+        return observe(self.settings.observation, self._look(self._reached), self.scales)
+
+    def _look(self, reached: Reached) -> Look:
+        """What there is to see before the next step."""
+        ahead = [self._path_rows(step) for step in (1, *(1 + k for k in self.settings.preview))]
+        bias = 0.0 if reached.position_bias is None else reached.position_bias
+        return Look(
+            position=reached.position + bias, rotation=reached.rotation, twist=reached.twist,
+            length=self._asked, target=ahead[0][0], target_velocity=ahead[0][1],
+            preview=np.stack([position for position, _ in ahead[1:]], axis=1)
+            if len(ahead) > 1 else np.zeros((self.size, 0, 3)),
+            last_action=self._last_action,
+        )  # fmt: skip
+
+    def _path_rows(self, ahead: int) -> tuple[Array, Array]:
+        """Targets so many steps ahead, position and velocity, each of shape (B, 3)."""
+        rows = [p.rows(int(k) + ahead) for p, k in zip(self._paths, self._step, strict=True)]
+        return np.stack([row[0] for row in rows]), np.stack([row[1] for row in rows])
+
+    def _transition(
+        self, before: Reached, reached: Reached, look: Look, asked: Array, action: Array
+    ) -> Transition:
+        moving = self.settings.world == "realtime"
+        return Transition(
+            target=look.target, position_before=before.position, position=reached.position,
+            length_before=before.length, length=reached.length, asked=asked,
+            straight_position=straight_line.straight_length(self.robot, reached.position).length,
+            straight_target=straight_line.straight_length(self.robot, look.target).length,
+            inconsistency=reached.inconsistency,
+            velocity=reached.twist[:, :3] - look.target_velocity
+            if moving else np.zeros((self.size, 3)),
+            effort=self.actions.effort(action), failed=reached.failed,
+        )  # fmt: skip
+
+    def _empty_look(self) -> Look:
+        """A look of one robot at home, which has the right shapes."""
+        return empty_look(self.robot, len(self.settings.preview), self.actions.size)
+
+
+def empty_look(robot: Robot, previews: int, actions: int) -> Look:
+    """A robot at rest at home that shall stay there."""
+    home = robot.home_position[None]
+    return Look(
+        position=home, rotation=robot.home_rotation[None], twist=np.zeros((1, 6)),
+        length=straight_line.inverse_kinematics(robot, home), target=home,
+        target_velocity=np.zeros((1, 3)), preview=np.repeat(home[:, None], previews, axis=1),
+        last_action=np.zeros((1, actions)),
+    )  # fmt: skip
+
+
+def make_actions(robot: Robot, settings: EnvironmentSettings, scales: Scales) -> ActionMap:
+    """What the numbers of an action mean."""
+    if settings.action == "absolute":
+        return Absolute(scales)
+    period = settings.path.period or 0.0
+    lead = max(0.0, float(robot.winch_lag.mean()) - 0.5 * period)
+    return Displacement(robot, settings.reach, lead)
+
+
+def _worlds(robot: Robot, settings: EnvironmentSettings, size: int, seed: int) -> Worlds:
+    """The worlds of some settings."""
+    if settings.world == "no_sag":
+        return NoSagWorlds(robot, size)
+    if settings.world == "settle":
+        return SettledWorlds(robot, size)
+    period = settings.path.period
+    assert period is not None
+    return MovingWorlds(robot, settings.moving, period, size, seed)

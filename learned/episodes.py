@@ -1,0 +1,144 @@
+"""Paths that targets of an episode follow, drawn in the workspace of a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.number_checks import check_positive, check_whole
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.trajectories import Trajectory, random_minimum_snap, random_spline
+
+ATTEMPTS = 100  # to draw a feasible path
+
+Feasible = Callable[[Array], NDArray[np.bool_]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathSettings:
+    """How targets move in an episode.
+
+    Attributes:
+        kind: ``spline``: a cubic spline through six random points of the box; ``minimum_snap``:
+            the smoothest curve through them, from rest to rest.
+        speed: Least and largest peak speed that is drawn [m/s].
+        acceleration_max: [m/s^2].
+        steps: Of an episode.
+        period: Time between two targets [s]; None spreads the steps over the whole path, as
+            set-points.
+        pool: How many different paths there are; each episode follows one of them.
+    """
+
+    kind: Literal["spline", "minimum_snap"] = "spline"
+    speed: tuple[float, float] = (0.5, 5.0)
+    acceleration_max: float = 20.0
+    steps: int = 200
+    period: float | None = None
+    pool: int = 1000
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no sense."""
+        if self.kind not in _DRAWS:
+            raise InvalidField("kind", repr(self.kind), f"one of {sorted(_DRAWS)}")
+        if not 0.0 < self.speed[0] <= self.speed[1] < np.inf:
+            raise InvalidField("speed", f"{self.speed} m/s", "0 < least <= largest, finite")
+        check_positive("acceleration_max", self.acceleration_max, "m/s^2")
+        for name in ("steps", "pool"):
+            check_whole(name, getattr(self, name), 1)
+        if self.period is not None:
+            check_positive("period", self.period, "s")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Path:
+    """Targets of one episode: the first is where it starts.
+
+    Attributes:
+        position: In W [m], shape (steps + 1, 3).
+        velocity: [m/s], shape (steps + 1, 3); zero for set-points.
+    """
+
+    position: Array
+    velocity: Array
+
+    def rows(self, index: int) -> tuple[Array, Array]:
+        """Position and velocity at a step; after the last one it rests there."""
+        last = len(self.position) - 1
+        if index > last:
+            return self.position[last], np.zeros(3)
+        return self.position[index], self.velocity[index]
+
+
+class PathPool:
+    """The paths that the episodes of an environment follow, each drawn when it is needed first."""
+
+    def __init__(
+        self, robot: Robot, settings: PathSettings, seed: int, feasible: Feasible | None = None
+    ) -> None:
+        """Draw nothing yet; arguments as in `draw_path`, with the seed of all paths."""
+        self._arguments = (robot, settings)
+        self._seed = seed
+        self._feasible = feasible
+        self._paths: dict[int, Path] = {}
+
+    def path(self, index: int) -> Path:
+        """A path by its number, the same one however often it is asked for."""
+        if index not in self._paths:
+            rng = np.random.default_rng([self._seed, 7, index])
+            self._paths[index] = draw_path(*self._arguments, rng, self._feasible)
+        return self._paths[index]
+
+
+def draw_path(
+    robot: Robot, settings: PathSettings, rng: np.random.Generator, feasible: Feasible | None = None
+) -> Path:
+    """Draw until all targets are feasible.
+
+    Args:
+        robot: Whose workspace it is.
+        settings: What to draw.
+        rng: Source of randomness.
+        feasible: Says of positions (K, 3) which can be reached; None: all of them.
+
+    Raises:
+        CarosacError: No feasible path was found in 100 attempts.
+    """
+    for _ in range(ATTEMPTS):
+        try:
+            path = sampled(_draw(robot, settings, rng), settings)
+        except InvalidField:  # a curve that leaves the box however its points are drawn together
+            continue
+        if feasible is None or feasible(path.position).all():
+            return path
+    raise CarosacError(
+        f"{robot.name}: none of {ATTEMPTS} random paths in its workspace box is feasible; "
+        "`carosac check` shows why"
+    )
+
+
+def sampled(trajectory: Trajectory, settings: PathSettings) -> Path:
+    """Targets along a trajectory: in even steps from start to end, or one each period."""
+    if settings.period is None:
+        times = np.linspace(0.0, trajectory.duration, settings.steps + 1)
+        position = trajectory.sample(times).position
+        return Path(position=position, velocity=np.zeros_like(position))
+    found = trajectory.sample(settings.period * np.arange(settings.steps + 1))
+    return Path(position=found.position, velocity=found.velocity)
+
+
+def _draw(robot: Robot, settings: PathSettings, rng: np.random.Generator) -> Trajectory:
+    speed = float(rng.uniform(*settings.speed))
+    return _DRAWS[settings.kind](
+        robot, rng, speed_max=speed, acceleration_max=settings.acceleration_max
+    )
+
+
+_DRAWS: dict[str, Callable[..., Trajectory]] = {
+    "spline": random_spline, "minimum_snap": random_minimum_snap
+}  # fmt: skip

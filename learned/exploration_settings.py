@@ -1,0 +1,27 @@
+"""How widely actions are tried out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from carosac_toolkit.errors import InvalidField
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExplorationSettings:
+    """How widely actions are tried out.
+
+    Attributes:
+        start: Standard deviation at the start, of actions in [-1, 1].
+        end: Standard deviation at the end; it decays linearly.
+    """
+
+    start: float = 0.2
+    end: float = 0.01
+
+    def __post_init__(self) -> None:
+        """Refuse negative numbers."""
+        if not 0.0 <= self.end <= self.start < np.inf:
+            raise InvalidField("exploration", f"{self.start} to {self.end}", "start >= end >= 0")

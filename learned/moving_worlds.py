@@ -1,0 +1,121 @@
+"""Worlds that move in real time: simulated platforms that sway, with winches, wind and sensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.physics import statics
+from carosac_toolkit.robot import Robot
+from learned.worlds import Reached
+from sim_warp import Simulator
+
+ATTEMPTS = 10  # to find a start near a position at which a plant can rest
+RETREAT = 0.1  # share of the way home that each attempt goes
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovingSettings:
+    """Plants, winches and sensors of worlds that move.
+
+    Attributes:
+        cables: How cables are modelled, as in `sim_warp.Simulator`.
+        perturbation: Condition from which the plant and wind of each world are drawn.
+        position_bias: What the believed position errs by in an episode, one sigma per axis [m].
+        length_bias: What the encoders err by in an episode, one sigma per cable [m].
+        start_speed: With which the platform starts, one sigma per axis [m/s].
+    """
+
+    cables: Literal["particles", "catenary"] = "catenary"
+    perturbation: str = "nominal-1"
+    position_bias: float = 0.01
+    length_bias: float = 0.005
+    start_speed: float = 0.2
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no sense."""
+        for name in ("position_bias", "length_bias", "start_speed"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise InvalidField(name, getattr(self, name), ">= 0, finite")
+
+
+class MovingWorlds:
+    """A simulator whose worlds have a plant each."""
+
+    def __init__(
+        self, robot: Robot, settings: MovingSettings, period: float, size: int, seed: int
+    ) -> None:
+        self.robot = robot
+        self.size = size
+        self._settings = settings
+        self._period = period
+        self._simulator = Simulator(
+            robot, worlds=size, cables=settings.cables, seed=seed,
+            perturbation=settings.perturbation,
+        )  # fmt: skip
+        self._rng = np.random.default_rng([seed, 11])
+        self._position_bias = np.zeros((size, 3))
+        self._length_bias = np.zeros((size, robot.n))
+
+    def reset(self, rows: NDArray[Any], position: Array) -> Reached:
+        """Start near positions, with some speed; biases are drawn anew.
+
+        Where a plant cannot rest at its position it starts on the way home from there.
+        """
+        count = len(rows)
+        self._position_bias[rows] = self._normal(self._settings.position_bias, (count, 3))
+        self._length_bias[rows] = self._normal(self._settings.length_bias, (count, self.robot.n))
+        speed = self._normal(self._settings.start_speed, (count, 3))
+        twist = np.concatenate([speed, np.zeros((count, 3))], axis=1)
+        self._simulator.reset(self._feasible(rows, position), twist=twist, worlds=rows)
+        return self._reached()
+
+    def advance(self, length: Array) -> Reached:
+        """Let a period pass."""
+        self._simulator.step(length + self._length_bias, self._period)
+        return self._reached()
+
+    def state(self) -> dict[str, Any]:
+        """Simulator, biases and their source."""
+        return {
+            "simulator": self._simulator.save(),
+            "position_bias": self._position_bias.copy(),
+            "length_bias": self._length_bias.copy(),
+            "rng": self._rng.bit_generator.state,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from them."""
+        self._simulator.restore(state["simulator"])
+        self._position_bias = state["position_bias"].copy()
+        self._length_bias = state["length_bias"].copy()
+        self._rng.bit_generator.state = state["rng"]
+
+    def _normal(self, sigma: float, shape: tuple[int, int]) -> Array:
+        return sigma * self._rng.standard_normal(shape)
+
+    def _feasible(self, rows: NDArray[Any], position: Array) -> Array:
+        """Positions at which the plants of some worlds can rest, near the given ones."""
+        fleet = self._simulator.fleet.rows(np.asarray(rows, dtype=np.int32))
+        where = np.array(position)
+        for _ in range(ATTEMPTS):
+            rest = statics.inverse_kinematics(fleet, where)
+            bad = ~(rest.converged & rest.stable)
+            if not bad.any():
+                return where
+            where[bad] += RETREAT * (self.robot.home_position - where[bad])
+        raise CarosacError(f"{self.robot.name}: a plant that was drawn cannot rest near its home")
+
+    def _reached(self) -> Reached:
+        state = self._simulator.state.numpy()
+        return Reached(
+            position=state.position, rotation=state.rotation, twist=state.twist,
+            length=state.unstrained_length - self._length_bias,
+            inconsistency=np.zeros_like(state.unstrained_length), tension=state.tension,
+            failed=state.failed, position_bias=self._position_bias.copy(),
+        )  # fmt: skip

@@ -1,0 +1,145 @@
+"""What a policy sees: named parts of one vector, in units of the workspace.
+
+The same functions look at an environment while training and at a belief while driving, so a policy
+sees the same numbers in both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics.straight_line import inverse_kinematics
+from carosac_toolkit.robot import Robot
+
+ERROR = 0.2  # [m] that count as 1
+SPEED = 1.0  # [m/s]
+TILT = 0.2  # [rad]
+TURN = 1.0  # [rad/s]
+MARGIN = 0.02  # share of its range by which lengths may go beyond those of the workspace box
+GRID = 9  # points along each edge of the box at which lengths are looked at
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Look:
+    """What there is to see for B robots with n cables.
+
+    Attributes:
+        position: Platform origin in W [m], shape (B, 3).
+        rotation: From P to W, shape (B, 3, 3).
+        twist: Linear [m/s], then angular [rad/s], in W at the platform origin, shape (B, 6).
+        length: Unstrained lengths, as asked for last [m], shape (B, n).
+        target: Where the platform origin shall be, in W [m], shape (B, 3).
+        target_velocity: [m/s], shape (B, 3).
+        preview: Where it shall be later, in W [m], shape (B, K, 3).
+        last_action: In [-1, 1], shape (B, a).
+    """
+
+    position: Array
+    rotation: Array
+    twist: Array
+    length: Array
+    target: Array
+    target_velocity: Array
+    preview: Array
+    last_action: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scales:
+    """The workspace box and the lengths in it, which count as -1 to 1.
+
+    Attributes:
+        center: Middle of the box in W [m], shape (3,).
+        half: Half its edges [m], shape (3,).
+        length_low: Shortest straight-line lengths in the box [m], less a margin, shape (n,).
+        length_high: Longest ones [m], and a margin, shape (n,).
+    """
+
+    center: Array
+    half: Array
+    length_low: Array
+    length_high: Array
+
+    @classmethod
+    def of(cls, robot: Robot) -> Scales:
+        """Those of a robot."""
+        low, high = robot.workspace_min, robot.workspace_max
+        axes = [np.linspace(a, b, GRID) for a, b in zip(low, high, strict=True)]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        lengths = inverse_kinematics(robot, points)
+        least, most = lengths.min(axis=0), lengths.max(axis=0)
+        room = MARGIN * (most - least)
+        return cls(
+            center=(low + high) / 2, half=(high - low) / 2,
+            length_low=least - room, length_high=most + room,
+        )  # fmt: skip
+
+    def to_length(self, action: Array) -> Array:
+        """Actions in [-1, 1] as lengths [m], shape (B, n)."""
+        return self.length_low + (action + 1.0) / 2.0 * (self.length_high - self.length_low)
+
+    def to_action(self, length: Array) -> Array:
+        """Lengths [m] as actions, shape (B, n)."""
+        return 2.0 * (length - self.length_low) / (self.length_high - self.length_low) - 1.0
+
+    def to_unit(self, position: Array) -> Array:
+        """Positions in W [m] as shares of the box, (..., 3)."""
+        return (position - self.center) / self.half
+
+
+def _tilt(look: Look, scales: Scales) -> Array:
+    """Horizontal components of the platform's z axis, in W."""
+    return look.rotation[:, :2, 2] / TILT
+
+
+PARTS: dict[str, Callable[[Look, Scales], Array]] = {
+    "length": lambda look, scales: scales.to_action(look.length),
+    "position": lambda look, scales: scales.to_unit(look.position),
+    "target": lambda look, scales: scales.to_unit(look.target),
+    "error": lambda look, scales: (look.position - look.target) / ERROR,
+    "velocity": lambda look, scales: look.twist[:, :3] / SPEED,
+    "tilt": _tilt,
+    "turn": lambda look, scales: look.twist[:, 3:] / TURN,
+    "target_velocity": lambda look, scales: look.target_velocity / SPEED,
+    "preview": lambda look, scales: (
+        (look.preview - look.target[:, None]).reshape(len(look.target), -1) / ERROR
+    ),
+    "last_action": lambda look, scales: look.last_action,
+}
+
+
+def check_parts(parts: Sequence[str]) -> None:
+    """Refuse an observation of nothing, or of unknown or repeated parts."""
+    if not parts:
+        raise InvalidField("observation", "no parts", f"some of {sorted(PARTS)}")
+    for k, name in enumerate(parts):
+        if name not in PARTS or name in parts[:k]:
+            allowed = f"one of {sorted(PARTS)}, each once"
+            raise InvalidField(f"observation[{k}]", repr(name), allowed)
+
+
+def observe(parts: Sequence[str], look: Look, scales: Scales) -> Array:
+    """The parts side by side, shape (B, d)."""
+    return np.concatenate([PARTS[name](look, scales) for name in parts], axis=1)
+
+
+def slices(parts: Sequence[str], n: int, previews: int, actions: int) -> dict[str, slice]:
+    """Where each part stands in the observation.
+
+    Args:
+        parts: Names.
+        n: Number of cables.
+        previews: Number of later targets.
+        actions: Size of the action.
+    """
+    sizes = {
+        "length": n, "position": 3, "target": 3, "error": 3, "velocity": 3, "tilt": 2, "turn": 3,
+        "target_velocity": 3, "preview": 3 * previews, "last_action": actions,
+    }  # fmt: skip
+    ends = np.cumsum([0, *(sizes[name] for name in parts)])
+    return {name: slice(int(ends[k]), int(ends[k + 1])) for k, name in enumerate(parts)}

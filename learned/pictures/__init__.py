@@ -1,0 +1,1 @@
+"""Pictures of training and of trained policies, written to a file each."""

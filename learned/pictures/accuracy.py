@@ -1,0 +1,207 @@
+"""Pictures of how well a policy does: errors over trajectories, axes and space."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import combinations, product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from carosac_toolkit.arrays import Array, batch
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.pictures.drawing import (
+    COLORS,
+    MEASURED,
+    draw_violin,
+    limits_of,
+    new_figure,
+    put_legend,
+    put_patches,
+    set_space,
+    views,
+)
+from carosac_toolkit.robot import Robot
+from learned.pictures.files import save
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MM = 1e3
+BOX = "#8a8a8a"
+BINS = 40
+SHOWN = 99.0  # percent of the values that a histogram must show
+FAR = 1.5  # times as far as those: the rest is counted, not drawn
+MOST = len(COLORS)  # paths that can be told apart
+
+
+def error_histograms(
+    mean_error: ArrayLike, mean_length_error: ArrayLike, path: str | Path
+) -> Figure:
+    """Draw how the errors of N trajectories are distributed.
+
+    Args:
+        mean_error: Mean distance to the reference over each trajectory [m], shape (N,).
+        mean_length_error: Mean absolute length error over each, all cables [m], shape (N,).
+        path: Picture file.
+    """
+    figure = new_figure(11.0, 4.4)
+    panels = figure.subplots(1, 2)
+    errors = {
+        "mean position error": batch("mean_error", mean_error, ()),
+        "mean |length error|": batch("mean_length_error", mean_length_error, ()),
+    }
+    for axes, color, (label, values) in zip(panels, COLORS, errors.items(), strict=False):
+        _histogram(axes, MM * values, color)
+        axes.set_xlabel(f"{label} of a trajectory [mm]")
+        axes.set_ylabel("trajectories [-]")
+    count = len(errors["mean position error"])
+    figure.suptitle(f"Errors of {count} trajector{'y' if count == 1 else 'ies'}")
+    return save(figure, path)
+
+
+def error_violins(errors: ArrayLike, path: str | Path, *, what: str = "position error") -> Figure:
+    """Draw the distribution of the absolute error along each axis.
+
+    Args:
+        errors: Errors in W [m], shape (N, 3); their signs do not matter.
+        path: Picture file.
+        what: Of what they are errors.
+    """
+    values = MM * np.abs(batch("errors", errors, (3,)))
+    figure = new_figure(6.4, 4.6)
+    axes = figure.subplots()
+    for place, (column, color) in enumerate(zip(values.T, COLORS, strict=False)):
+        draw_violin(axes, column, place, color)
+    medians = np.median(values, axis=0)
+    names = [f"{name}\nmedian {median:.1f} mm" for name, median in zip("xyz", medians, strict=True)]
+    axes.set_xticks(range(3), names)
+    axes.set_xlim(-0.6, 2.8)
+    axes.set_ylim(-0.02 * axes.get_ylim()[1], axes.get_ylim()[1])
+    axes.set_ylabel(f"absolute {what} [mm]")
+    axes.grid(axis="y", alpha=0.25)
+    axes.set_axisbelow(True)
+    figure.suptitle(f"{len(values)} samples; bar: RMSE; dot: median")
+    return save(figure, path)
+
+
+def sample_paths(
+    reference: ArrayLike, reached: ArrayLike, robot: Robot, path: str | Path
+) -> Figure:
+    """Draw K paths with their references in space, from above and from the side.
+
+    Args:
+        reference: Wanted positions in W [m], shape (K, T, 3).
+        reached: Reached positions in W [m], shape (K, T, 3).
+        robot: Its workspace box is drawn.
+        path: Picture file.
+    """
+    wanted = batch("reference", reference, (*np.shape(reference)[1:2], 3))
+    found = batch("reached", reached, wanted.shape[1:])
+    if len(found) != len(wanted) or len(wanted) > MOST:
+        allowed = f"as many as references, {MOST} at most"
+        raise InvalidField("reached", f"{len(found)} paths for {len(wanted)}", allowed)
+    figure = new_figure(12.0, 7.2)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1.0))
+    space = figure.add_subplot(grid[:, 0], projection="3d")
+    corners = np.stack([robot.workspace_min, robot.workspace_max])
+    limits = limits_of([wanted.reshape(-1, 3), found.reshape(-1, 3), corners])
+    _paths(space, wanted, found, robot, (0, 1, 2))
+    set_space(space, limits)
+    for row, (pair, title) in enumerate(views(robot)):
+        axes = figure.add_subplot(grid[row, 1])
+        _paths(axes, wanted, found, robot, pair)
+        axes.set(xlabel=f"{'xyz'[pair[0]]} [m]", ylabel=f"{'xyz'[pair[1]]} [m]")
+        axes.set(xlim=limits[pair[0]], ylim=limits[pair[1]], aspect="equal")
+        axes.set_title(title, fontsize=9)
+        axes.grid(alpha=0.25)
+    figure.suptitle(f"{robot.name}: paths of the platform origin, one colour each; dot: start")
+    put_legend(figure, space)
+    return save(figure, path)
+
+
+def rmse_gaussians(groups: Mapping[str, ArrayLike], path: str | Path) -> Figure:
+    """Draw how the RMSE of a trajectory scatters: a normal distribution for each controller.
+
+    Args:
+        groups: RMSE of each trajectory along each axis of W [m], shape (N, 3), by name.
+        path: Picture file.
+    """
+    if not 0 < len(groups) <= MOST:
+        raise InvalidField("groups", len(groups), f"1 to {MOST} groups")
+    figure = new_figure(12.0, 4.6)
+    panels = figure.subplots(1, 3)
+    colors = dict(zip(groups, COLORS, strict=False))
+    for place, (name, errors) in enumerate(groups.items()):
+        values = MM * batch(name, errors, (3,))
+        for axes, column in zip(panels, values.T, strict=True):
+            _bell(axes, column, place, colors[name])
+    for axes, name in zip(panels, "xyz", strict=True):
+        axes.set_title(name, fontsize=10)
+        axes.set_xlabel("RMSE of a trajectory [mm]")
+        axes.set_yticks([])
+        axes.set_xlim(-0.02 * axes.get_xlim()[1], 1.1 * axes.get_xlim()[1])
+        axes.set_ylim(-0.13 * (len(groups) + 0.6), 1.08)
+        axes.axhline(0.0, color=MEASURED, lw=0.6)
+        axes.grid(axis="x", alpha=0.25)
+    figure.suptitle(
+        "RMSE per trajectory: its normal distribution, scaled to one height; "
+        "ticks: the trajectories; number: mean ± standard deviation"
+    )
+    put_patches(figure, colors)
+    return save(figure, path)
+
+
+def _histogram(axes: Any, values: Array, color: str) -> None:
+    """Draw a histogram of what is not far away, its median and its 95th percentile."""
+    end = FAR * float(np.percentile(values, SHOWN))
+    shown = values[values <= end] if end > 0.0 else values
+    axes.hist(shown, bins=BINS, range=(0.0, float(shown.max()) or 1.0), color=color, alpha=0.6)
+    for style, name, percent in (("-", "median", 50.0), ("--", "95th percentile", 95.0)):
+        value = float(np.percentile(values, percent))
+        axes.axvline(value, color=MEASURED, lw=1.2, ls=style, label=f"{name} {value:.1f} mm")
+    far = len(values) - len(shown)
+    if far:
+        axes.plot([], [], " ", label=f"not shown: {far}, up to {values.max():.0f} mm")
+    axes.legend(
+        loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False, fontsize=8,
+        handlelength=1.4, columnspacing=1.2,
+    )  # fmt: skip
+    axes.set_xlim(left=0.0)
+    axes.grid(axis="y", alpha=0.25)
+    axes.set_axisbelow(True)
+
+
+def _paths(axes: Any, wanted: Array, found: Array, robot: Robot, view: tuple[int, ...]) -> None:
+    """Draw the workspace box and all paths in one view."""
+    columns = list(view)
+    ends = np.stack([robot.workspace_min, robot.workspace_max])[:, columns]
+    corners = np.array(list(product(*ends.T)))
+    edges = [(a, b) for a, b in combinations(corners, 2) if (a != b).sum() == 1]
+    for k, edge in enumerate(edges):
+        label = None if k else "workspace box"
+        axes.plot(*np.stack(edge).T, color=BOX, lw=0.9, ls=":", label=label)
+    for k, reference in enumerate(wanted[..., columns]):
+        label = None if k else "reference"
+        axes.plot(*reference.T, color=MEASURED, lw=0.9, ls="--", label=label, zorder=3)
+        axes.plot(*reference[:1].T, "o", color=MEASURED, ms=3.5, zorder=3)
+    for k, reached in enumerate(found[..., columns]):
+        label = None if k else "reached"
+        axes.plot(*reached.T, color=COLORS[k], lw=1.5, label=label, zorder=2)
+
+
+def _bell(axes: Any, values: Array, place: int, color: str) -> None:
+    """Draw values as ticks below zero, and their normal distribution above."""
+    low = -0.13 * (place + 1)
+    axes.plot(values, np.full(len(values), low), "|", color=color, ms=7, alpha=0.7)
+    mean, deviation = float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
+    text = f"{mean:.1f}"
+    if deviation > 0.0:
+        text += f" ± {deviation:.1f}"
+        grid = mean + deviation * np.linspace(-3.5, 3.5, 141)
+        height = np.exp(-0.5 * ((grid - mean) / deviation) ** 2)
+        axes.fill_between(grid, height, color=color, alpha=0.35, lw=1.2, edgecolor=color)
+    beside = axes.get_yaxis_transform()
+    axes.text(0.99, low, text, transform=beside, ha="right", va="center", color=color, fontsize=9)

@@ -1,0 +1,177 @@
+"""Pictures of a training: reward terms against their variables, and learning curves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from carosac_toolkit.arrays import Array, batch
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.pictures.drawing import COLORS, MEASURED, new_figure, put_legend
+from learned.pictures.files import save
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MM = 1e3
+SMOOTHED = 0.04  # of the points: the window of the smoothed line
+COLUMNS = 3
+WIDE = 8.0  # ratio of errors from which their axis is logarithmic
+
+
+class Curve(TypedDict):
+    """What one training left behind, E episodes and K evaluations.
+
+    Attributes:
+        steps: Environment steps at the end of each episode, shape (E,).
+        reward: Mean reward of each episode per step [-], shape (E,).
+        evaluated_steps: Environment steps at each evaluation, shape (K,).
+        median_error: Median position error at each evaluation [m], shape (K,).
+        name: For the legend; without it, the number of the training.
+    """
+
+    steps: ArrayLike
+    reward: ArrayLike
+    evaluated_steps: NotRequired[ArrayLike]
+    median_error: NotRequired[ArrayLike]
+    name: NotRequired[str]
+
+
+def reward_terms(terms: Mapping[str, tuple[str, ArrayLike, ArrayLike]], path: str | Path) -> Figure:
+    """Draw each term of a reward against its variable.
+
+    Args:
+        terms: Label of the variable with its unit, values of it and of the term [-], both of
+            shape (S,), by name of the term.
+        path: Picture file.
+    """
+    if not terms:
+        raise InvalidField("terms", "none", "at least one term")
+    columns = 2 if len(terms) == 4 else min(COLUMNS, len(terms))
+    rows = -(-len(terms) // columns)
+    figure = new_figure(4.0 * columns, 0.5 + 2.8 * rows)
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes, (name, (label, variable, term)) in zip(panels, terms.items(), strict=False):
+        axes.axhline(0.0, color=MEASURED, lw=0.6)
+        x, y = _pair(label, variable, name, term)
+        axes.plot(x, y, color=COLORS[1], lw=1.8)
+        axes.set_title(name, fontsize=10)
+        axes.set_xlabel(label)
+        axes.margins(x=0.02, y=0.1)
+        axes.grid(alpha=0.25)
+    for k in range(0, len(terms), columns):
+        panels[k].set_ylabel("reward [-]")
+    for axes in panels[len(terms) :]:
+        axes.remove()
+    figure.suptitle("Terms of the reward of one step")
+    return save(figure, path)
+
+
+def learning_curves(
+    curves: Sequence[Curve], path: str | Path, *, marks: Mapping[str, float] | None = None
+) -> Figure:
+    """Draw the reward of each episode, raw and smoothed, and the error at each evaluation.
+
+    Args:
+        curves: One per seed.
+        path: Picture file.
+        marks: Errors to compare with [m], by name; drawn as lines.
+    """
+    if not curves:
+        raise InvalidField("curves", "none", "at least one curve")
+    evaluated = [curve for curve in curves if "median_error" in curve]
+    figure = new_figure(9.0, 7.0 if evaluated else 4.4)
+    panels = figure.subplots(2 if evaluated else 1, 1, sharex=True, squeeze=False).ravel()
+    for k, curve in enumerate(curves):
+        _draw_reward(panels[0], curve, COLORS[k % len(COLORS)], _name(curve, k))
+        if "median_error" in curve:
+            _draw_errors(panels[1], curve, COLORS[k % len(COLORS)])
+    panels[0].set_ylabel("mean reward of an episode [-]")
+    if evaluated:
+        _finish_errors(panels[1], marks or {})
+    for axes in panels:
+        axes.grid(alpha=0.25)
+        axes.margins(x=0.01)
+    panels[-1].set_xlabel("environment steps [-]")
+    panels[-1].xaxis.set_major_formatter(_thousands)
+    figure.align_ylabels(panels)
+    figure.suptitle(
+        f"Learning curves; pale: each episode; line: mean over {100 * SMOOTHED:.0f} % of them"
+    )
+    put_legend(figure, panels[0])
+    return save(figure, path)
+
+
+def smoothed(values: Array, share: float = SMOOTHED) -> Array:
+    """Moving mean over a centred window; at the ends over what of the window there is.
+
+    Args:
+        values: Shape (E,).
+        share: Width of the window over the number of values.
+
+    Returns:
+        Shape (E,).
+    """
+    at, half = np.arange(len(values)), int(share * len(values) / 2)
+    first, end = np.maximum(at - half, 0), np.minimum(at + half + 1, len(values))
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    mean: Array = (total[end] - total[first]) / (end - first)
+    return mean
+
+
+def _draw_reward(axes: Any, curve: Curve, color: str, label: str) -> None:
+    """Draw the reward of one training."""
+    steps, reward = _pair("steps", curve["steps"], "reward", curve["reward"])
+    axes.plot(steps, reward, color=color, lw=0.5, alpha=0.22, zorder=1, rasterized=True)
+    axes.plot(steps, smoothed(reward), color=color, lw=1.8, label=label, zorder=2)
+
+
+def _draw_errors(axes: Any, curve: Curve, color: str) -> None:
+    """Draw the evaluations of one training."""
+    if "evaluated_steps" not in curve:
+        raise InvalidField("evaluated_steps", "none", "the steps of each median_error")
+    when, what = curve["evaluated_steps"], curve["median_error"]
+    steps, error = _pair("evaluated_steps", when, "median_error", what)
+    axes.plot(steps, MM * error, color=color, lw=1.5, marker="o", ms=3.5)
+
+
+def _finish_errors(axes: Any, marks: Mapping[str, float]) -> None:
+    """Scale the errors, and draw those to compare with."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    drawn = np.concatenate([line.get_ydata() for line in axes.lines])
+    for name, mark in marks.items():
+        axes.axhline(MM * mark, color=MEASURED, lw=1.0, ls="--")
+        axes.annotate(
+            f"{name}: {MM * mark:g} mm", (0.0, MM * mark), xycoords=axes.get_yaxis_transform(),
+            xytext=(5, 3), textcoords="offset points", fontsize=8,
+        )  # fmt: skip
+    if len(drawn) and drawn.min() > 0.0 and drawn.max() > WIDE * drawn.min():
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    else:
+        axes.set_ylim(bottom=0.0)
+    axes.set_ylabel("median position error [mm]")
+
+
+def _pair(name: str, x: ArrayLike, other: str, y: ArrayLike) -> tuple[Array, Array]:
+    """Two arrays of the same shape (S,), finite, or an error that names the one that is not."""
+    first, second = batch(name, x, ()), batch(other, y, ())
+    if len(first) != len(second):
+        raise InvalidField(other, f"{len(second)} values", f"{len(first)} values, one per {name}")
+    return first, second
+
+
+def _name(curve: Curve, k: int) -> str:
+    return curve.get("name", f"training {k + 1}")
+
+
+def _thousands(value: float, _: int) -> str:
+    """Write a number of steps."""
+    return f"{value:,.0f}".replace(",", "\N{NARROW NO-BREAK SPACE}")

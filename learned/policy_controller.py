@@ -1,0 +1,199 @@
+"""The controller `td3`: a trained policy on any driver, without the packages that trained it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.number_checks import check_positive
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot_differences import same
+from carosac_toolkit.values import Belief, Command, Reference
+from learned.environment import EnvironmentSettings, empty_look, make_actions
+from learned.observation import Look, Scales, observe
+from learned.policy_file import Policy
+from learned.settings_data import environment_settings
+
+SUFFIX = ".onnx"
+NEEDS_TWIST = {"velocity", "turn"}
+# What a policy learns depends on; names, calibration and sensors are free.
+TRAINED_FOR = (
+    "exit_points", "anchor_points", "pulley_radius", "swivel_axis", "run_length",
+    "linear_density", "axial_stiffness", "mass", "center_of_mass", "inertia", "gravity",
+    "workspace_min", "workspace_max", "home_rotation",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicySettings:
+    """Settings of `PolicyController`.
+
+    Attributes:
+        policy: Name of a bundled policy, or path of an ONNX file that ``carosac train`` wrote;
+            None takes the bundled one of the robot.
+        period: Time between two commands [s], for policies of set-points; others bring their own.
+    """
+
+    policy: str | None = None
+    period: float = 0.02
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no sense."""
+        check_positive("period", self.period, "s")
+
+
+class PolicyController:
+    """Observes the belief as the policy's environment observed its platform, and acts once a cycle.
+
+    A policy of set-points gets the reference as far ahead as the winches lag; one of real time gets
+    the reference at the end of the cycle, and those later that it was trained with.
+    """
+
+    Settings: ClassVar = PolicySettings
+
+    def __init__(self, robot: Robot, policy: Policy, settings: PolicySettings) -> None:
+        """Make sure that the policy was trained for this robot.
+
+        Raises:
+            InvalidField: It was trained for another one; names what differs.
+        """
+        check_robot(robot, policy)
+        self._policy = policy
+        self._environment: EnvironmentSettings = environment_settings(policy.description.settings)
+        self._scales = Scales.of(robot)
+        self._actions = make_actions(robot, self._environment, self._scales)
+        self._check_sizes(robot)
+        period = policy.description.period
+        self.period = settings.period if period is None else period
+        lag = float(robot.winch_lag.mean()) / self.period + 0.5  # [periods], of set-points
+        ahead = [lag] if period is None else [1.0, *(1.0 + k for k in self._environment.preview)]
+        self._row = np.floor(np.array(ahead) + 1e-9).astype(int)
+        self._share = np.array(ahead) - self._row  # of the way to the next row
+        self.horizon = self.period * float(self._row.max() + 1)
+        self._length: Array | None = None
+        self._last_action = np.zeros((1, self._actions.size))
+
+    @classmethod
+    def build(
+        cls, robot: Robot, settings: PolicySettings | None = None, *, seed: int = 0
+    ) -> PolicyController:
+        """Load the policy; it draws no random numbers, so `seed` has no effect.
+
+        Raises:
+            InvalidField: There is no policy for this robot, or it was trained for another one.
+        """
+        chosen = settings or PolicySettings()
+        return cls(robot, Policy.load(find_policy(robot, chosen.policy)), chosen)
+
+    def reset(self, belief: Belief) -> None:
+        """Forget the last action."""
+        from carosac_toolkit.physics.straight_line import straight_length
+
+        self._length = straight_length(self._robot, belief.position, belief.rotation).length
+        self._last_action = np.zeros((len(belief.position), self._actions.size))
+
+    def command(self, belief: Belief, reference: Reference) -> Command:
+        """The lengths that the policy asks for.
+
+        Raises:
+            InvalidField: The belief lacks what the policy observes.
+        """
+        look = self._look(belief, reference)
+        action = self._policy.act(observe(self._environment.observation, look, self._scales))
+        self._length = self._actions.lengths(action, look)
+        self._last_action = action
+        return Command(time=belief.time, unstrained_length=self._length)
+
+    def _look(self, belief: Belief, reference: Reference) -> Look:
+        """What there is to see."""
+        wanted = NEEDS_TWIST & set(self._environment.observation)
+        if belief.twist is None and wanted:
+            allowed = f"an estimator with a twist; the policy observes {', '.join(sorted(wanted))}"
+            raise InvalidField("belief.twist", None, allowed)
+        size = len(belief.position)
+        position, velocity = (
+            np.broadcast_to(self._between(values), (size, len(self._row), 3))
+            for values in (reference.position, reference.velocity)
+        )
+        assert self._length is not None
+        return Look(
+            position=belief.position, rotation=belief.rotation,
+            twist=np.zeros((size, 6)) if belief.twist is None else belief.twist,
+            length=self._length, target=position[:, 0], target_velocity=velocity[:, 0],
+            preview=position[:, 1:], last_action=self._last_action,
+        )  # fmt: skip
+
+    def _between(self, rows: Array) -> Array:
+        """Values ahead of now, between the rows (B, N, 3) of a reference: (B, K, 3)."""
+        share = self._share[:, None]
+        found: Array = (1.0 - share) * rows[:, self._row] + share * rows[:, self._row + 1]
+        return found
+
+    def _check_sizes(self, robot: Robot) -> None:
+        """Make sure that observation and action fit the networks."""
+        self._robot = robot
+        look = empty_look(robot, len(self._environment.preview), self._actions.size)
+        seen = observe(self._environment.observation, look, self._scales).shape[1]
+        pairs = (
+            ("observation", seen, self._policy.observation_size),
+            ("action", self._actions.size, self._policy.action_size),
+        )
+        for name, mine, theirs in pairs:
+            if mine != theirs:
+                raise InvalidField(f"policy.{name}", f"{theirs} numbers", f"{mine} numbers")
+
+
+def check_robot(robot: Robot, policy: Policy) -> None:
+    """Refuse a robot that a policy was not trained for.
+
+    Raises:
+        InvalidField: Names the fields that differ.
+    """
+    trained = policy.description.robot
+    if trained.n != robot.n:
+        raise InvalidField("robot", f"{robot.n} cables", f"{trained.n}, as the policy's robot")
+    names = [x for x in TRAINED_FOR if not same(getattr(trained, x), getattr(robot, x))]
+    if names:
+        allowed = f"the robot that the policy was trained for; {', '.join(names)} differ"
+        raise InvalidField("robot", repr(robot.name), f"{allowed}: train one with `carosac train`")
+
+
+def list_policies() -> tuple[str, ...]:
+    """Names of the policies that come with the toolkit, sorted."""
+    names = [entry.name for entry in _folder().iterdir()]
+    return tuple(sorted(name.removesuffix(SUFFIX) for name in names if name.endswith(SUFFIX)))
+
+
+def find_policy(robot: Robot, name_or_path: str | None) -> Path:
+    """The file of a policy.
+
+    Args:
+        robot: Whose bundled policy is looked for without a name.
+        name_or_path: A bundled name, a path, or None.
+
+    Raises:
+        InvalidField: There is none of that name, or none for this robot.
+    """
+    names = list_policies()
+    if name_or_path is None:
+        if robot.name not in names:
+            allowed = f"a robot with a bundled policy, of {list(names)}, or a policy of its own"
+            raise InvalidField("robot", repr(robot.name), f"{allowed}: `carosac train`")
+        name_or_path = robot.name
+    if name_or_path in names:
+        return _folder() / f"{name_or_path}{SUFFIX}"
+    path = Path(name_or_path)
+    if path.suffix != SUFFIX and not path.exists():
+        raise InvalidField("policy", repr(name_or_path), f"one of {list(names)}, or an .onnx file")
+    return path
+
+
+def _folder() -> Path:
+    """Where they lie."""
+    return Path(str(files("learned") / "policies"))

@@ -1,0 +1,285 @@
+"""A trained policy as one ONNX file that says what it was trained for."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, asdict, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from carosac_toolkit.arrays import Array, batch
+from carosac_toolkit.errors import CarosacError, InvalidField, MissingFile
+from carosac_toolkit.robot import Robot
+
+if TYPE_CHECKING:
+    from onnx import ModelProto, NodeProto
+
+Layers = Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
+
+SCHEMA = "carosac-policy/1"
+PREFIX = "carosac."  # of the names of our metadata
+ACTIVATIONS = ("relu", "silu")
+OPSET = 17
+IR_VERSION = 8  # goes with the opset
+INSTALL = "pip install 'carosac-toolkit[learn]'"
+WRITTEN = "an ONNX file written by write_policy"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PolicyDescription:
+    """What a policy was trained for, and how.
+
+    Attributes:
+        preset: Name of the preset it was trained with.
+        robot: The nominal robot it was trained for.
+        observation: Names of the parts of the observation, in their order.
+        action: Name of what an action in [-1, 1] stands for.
+        period: Time between two actions [s]; None: each set-point settles.
+        settings: All settings of environment and training, as JSON holds them.
+        seed: Seed of the training.
+        steps: Environment steps it was trained for.
+        commit: Commit of the code that trained it.
+        scores: What an evaluation found, by name with its unit.
+    """
+
+    preset: str
+    robot: Robot
+    observation: tuple[str, ...]
+    action: str
+    period: float | None
+    settings: dict[str, Any]
+    seed: int
+    steps: int
+    commit: str
+    scores: dict[str, float]
+
+    def __post_init__(self) -> None:
+        """Refuse what a file could not give back as it was."""
+        names = self.observation
+        if not isinstance(names, list | tuple) or not all(isinstance(x, str) for x in names):
+            raise InvalidField("observation", repr(names), "names of the parts of an observation")
+        object.__setattr__(self, "observation", tuple(names))
+        if self.period is not None and not 0.0 < self.period < float("inf"):
+            raise InvalidField("period", f"{self.period} s", "period > 0, or None")
+        if self.steps < 0:
+            raise InvalidField("steps", self.steps, "steps >= 0")
+        for name in ("seed", "steps"):
+            object.__setattr__(self, name, int(getattr(self, name)))
+        for name in ("settings", "scores"):
+            object.__setattr__(self, name, _plain(name, getattr(self, name)))
+
+
+class Policy:
+    """A policy read from a file: a map from observations to actions, without memory.
+
+    Attributes:
+        description: What it was trained for.
+        observation_size: Numbers in an observation.
+        action_size: Numbers in an action.
+    """
+
+    def __init__(self, session: Any, description: PolicyDescription) -> None:
+        self.description = description
+        self.observation_size = int(session.get_inputs()[0].shape[1])
+        self.action_size = int(session.get_outputs()[0].shape[1])
+        self._session = session
+
+    @classmethod
+    def load(cls, path: str | Path) -> Policy:
+        """Read a policy with onnxruntime alone, to run on one core.
+
+        Raises:
+            MissingFile: There is no such file.
+            InvalidField: It is no policy that `write_policy` wrote.
+            CarosacError: onnxruntime is not installed.
+        """
+        if not Path(path).is_file():
+            raise MissingFile(path)
+        session = _session(path)
+        description = _description(path, session.get_modelmeta().custom_metadata_map)
+        sides = (("observation", session.get_inputs()), ("action", session.get_outputs()))
+        for name, found in sides:
+            shapes = {one.name: one.shape for one in found}
+            if set(shapes) != {name} or not _is_batch(shapes[name]):
+                raise InvalidField("path", f"{path} with {shapes}", f"{WRITTEN}: {name} (batch, d)")
+        return cls(session, description)
+
+    def act(self, observation: ArrayLike) -> Array:
+        """Choose an action for each observation.
+
+        Args:
+            observation: As `description.observation` names it, shape (B, observation_size).
+
+        Returns:
+            Actions in [-1, 1] [-], shape (B, action_size).
+
+        Raises:
+            InvalidField: A wrong size, or a number that is not finite or too large.
+        """
+        values = batch("observation", observation, (self.observation_size,))
+        with np.errstate(over="ignore"):  # what overflows is refused below
+            single = values.astype(np.float32)
+        action = np.asarray(self._session.run(["action"], {"observation": single})[0], np.float64)
+        if not np.isfinite(action).all():
+            largest = np.abs(values).max()
+            raise InvalidField("observation", f"{largest:g}", "what a float32 network can take")
+        return action
+
+
+def write_policy(
+    path: str | Path, layers: Layers, activation: str, description: PolicyDescription
+) -> None:
+    """Write a multilayer perceptron with tanh behind its last layer, as a whole or not at all.
+
+    Args:
+        path: The ONNX file.
+        layers: Weight (out, in) and bias (out,) of each layer, kept as float32.
+        activation: Of the hidden layers: relu or silu.
+        description: What it was trained for; kept as metadata.
+
+    Raises:
+        InvalidField: Layers that do not fit, or an unknown activation.
+        CarosacError: onnx is not installed, or the file cannot be written.
+    """
+    from carosac_toolkit.cli.common import replacing
+
+    if activation not in ACTIVATIONS:
+        raise InvalidField("activation", repr(activation), f"one of {list(ACTIVATIONS)}")
+    model = _model(_checked(layers), activation)
+    with replacing(Path(path)) as temporary:
+        temporary.write_bytes(_with_metadata(model, description))
+
+
+def _checked(layers: Layers) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    """Layers as float32, or an error that names the first that does not fit."""
+    if not layers:
+        raise InvalidField("layers", "none", "at least one layer")
+    checked = []
+    width: int | None = None
+    for k, (weight, bias) in enumerate(layers):
+        pair = (np.asarray(weight, dtype=np.float32), np.asarray(bias, dtype=np.float32))
+        shape = pair[0].shape
+        fits = len(shape) == 2 and pair[1].shape == shape[:1] and width in (None, shape[1])
+        if not fits or 0 in shape:
+            allowed = f"weight (out, {width or 'in'}) and bias (out,)"
+            raise InvalidField(f"layers[{k}]", f"shapes {shape} and {pair[1].shape}", allowed)
+        if not all(np.isfinite(part).all() for part in pair):
+            raise InvalidField(f"layers[{k}]", "a number that is not finite", "finite numbers")
+        checked.append(pair)
+        width = shape[0]
+    return checked
+
+
+def _model(layers: Layers, activation: str) -> ModelProto:
+    """The graph of a perceptron: observation (batch, in) to action (batch, out)."""
+    try:
+        from onnx import TensorProto, helper, numpy_helper
+    except ImportError as error:
+        raise CarosacError(f"writing a policy needs onnx: {INSTALL}") from error
+    nodes: list[NodeProto] = []
+    tensors = []
+    value = "observation"
+    for k, (weight, bias) in enumerate(layers):
+        tensors.append(numpy_helper.from_array(weight, f"weight_{k}"))
+        tensors.append(numpy_helper.from_array(bias, f"bias_{k}"))
+        given = [value, f"weight_{k}", f"bias_{k}"]
+        nodes.append(helper.make_node("Gemm", given, [f"linear_{k}"], transB=1))
+        last = k == len(layers) - 1
+        value = "action" if last else f"hidden_{k}"
+        if last or activation == "relu":
+            operation = "Tanh" if last else "Relu"
+            nodes.append(helper.make_node(operation, [f"linear_{k}"], [value]))
+        else:  # silu
+            nodes.append(helper.make_node("Sigmoid", [f"linear_{k}"], [f"gate_{k}"]))
+            nodes.append(helper.make_node("Mul", [f"linear_{k}", f"gate_{k}"], [value]))
+    sides = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size])
+        for name, size in (("observation", layers[0][0].shape[1]), ("action", len(layers[-1][1])))
+    ]
+    graph = helper.make_graph(nodes, "policy", sides[:1], sides[1:], tensors)
+    opset = [helper.make_opsetid("", OPSET)]
+    return helper.make_model(
+        graph, opset_imports=opset, ir_version=IR_VERSION, producer_name="carosac-toolkit"
+    )
+
+
+def _with_metadata(model: ModelProto, description: PolicyDescription) -> bytes:
+    """A checked model with its description, the same bytes for the same policy."""
+    from onnx import checker, helper
+
+    record = {f.name: getattr(description, f.name) for f in fields(PolicyDescription)}
+    record["robot"] = {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in asdict(description.robot).items()
+    }
+    texts = {PREFIX + name: json.dumps(value) for name, value in record.items()}
+    helper.set_model_props(model, {PREFIX + "schema": SCHEMA} | texts)
+    checker.check_model(model, full_check=True)
+    return bytes(model.SerializeToString(deterministic=True))
+
+
+def _session(path: str | Path) -> Any:
+    """A file open in onnxruntime, on one core."""
+    try:
+        import onnxruntime
+        from onnxruntime.capi import onnxruntime_pybind11_state as failures
+    except ImportError as error:
+        raise CarosacError(f"a policy needs onnxruntime: {INSTALL}") from error
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 4  # what matters is raised
+    names = ("Fail", "InvalidArgument", "InvalidGraph", "InvalidProtobuf", "NoModel",
+             "NotImplemented", "RuntimeException")  # fmt: skip
+    try:
+        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except tuple(getattr(failures, name) for name in names) as error:
+        raise InvalidField("path", path, f"{WRITTEN}; this is no ONNX file") from error
+
+
+def _description(path: str | Path, metadata: Mapping[str, str]) -> PolicyDescription:
+    """The description in the metadata of a file."""
+    schema = metadata.get(PREFIX + "schema")
+    if schema != SCHEMA:
+        got = f"{path} with schema {schema}" if schema else f"{path} without our metadata"
+        raise InvalidField("path", got, f"{WRITTEN}, schema {SCHEMA}")
+    names = [f.name for f in fields(PolicyDescription)]
+    missing = [name for name in names if PREFIX + name not in metadata]
+    if missing:
+        raise InvalidField("path", f"{path} without {', '.join(missing)}", WRITTEN)
+    try:
+        record = {name: json.loads(metadata[PREFIX + name]) for name in names}
+    except ValueError as error:
+        raise InvalidField("path", f"{path} with damaged metadata", WRITTEN) from error
+    return PolicyDescription(**record | {"robot": _robot(path, record["robot"])})
+
+
+def _robot(path: str | Path, record: Any) -> Robot:
+    """The robot of a policy; fields that came to `Robot` later may be missing if they can be."""
+    needed = {f.name for f in fields(Robot) if f.default is MISSING}
+    known = {f.name for f in fields(Robot)}
+    found = set(record) if isinstance(record, dict) else set()
+    wrong = sorted((needed - found) | (found - known))
+    if wrong:
+        raise InvalidField("path", f"{path} whose robot differs in {wrong}", "the fields of Robot")
+    return Robot(**record)
+
+
+def _is_batch(shape: Sequence[Any]) -> bool:
+    """Whether a shape is (batch, d) with a known d."""
+    return len(shape) == 2 and isinstance(shape[1], int)
+
+
+def _plain(name: str, value: Any) -> Any:
+    """A mapping as JSON gives it back, or an error."""
+    allowed = "a mapping of texts to what JSON can hold, all numbers finite"
+    if not isinstance(value, Mapping):
+        raise InvalidField(name, repr(value), allowed)
+    try:
+        return json.loads(json.dumps(dict(value), allow_nan=False))
+    except (TypeError, ValueError) as error:
+        raise InvalidField(name, f"what JSON cannot hold ({error})", allowed) from error

@@ -1,0 +1,150 @@
+"""How well a policy does on given paths: errors, and whether its cables agree with each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.physics import statics, straight_line
+from carosac_toolkit.robot import Robot
+from learned.environment import CableEnvironment
+from learned.episodes import Path
+
+Act = Callable[[Array], Array]  # observations (B, d) to actions (B, a) in [-1, 1]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scores:
+    """What happened on N paths of T steps, with n cables.
+
+    Attributes:
+        target: Targets in W [m], shape (N, T, 3).
+        position: Platform origin in W [m], shape (N, T, 3).
+        length_error: Lengths asked for less those of inverse kinematics of the target, of the
+            same cable model [m], shape (N, T, n).
+        inconsistency: Largest of a cable [m], shape (N, T); see `learned.transition`.
+        length: Wound [m], shape (N, T, n).
+        tilt: Angle of the platform's z axis to that of rest at the target [rad], shape (N, T).
+        tension: At the platform [N], shape (N, T, n); None without forces.
+        failed: Steps without a solution, shape (N, T); nothing counts after the first one.
+    """
+
+    target: Array
+    position: Array
+    length_error: Array
+    inconsistency: Array
+    length: Array
+    tilt: Array
+    tension: Array | None
+    failed: NDArray[np.bool_]
+
+    @property
+    def error(self) -> Array:
+        """Reached less target [m], shape (N, T, 3)."""
+        return self.position - self.target
+
+    def data(self, robot: Robot) -> dict[str, Any]:
+        """The numbers of ``carosac evaluate``; NaN where all paths failed at their first step.
+
+        Args:
+            robot: For its tension limits.
+        """
+        valid = ~np.maximum.accumulate(self.failed, axis=1)
+        error = np.abs(self.error)
+        norm = np.linalg.norm(error, axis=2)
+        means = [one[seen].mean() for one, seen in zip(norm, valid, strict=True) if seen.any()]
+        data: dict[str, Any] = {
+            "median_error_m": {
+                **{axis: _median(error[valid][:, k]) for k, axis in enumerate("xyz")},
+                "norm": _median(norm[valid]),
+            },
+            "median_of_trajectory_means_m": _median(means),
+            "p95_error_m": _percentile(norm[valid], 95),
+            "rmse_m": _mean(norm[valid] ** 2) ** 0.5,
+            "length_error_m": _median(np.abs(self.length_error[valid])),
+            "inconsistency_m": _median(self.inconsistency[valid]),
+            "p95_inconsistency_m": _percentile(self.inconsistency[valid], 95),
+            "median_tilt_rad": _median(self.tilt[valid]),
+            "failures": int(self.failed.any(axis=1).sum()),
+            "trajectories": len(norm),
+        }
+        if self.tension is not None:
+            seen = self.tension[valid]
+            data["slack_share"] = _mean((seen < robot.tension_min).any(axis=1))
+            data["overload_share"] = _mean((seen > robot.tension_max).any(axis=1))
+            data["tension_range_N"] = [_percentile(seen, 0), _percentile(seen, 100)]
+        return data
+
+
+def score(environment: CableEnvironment, act: Act, paths: list[Path]) -> Scores:
+    """Follow paths, as many at once as the environment has rows.
+
+    Args:
+        environment: Its size divides the number of paths.
+        act: The policy.
+        paths: All as long as an episode of the environment.
+    """
+    size = environment.size
+    parts = [
+        _score_batch(environment, act, paths[k : k + size]) for k in range(0, len(paths), size)
+    ]
+    joined: dict[str, Any] = {}
+    for name in Scores.__dataclass_fields__:
+        values = [getattr(part, name) for part in parts]
+        joined[name] = None if values[0] is None else np.concatenate(values)
+    return Scores(**joined)
+
+
+def _score_batch(environment: CableEnvironment, act: Act, paths: list[Path]) -> Scores:
+    """Follow one path in each row of the environment."""
+    observation = environment.reset(paths)
+    steps = environment.settings.path.steps
+    found: dict[str, list[Any]] = {name: [] for name in Scores.__dataclass_fields__}
+    for _ in range(steps):
+        result = environment.step(act(observation))
+        observation = result.observation
+        transition = result.transition
+        wanted, tilt = _wanted(environment, transition.target, result.reached.rotation)
+        found["target"].append(transition.target)
+        found["position"].append(transition.position)
+        found["length_error"].append(transition.asked - wanted)
+        found["inconsistency"].append(np.abs(transition.inconsistency).max(axis=1))
+        found["length"].append(transition.length)
+        found["tilt"].append(tilt)
+        found["tension"].append(result.reached.tension)
+        found["failed"].append(result.terminated)
+    stacked: dict[str, Any] = {
+        name: None if values[0] is None else np.stack(values, axis=1)
+        for name, values in found.items()
+    }
+    return Scores(**stacked)
+
+
+def _wanted(environment: CableEnvironment, target: Array, rotation: Array) -> tuple[Array, Array]:
+    """Lengths of inverse kinematics of targets (B, n), and the tilt against rest there (B,)."""
+    robot = environment.robot
+    if environment.settings.world == "no_sag":
+        return straight_line.inverse_kinematics(robot, target), np.zeros(len(target))
+    rest = statics.inverse_kinematics(robot, target)
+    cosine = np.einsum("bi,bi->b", rest.rotation[:, :, 2], rotation[:, :, 2])
+    return rest.unstrained_length, np.arccos(np.clip(cosine, -1.0, 1.0))
+
+
+def _mean(values: NDArray[Any]) -> float:
+    """The mean; NaN of nothing, as those below."""
+    return float(np.mean(values)) if np.size(values) else float("nan")
+
+
+def _median(values: NDArray[Any]) -> float:
+    """The median."""
+    return _percentile(values, 50)
+
+
+def _percentile(values: NDArray[Any], share: float) -> float:
+    """A percentile."""
+    return float(np.percentile(values, share)) if np.size(values) else float("nan")

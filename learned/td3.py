@@ -1,0 +1,139 @@
+"""stable-baselines3's TD3 as the presets use it, and everything in it that changes."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3 import TD3
+
+from learned.exploration import DecayingNoise
+from learned.metric_policy import MetricPolicy
+from learned.observation import slices
+from learned.presets import Stage, Td3Settings
+from learned.relabelling import RelabellingBuffer
+from learned.vector_environment import CableVecEnv
+
+ACTIVATIONS = {"relu": torch.nn.ReLU, "silu": torch.nn.SiLU}
+BUFFER_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+BUFFER_EXTRAS = ("positions", "inconsistencies", "failed")
+
+
+class StagedTd3(TD3):
+    """TD3 with learning rates of its own for actor and critic, and noise that decays."""
+
+    rates: Td3Settings
+
+    def _update_learning_rate(self, optimizers: Any) -> None:
+        """Set both rates; they fall linearly."""
+        left = max(0.0, self._current_progress_remaining)  # the last step may go beyond the end
+        share = self.rates.rate_end + (1.0 - self.rates.rate_end) * left
+        for optimizer, rate in zip(
+            optimizers, (self.rates.actor_rate, self.rates.critic_rate), strict=True
+        ):
+            for group in optimizer.param_groups:
+                group["lr"] = rate * share
+        self.logger.record("train/rate_share", share)
+
+    def _on_step(self) -> None:
+        """Let the noise decay with the steps."""
+        if isinstance(self.action_noise, DecayingNoise):
+            self.action_noise.progress = self.num_timesteps / self._total_timesteps
+        super()._on_step()
+
+
+def build_model(stage: Stage, environment: CableVecEnv, seed: int) -> StagedTd3:
+    """A model that has learned nothing yet.
+
+    Args:
+        stage: Its settings.
+        environment: With as many environments as they say.
+        seed: Of networks, replay and noise.
+    """
+    settings = stage.td3
+    cables = environment.environment
+    noise = DecayingNoise(settings.exploration, (settings.environments, cables.action_size), seed)
+    parts = slices(
+        stage.environment.observation, cables.robot.n, len(stage.environment.preview),
+        cables.action_size,
+    )  # fmt: skip
+    policy: dict[str, Any] = {
+        "net_arch": list(settings.hidden),
+        "activation_fn": ACTIVATIONS[settings.activation],
+        "n_critics": settings.critics,
+    }
+    buffer: dict[str, Any] = {}
+    reward, span = stage.environment.reward, cables.reward.span
+    if settings.critic == "metric":
+        policy["metric"] = {"target": parts["target"], "scale": reward.fit_scale, "span": span}
+    if settings.relabelled > 0.0:
+        buffer = {
+            "share": settings.relabelled, "target": parts["target"], "scales": cables.scales,
+            "fit_scale": reward.fit_scale, "consistency": reward.consistency, "span": span,
+        }  # fmt: skip
+    model = StagedTd3(
+        MetricPolicy if settings.critic == "metric" else "MlpPolicy", environment,
+        learning_rate=settings.actor_rate, buffer_size=settings.buffer_size,
+        learning_starts=settings.random_steps, batch_size=settings.batch_size,
+        gamma=settings.discount, train_freq=1, gradient_steps=settings.gradient_steps,
+        action_noise=noise, policy_kwargs=policy, seed=seed, device="cpu",
+        replay_buffer_class=RelabellingBuffer if buffer else None,
+        replay_buffer_kwargs=buffer or None,
+    )  # fmt: skip
+    model.rates = settings
+    return model
+
+
+def state_of(model: StagedTd3) -> dict[str, Any]:
+    """Everything that changes while training, with all sources of randomness."""
+    buffer = model.replay_buffer
+    assert buffer is not None and isinstance(model.action_noise, DecayingNoise)
+    assert isinstance(model.env, CableVecEnv)
+    names = [*BUFFER_ARRAYS, *(name for name in BUFFER_EXTRAS if hasattr(buffer, name))]
+    filled = buffer.buffer_size if buffer.full else buffer.pos
+    return {
+        "parameters": model.get_parameters(),
+        "steps": model.num_timesteps,
+        "updates": model._n_updates,
+        "episodes": model._episode_num,
+        "progress": model._current_progress_remaining,
+        "buffer": {name: getattr(buffer, name)[:filled].copy() for name in names},
+        "buffer_position": (buffer.pos, buffer.full),
+        "last_observation": np.array(model._last_obs),
+        "noise": model.action_noise.state(),
+        "environment": model.env.state(),
+        "action_space": model.action_space.np_random.bit_generator.state,
+        "numpy": np.random.get_state(),  # noqa: NPY002 - stable-baselines3 draws from it
+        "python": random.getstate(),
+        "torch": torch.get_rng_state(),
+    }
+
+
+def restore_state(model: StagedTd3, state: dict[str, Any]) -> None:
+    """Go on as if training had never stopped; after `_setup_learn`."""
+    buffer = model.replay_buffer
+    assert buffer is not None and isinstance(model.action_noise, DecayingNoise)
+    assert isinstance(model.env, CableVecEnv)
+    model.set_parameters(state["parameters"])
+    model.num_timesteps = state["steps"]
+    model._n_updates = state["updates"]
+    model._episode_num = state["episodes"]
+    model._current_progress_remaining = state["progress"]
+    for name, values in state["buffer"].items():
+        getattr(buffer, name)[: len(values)] = values
+    buffer.pos, buffer.full = state["buffer_position"]
+    model._last_obs = state["last_observation"]
+    model.action_noise.restore(state["noise"])
+    model.env.restore(state["environment"])
+    model.action_space.np_random.bit_generator.state = state["action_space"]
+    np.random.set_state(state["numpy"])  # noqa: NPY002
+    random.setstate(state["python"])
+    torch.set_rng_state(state["torch"])
+
+
+def layers_of(model: StagedTd3) -> list[tuple[Any, Any]]:
+    """Weights and biases of the actor, layer by layer, for `learned.policy_file`."""
+    linear = [module for module in model.actor.mu if isinstance(module, torch.nn.Linear)]
+    return [(x.weight.detach().numpy().copy(), x.bias.detach().numpy().copy()) for x in linear]

@@ -1,0 +1,52 @@
+"""What one step of a batch of environments did: all that rewards and scores look at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Transition:
+    """One step of B environments with n cables.
+
+    Attributes:
+        target: Platform origin that was asked for in W [m], shape (B, 3).
+        position_before: Platform origin before the step [m], shape (B, 3).
+        position: Platform origin after it [m], shape (B, 3).
+        length_before: Wound before the step [m], shape (B, n).
+        length: Wound after it [m], shape (B, n).
+        asked: Lengths that the action asks for [m], shape (B, n).
+        straight_position: Straight-line lengths at `position` [m], shape (B, n).
+        straight_target: Straight-line lengths at `target` [m], shape (B, n).
+        inconsistency: What each length lacks to the one that inverse kinematics of the same model
+            gives at `position` [m], shape (B, n); zero where the lengths agree with each other.
+        velocity: Of the platform origin less that of its target [m/s], shape (B, 3); zero where
+            set-points settle.
+        effort: How far the action moves the target off the reference, over its range, shape (B,);
+            zero for actions that are lengths.
+        failed: Steps without a solution, in which the platform stays where it was, shape (B,).
+    """
+
+    target: Array
+    position_before: Array
+    position: Array
+    length_before: Array
+    length: Array
+    asked: Array
+    straight_position: Array
+    straight_target: Array
+    inconsistency: Array
+    velocity: Array
+    effort: Array
+    failed: NDArray[np.bool_]
+
+    @property
+    def distance(self) -> Array:
+        """From the target, after the step [m], shape (B,)."""
+        found: Array = np.linalg.norm(self.position - self.target, axis=1)
+        return found

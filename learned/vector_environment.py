@@ -1,0 +1,103 @@
+"""The environment as stable-baselines3 wants it: one batch, no processes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from stable_baselines3.common.vec_env import VecEnv
+
+from learned.environment import CableEnvironment
+
+
+class CableVecEnv(VecEnv):
+    """B environments that advance together; see `learned.environment.CableEnvironment`.
+
+    Infos carry ``position`` and ``inconsistency`` (norm over the cables) of each step, and, at the
+    end of an episode, what stable-baselines3 asks for.
+    """
+
+    def __init__(self, environment: CableEnvironment) -> None:
+        self.environment = environment
+        self._action: Any = None
+        self._total = np.zeros(environment.size)
+        self._length = np.zeros(environment.size, dtype=np.int64)
+        super().__init__(environment.size, *spaces_of(environment))
+
+    def reset(self) -> Any:
+        """First observations, shape (B, d)."""
+        self._total[:] = 0.0
+        self._length[:] = 0
+        return self.environment.reset().astype(np.float32)
+
+    def step_async(self, actions: Any) -> None:
+        """Keep the actions."""
+        self._action = np.asarray(actions, dtype=np.float64)
+
+    def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
+        """Act on them."""
+        found = self.environment.step(self._action)
+        self._total += found.reward
+        self._length += 1
+        done = found.terminated | found.truncated
+        lack = np.linalg.norm(found.transition.inconsistency, axis=1)
+        infos: list[dict[str, Any]] = [
+            {"position": position, "inconsistency": value}
+            for position, value in zip(found.transition.position, lack, strict=True)
+        ]
+        final = found.final_observation.astype(np.float32)
+        for row in np.flatnonzero(done):
+            infos[row] |= {
+                "terminal_observation": final[row],
+                "TimeLimit.truncated": bool(found.truncated[row]),
+                "episode": {"r": float(self._total[row]), "l": int(self._length[row])},
+            }
+        self._total[done] = 0.0
+        self._length[done] = 0
+        reward = found.reward.astype(np.float32)
+        return found.observation.astype(np.float32), reward, done, infos
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes."""
+        return {
+            "environment": self.environment.state(),
+            "total": self._total.copy(),
+            "length": self._length.copy(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state."""
+        self.environment.restore(state["environment"])
+        self._total = state["total"].copy()
+        self._length = state["length"].copy()
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute, once for each environment."""
+        return [getattr(self.environment, attr_name, None)] * self._count(indices)
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refused: all environments are one."""
+        raise NotImplementedError("environments of a batch have no attributes of their own")
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Refused: all environments are one."""
+        raise NotImplementedError("environments of a batch have no methods of their own")
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """None is."""
+        return [False] * self._count(indices)
+
+    def _count(self, indices: Any) -> int:
+        return self.num_envs if indices is None else int(np.size(indices))
+
+
+def spaces_of(environment: CableEnvironment) -> tuple[spaces.Box, spaces.Box]:
+    """Spaces of observations and actions."""
+    observed = spaces.Box(-np.inf, np.inf, (environment.observation_size,), np.float32)
+    return observed, spaces.Box(-1.0, 1.0, (environment.action_size,), np.float32)

@@ -1,0 +1,75 @@
+"""`carosac train` and `carosac evaluate`, as a user runs them."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from carosac_toolkit.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A policy that has hardly learned anything, in both stages."""
+    folder = tmp_path_factory.mktemp("train")
+    status = main(["train", "--steps", "1200", "--output", str(folder / "out"),
+                   "--json", str(folder / "train.json")])  # fmt: skip
+    assert status == 0
+    return folder
+
+
+def test_both_stages_leave_a_policy_and_a_curve(trained):
+    data = json.loads((trained / "train.json").read_text())
+    assert list(data["stages"]) == ["no_sag", "sag"]
+    for name in data["stages"]:
+        files = {path.name for path in (trained / "out" / name).iterdir()}
+        assert {"settings.json", "curve.csv", "checkpoint.pt", "policy.onnx"} <= files
+    settings = json.loads((trained / "out" / "sag" / "settings.json").read_text())
+    assert settings["environment"]["world"] == "settle"
+    assert settings["td3"]["steps"] == 1200
+
+
+def test_the_same_command_again_has_nothing_to_do(trained, capsys):
+    before = (trained / "out" / "no_sag" / "curve.csv").read_text()
+    assert main(["train", "--steps", "1200", "--output", str(trained / "out")]) == 0
+    assert (trained / "out" / "no_sag" / "curve.csv").read_text() == before
+
+
+def test_a_folder_of_another_training_is_refused(trained, capsys):
+    assert main(["train", "--steps", "1300", "--output", str(trained / "out")]) == 2
+    assert "td3 differ" in capsys.readouterr().err
+
+
+def test_evaluation_says_errors_beside_inconsistency(trained, capsys):
+    policy = str(trained / "out" / "sag" / "policy.onnx")
+    out = ["--output", str(trained / "pictures"), "--json", str(trained / "e.json")]
+    assert main(["evaluate", policy, "--protocol", "no-sag", "--trajectories", "3", *out]) == 0
+    data = json.loads((trained / "e.json").read_text())
+    assert set(data["median_error_m"]) == {"x", "y", "z", "norm"}
+    assert data["trajectories"] == 3
+    assert data["inconsistency_m"] > 0.0
+    assert (trained / "pictures" / "histograms.png").exists()
+    assert "median inconsistency" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["train", "--preset", "papper"], "preset: got 'papper'"),
+        (["train", "--stage", "sagg"], "--stage: got 'sagg'; allowed: one of"),
+        (["train", "--steps", "0"], "--steps: got 0"),
+        (["evaluate", "nothing.onnx"], "nothing.onnx: no such file"),
+        (["evaluate", "carosak"], "policy: got 'carosak'"),
+    ],
+)
+def test_wrong_input_is_said(words, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_protocol_must_fit_the_policy(trained, capsys):
+    policy = str(trained / "out" / "sag" / "policy.onnx")
+    assert main(["evaluate", policy, "--protocol", "realtime", "--trajectories", "2"]) == 2
+    assert "as the policy was trained" in capsys.readouterr().err

@@ -1,0 +1,117 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.pictures.drawing import COLORS, MEASURED
+from learned.pictures.accuracy import error_histograms, error_violins, rmse_gaussians, sample_paths
+from tests.robots import simple_robot
+
+RNG = np.random.default_rng(0)
+
+
+def test_histograms_count_every_trajectory_or_say_which_they_leave_out(tmp_path):
+    near = RNG.lognormal(np.log(0.02), 0.3, 500)
+    far = np.append(near[:-2], [0.7, 0.9])
+    figure = error_histograms(near, far, tmp_path / "histograms.png")
+    for axes, values in zip(figure.axes, (near, far), strict=True):
+        drawn = sum(patch.get_height() for patch in axes.patches)
+        texts = [text.get_text() for text in axes.get_legend().get_texts()]
+        left = [text for text in texts if text.startswith("not shown")]
+        assert f"median {1e3 * np.median(values):.1f} mm" in texts
+        assert f"95th percentile {1e3 * np.percentile(values, 95):.1f} mm" in texts
+        assert drawn == (498 if values is far else 500)
+        assert left == (["not shown: 2, up to 900 mm"] if values is far else [])
+        assert axes.lines[0].get_xdata()[0] == pytest.approx(1e3 * np.median(values))
+        assert "[mm]" in axes.get_xlabel()
+
+
+@pytest.mark.parametrize("value", [0.0, 0.02])
+def test_one_trajectory_has_a_histogram(tmp_path, value):
+    figure = error_histograms([value], [value], tmp_path / "histograms.png")
+    assert "1 trajectory" in figure.get_suptitle()
+    assert [sum(p.get_height() for p in axes.patches) for axes in figure.axes] == [1, 1]
+
+
+def test_violins_show_rmse_and_median_of_the_absolute_error(tmp_path):
+    errors = RNG.standard_normal((800, 3)) * [0.02, 0.03, 0.01] - 0.01
+    (axes,) = error_violins(errors, tmp_path / "violins.png").axes
+    bars = [c.get_segments()[0][0][1] for c in axes.collections if hasattr(c, "get_segments")]
+    assert bars == pytest.approx(1e3 * np.sqrt((errors**2).mean(axis=0)))
+    dots = [line.get_ydata()[0] for line in axes.lines]
+    assert dots == pytest.approx(1e3 * np.median(np.abs(errors), axis=0))
+    names = [tick.get_text() for tick in axes.get_xticklabels()]
+    assert [name.split("\n")[0] for name in names] == ["x", "y", "z"]
+    assert names[0].endswith(f"median {dots[0]:.1f} mm")
+
+
+def test_paths_lie_beside_their_references_within_the_workspace_box(tmp_path):
+    robot = simple_robot()
+    middle = (robot.workspace_min + robot.workspace_max) / 2
+    reference = middle + 0.1 * np.cumsum(RNG.standard_normal((3, 40, 3)), axis=1)
+    reached = reference + 0.02
+    figure = sample_paths(reference, reached, robot, tmp_path / "paths.png")
+    space, above, side = figure.axes
+    corners = np.stack([robot.workspace_min, robot.workspace_max])
+    for axes, columns, edges in ((space, [0, 1, 2], 12), (above, [0, 1], 4), (side, [0, 2], 4)):
+        lines = [np.array(getattr(one, "get_data_3d", one.get_data)()) for one in axes.lines]
+        box = [line for one, line in zip(axes.lines, lines, strict=True) if one.get_ls() == ":"]
+        assert len(box) == edges
+        assert np.concatenate(box, axis=1).min(axis=1) == pytest.approx(corners[0, columns])
+        assert np.concatenate(box, axis=1).max(axis=1) == pytest.approx(corners[1, columns])
+        for k, color in enumerate(COLORS[:3]):
+            (own,) = (i for i, one in enumerate(axes.lines) if to_hex(one.get_color()) == color)
+            np.testing.assert_allclose(lines[own], reached[k][:, columns].T)
+        dashed = [line for one, line in zip(axes.lines, lines, strict=True) if one.get_ls() == "--"]
+        np.testing.assert_allclose(dashed, reference[..., columns].swapaxes(1, 2))
+        assert all(
+            to_hex(one.get_color()) == MEASURED for one in axes.lines if one.get_ls() == "--"
+        )
+    labels = {text.get_text() for text in figure.legends[0].get_texts()}
+    assert labels == {"workspace box", "reference", "reached"}
+
+
+def test_a_long_workspace_is_turned(tmp_path):
+    robot = simple_robot()
+    longer = replace(robot, workspace_max=robot.workspace_max + np.array([0.0, 9.0, 0.0]))
+    path = np.zeros((1, 5, 3))
+    above = sample_paths(path, path, longer, tmp_path / "paths.png").axes[1]
+    assert (above.get_xlabel(), above.get_ylabel()) == ("y [m]", "x [m]")
+
+
+def test_gaussians_show_every_trajectory_its_mean_and_deviation(tmp_path):
+    groups = {"policy": 0.02 + 0.002 * RNG.standard_normal((10, 3)), "KS": np.full((1, 3), 0.04)}
+    figure = rmse_gaussians(groups, tmp_path / "gaussians.png")
+    for axis, axes in enumerate(figure.axes):
+        values = 1e3 * groups["policy"][:, axis]
+        ticks = [line for line in axes.lines if line.get_marker() == "|"]
+        np.testing.assert_allclose(ticks[0].get_xdata(), values)
+        texts = [text.get_text() for text in axes.texts]
+        assert texts == [f"{values.mean():.1f} ± {values.std(ddof=1):.1f}", "40.0"]
+        outline = axes.collections[0].get_paths()[0].vertices
+        peak = outline[outline[:, 1].argmax()]
+        assert peak == pytest.approx([values.mean(), 1.0])
+        within = outline[outline[:, 1] >= np.exp(-0.5), 0]  # one deviation to each side
+        assert np.ptp(within) == pytest.approx(2.0 * values.std(ddof=1), rel=0.06)
+        assert axes.get_xlim()[0] <= 0.0
+
+
+def test_what_cannot_be_drawn_is_refused(tmp_path):
+    path, robot, points = tmp_path / "picture.png", simple_robot(), np.zeros((2, 5, 3))
+    with pytest.raises(InvalidField, match=r"mean_error\[0\]: got nan"):
+        error_histograms([np.nan], [0.0], path)
+    with pytest.raises(InvalidField, match=r"errors: got shape \(5, 2\)"):
+        error_violins(np.zeros((5, 2)), path)
+    with pytest.raises(InvalidField, match="reached: got 1 paths for 2"):
+        sample_paths(points, points[:1], robot, path)
+    with pytest.raises(InvalidField, match=r"got 9 paths for 9; .*8 at most"):
+        sample_paths(np.zeros((9, 5, 3)), np.zeros((9, 5, 3)), robot, path)
+    with pytest.raises(InvalidField, match=r"reference: got shape \(5, 3\)"):
+        sample_paths(points[0], points[0], robot, path)
+    with pytest.raises(InvalidField, match="groups: got 0"):
+        rmse_gaussians({}, path)
+    with pytest.raises(InvalidField, match=r"KS: got shape \(3,\)"):
+        rmse_gaussians({"KS": [0.1, 0.1, 0.1]}, path)
+    assert list(tmp_path.iterdir()) == []

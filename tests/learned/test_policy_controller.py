@@ -1,0 +1,142 @@
+"""A policy drives as it was trained, and refuses what it was not trained for."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+import carosac_toolkit as ct
+from carosac_toolkit import trajectories
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.values import Belief
+from learned.environment import CableEnvironment, EnvironmentSettings
+from learned.episodes import PathSettings, sampled
+from learned.policy_controller import PolicyController, PolicySettings, find_policy, list_policies
+from learned.policy_file import Policy, PolicyDescription, write_policy
+from learned.rewards import RewardSettings
+
+REALTIME = EnvironmentSettings(
+    world="realtime",
+    observation=("error", "velocity", "tilt", "turn", "target_velocity", "preview", "last_action"),
+    preview=(2, 5),
+    action="displacement",
+    reward=RewardSettings(terms=("tracking",)),
+    path=PathSettings(kind="minimum_snap", speed=(1.0, 1.0), period=0.05, steps=20),
+)
+
+
+def random_policy(path, robot, settings: EnvironmentSettings, sizes: tuple[int, int]) -> Policy:
+    """A network that has learned nothing, for a robot and its settings."""
+    rng = np.random.default_rng(3)
+    shapes = [(16, sizes[0]), (sizes[1], 16)]
+    layers = [
+        (rng.normal(0, 0.3, s).astype(np.float32), np.zeros(s[0], dtype=np.float32)) for s in shapes
+    ]
+    description = PolicyDescription(
+        preset="none", robot=robot, observation=settings.observation, action=settings.action,
+        period=settings.path.period, settings={"environment": asdict(settings)}, seed=0, steps=0,
+        commit="", scores={},
+    )  # fmt: skip
+    write_policy(path, layers, "silu", description)
+    return Policy.load(path)
+
+
+def belief_of(environment: CableEnvironment, result) -> Belief:
+    reached = result.reached
+    return Belief(
+        time=np.zeros(1), position=reached.position + reached.position_bias,
+        rotation=reached.rotation, twist=reached.twist,
+    )  # fmt: skip
+
+
+def test_driving_gives_the_lengths_of_training(tmp_path):
+    robot = ct.load_robot("carosac")
+    environment = CableEnvironment(robot, REALTIME, seed=4)
+    sizes = (environment.observation_size, environment.action_size)
+    policy = random_policy(tmp_path / "p.onnx", robot, REALTIME, sizes)
+    controller = PolicyController(robot, policy, PolicySettings())
+    path = trajectories.random_minimum_snap(
+        robot, np.random.default_rng(1), speed_max=1.0, acceleration_max=20.0
+    )
+    observation = environment.reset([sampled(path, REALTIME.path)])
+    belief = Belief(
+        time=np.zeros(1), position=environment.worlds._reached().position
+        + environment.worlds._position_bias,
+        rotation=environment.worlds._reached().rotation, twist=environment.worlds._reached().twist,
+    )  # fmt: skip
+    controller.reset(belief)
+    for k in range(10):
+        window = path.window(k * controller.period, controller.horizon, controller.period)
+        driven = controller.command(belief, window).unstrained_length
+        result = environment.step(policy.act(observation))
+        np.testing.assert_allclose(driven, result.transition.asked, atol=1e-6)
+        observation, belief = result.observation, belief_of(environment, result)
+
+
+def test_set_points_are_read_ahead_by_the_lag(tmp_path):
+    robot = ct.load_robot("carosac")
+    settings = EnvironmentSettings(observation=("target",))
+    policy = random_policy(tmp_path / "p.onnx", robot, settings, (3, 4))
+    controller = PolicyController(robot, policy, PolicySettings(period=0.02))
+    path = trajectories.build("line", robot, 0)
+    belief = Belief(
+        time=np.zeros(1), position=robot.home_position[None], rotation=robot.home_rotation[None]
+    )
+    controller.reset(belief)
+    window = path.window(1.0, controller.horizon, controller.period)
+    there = path.sample([1.0 + robot.winch_lag.mean() + 0.01]).position
+    unit = controller._scales.to_unit(there)
+    wanted = controller._scales.to_length(policy.act(unit))
+    found = controller.command(belief, window).unstrained_length
+    np.testing.assert_allclose(found, wanted, atol=1e-4)
+
+
+def test_other_robots_are_refused_by_what_differs(tmp_path):
+    robot = ct.load_robot("carosac")
+    settings = EnvironmentSettings(observation=("target",))
+    policy = random_policy(tmp_path / "p.onnx", robot, settings, (3, 4))
+    heavy = replace(robot, mass=30.0)
+    with pytest.raises(InvalidField, match="mass differ"):
+        PolicyController(heavy, policy, PolicySettings())
+    box = replace(robot, workspace_max=robot.workspace_max + 0.1)
+    with pytest.raises(InvalidField, match="workspace_max differ"):
+        PolicyController(box, policy, PolicySettings())
+    with pytest.raises(InvalidField, match="8 cables"):
+        PolicyController(ct.load_robot("cogiro"), policy, PolicySettings())
+
+
+def test_an_observation_of_another_size_is_refused(tmp_path):
+    robot = ct.load_robot("carosac")
+    settings = EnvironmentSettings(observation=("target",))
+    policy = random_policy(tmp_path / "p.onnx", robot, settings, (4, 4))
+    with pytest.raises(InvalidField, match=r"policy.observation: got 4 numbers; allowed: 3"):
+        PolicyController(robot, policy, PolicySettings())
+
+
+def test_what_the_belief_lacks_is_said(tmp_path):
+    robot = ct.load_robot("carosac")
+    environment = CableEnvironment(robot, REALTIME)
+    sizes = (environment.observation_size, environment.action_size)
+    policy = random_policy(tmp_path / "p.onnx", robot, REALTIME, sizes)
+    controller = PolicyController(robot, policy, PolicySettings())
+    belief = Belief(
+        time=np.zeros(1), position=robot.home_position[None], rotation=robot.home_rotation[None]
+    )
+    controller.reset(belief)
+    window = trajectories.build("line", robot, 0).window(0.0, controller.horizon, controller.period)
+    with pytest.raises(InvalidField, match=r"belief\.twist: got None; allowed: an estimator with"):
+        controller.command(belief, window)
+
+
+def test_policies_go_by_name_or_path(tmp_path):
+    robot = ct.load_robot("carosac")
+    for name in list_policies():
+        assert Policy.load(find_policy(robot, name)).description.robot.name in name
+    with pytest.raises(InvalidField, match=r"policy: got 'carosak'; allowed: one of"):
+        find_policy(robot, "carosak")
+    other = replace(robot, name="mine")
+    with pytest.raises(InvalidField, match="carosac train"):
+        find_policy(other, None)
+    assert find_policy(robot, str(tmp_path / "p.onnx")) == tmp_path / "p.onnx"

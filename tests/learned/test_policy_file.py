@@ -1,0 +1,246 @@
+import json
+import subprocess
+import sys
+from dataclasses import fields, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carosac_toolkit.errors import CarosacError, InvalidField, MissingFile
+from carosac_toolkit.robot_differences import differing
+from carosac_toolkit.robot_file import list_robots, load_robot
+from learned.policy_file import Policy, PolicyDescription, write_policy
+from tests.robots import simple_robot
+
+onnx = pytest.importorskip("onnx")
+torch = pytest.importorskip("torch")
+pytest.importorskip("onnxruntime")
+
+ROOT = Path(__file__).resolve().parents[2]
+SIZES = (10, 32, 24, 4)
+
+
+def perceptron(activation="relu", sizes=SIZES, seed=0):
+    """A torch network and its layers."""
+    torch.manual_seed(seed)
+    hidden = {"relu": torch.nn.ReLU, "silu": torch.nn.SiLU}[activation]
+    linear = [torch.nn.Linear(a, b) for a, b in pairwise(sizes)]
+    parts = [part for layer in linear for part in (layer, hidden())][:-1]
+    network = torch.nn.Sequential(*parts, torch.nn.Tanh())
+    layers = [(one.weight.detach().numpy(), one.bias.detach().numpy()) for one in linear]
+    return network, layers
+
+
+def described(**changes):
+    description = PolicyDescription(
+        preset="paper",
+        robot=simple_robot(),
+        observation=("lengths", "position", "target"),
+        action="absolute lengths",
+        period=None,
+        settings={"learning_rate": 3e-4, "layers": (400, 300), "noise": {"sigma": 0.1}},
+        seed=3,
+        steps=1000,
+        commit="0123abc",
+        scores={"median_error_m": 0.0271},
+    )
+    return replace(description, **changes)
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "policy.onnx"
+    write_policy(path, perceptron()[1], "relu", described())
+    return path
+
+
+def with_metadata(file, **changes):
+    """Another file with other metadata; None takes an entry away."""
+    model = onnx.load(file)
+    texts = {one.key: one.value for one in model.metadata_props}
+    texts |= {f"carosac.{name}": value for name, value in changes.items()}
+    del model.metadata_props[:]
+    known = {name: value for name, value in texts.items() if value is not None}
+    onnx.helper.set_model_props(model, known)
+    other = file.with_name("other.onnx")
+    other.write_bytes(model.SerializeToString())
+    return other
+
+
+@pytest.mark.parametrize("activation", ["relu", "silu"])
+@pytest.mark.parametrize("sizes", [SIZES, (10, 4), (13, 16, 16, 16, 8)])
+def test_a_policy_acts_as_the_network_with_its_weights(tmp_path, activation, sizes):
+    network, layers = perceptron(activation, sizes)
+    write_policy(tmp_path / "policy.onnx", layers, activation, described())
+    policy = Policy.load(tmp_path / "policy.onnx")
+    observation = 3.0 * np.random.default_rng(1).standard_normal((50, sizes[0]))
+    with torch.no_grad():
+        expected = network(torch.tensor(observation, dtype=torch.float32)).numpy()
+    action = policy.act(observation)
+    assert (policy.observation_size, policy.action_size) == (sizes[0], sizes[-1])
+    assert action.dtype == np.float64
+    np.testing.assert_allclose(action, expected, rtol=0.0, atol=1e-6)
+    for row, one in zip(action, observation, strict=True):  # a batch is its rows, to rounding
+        np.testing.assert_allclose(policy.act(one[None])[0], row, rtol=0.0, atol=1e-6)
+
+
+def test_actions_stay_within_one_however_large_the_observation(file):
+    policy = Policy.load(file)
+    directions = np.random.default_rng(2).standard_normal((200, 10))
+    for size in (1.0, 1e3, 1e6, 1e12):
+        action = policy.act(size * directions)
+        assert np.abs(action).max() <= 1.0
+    assert np.abs(action).min() > 0.99
+
+
+def test_a_description_comes_back_as_it_was_written(file):
+    written, found = described(), Policy.load(file).description
+    for field in fields(PolicyDescription):
+        if field.name != "robot":
+            assert getattr(found, field.name) == getattr(written, field.name), field.name
+    assert found.settings["layers"] == [400, 300]  # as JSON holds it, before and after
+    assert isinstance(found.observation, tuple)
+
+
+@pytest.mark.parametrize("name", list_robots())
+def test_a_robot_comes_back_bit_for_bit(tmp_path, name):
+    robot = replace(
+        load_robot(name),
+        exit_covariance=np.full((load_robot(name).n, 1, 1), 1e-7) * np.eye(3) / 3.0,
+        length_delay=0.1 + 0.2,
+        calibrated=("mass", "drag"),
+        calibration_covariance=np.diag([1.0 / 3.0, 1e-6]),
+    )
+    write_policy(tmp_path / "policy.onnx", perceptron()[1], "silu", described(robot=robot))
+    found = Policy.load(tmp_path / "policy.onnx").description.robot
+    assert differing(robot, found) == []
+    for field in fields(robot):
+        assert np.array_equal(getattr(found, field.name), getattr(robot, field.name)), field.name
+
+
+def test_the_same_policy_gives_the_same_bytes(file, tmp_path):
+    write_policy(tmp_path / "again.onnx", perceptron()[1], "relu", described())
+    assert (tmp_path / "again.onnx").read_bytes() == file.read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["again.onnx", "policy.onnx"]
+
+
+def test_a_policy_loads_and_acts_without_what_trained_it(file):
+    program = (
+        "import json, sys\n"
+        "from learned.policy_file import Policy\n"
+        f"Policy.load({str(file)!r}).act([[0.0] * 10])\n"
+        "print(json.dumps([name.partition('.')[0] for name in sys.modules]))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    loaded = set(json.loads(done.stdout.splitlines()[-1]))
+    assert "onnxruntime" in loaded
+    assert loaded & {"torch", "stable_baselines3", "onnx", "gymnasium", "matplotlib"} == set()
+
+
+@pytest.mark.parametrize("package, name", [("onnx", "onnx"), ("runtime", "onnxruntime")])
+def test_a_missing_package_says_how_to_install_it(file, monkeypatch, package, name):
+    monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(CarosacError, match=rf"needs {name}: pip install 'carosac-toolkit\[learn\]"):
+        if package == "onnx":
+            write_policy(file, perceptron()[1], "relu", described())
+        else:
+            Policy.load(file)
+
+
+def test_files_that_are_no_policies_are_refused(tmp_path):
+    with pytest.raises(MissingFile, match=r"none\.onnx: no such file"):
+        Policy.load(tmp_path / "none.onnx")
+    for content in (b"", b"mass: 3\n", bytes(range(256)) * 8):
+        path = tmp_path / "wrong.onnx"
+        path.write_bytes(content)
+        with pytest.raises(InvalidField, match="an ONNX file written by write_policy"):
+            Policy.load(path)
+
+
+def test_a_cut_file_is_refused(file):
+    file.write_bytes(file.read_bytes()[:-500])
+    with pytest.raises(InvalidField, match=r"no ONNX file|metadata"):
+        Policy.load(file)
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"schema": None}, "without our metadata"),
+        ({"schema": "carosac-policy/2"}, "schema carosac-policy/2; .*carosac-policy/1"),
+        ({"robot": None, "seed": None}, "without robot, seed"),
+        ({"settings": "{"}, "damaged metadata"),
+        ({"robot": '{"name": "carosac"}'}, r"robot differs in \['acceleration_max'"),
+        ({"robot": "[1]"}, "robot differs in"),
+        ({"period": "-0.1"}, "period > 0"),
+        ({"observation": "4"}, "names of the parts"),
+    ],
+)
+def test_wrong_metadata_is_refused(file, changes, message):
+    with pytest.raises(InvalidField, match=message):
+        Policy.load(with_metadata(file, **changes))
+
+
+def test_a_file_with_another_input_is_refused(file):
+    model = onnx.load(file)
+    model.graph.node[0].input[0] = model.graph.input[0].name = "state"
+    file.write_bytes(model.SerializeToString())
+    with pytest.raises(InvalidField, match=r"state.*observation \(batch, d\)"):
+        Policy.load(file)
+
+
+def test_observations_of_another_size_or_not_finite_are_refused(file):
+    policy = Policy.load(file)
+    with pytest.raises(InvalidField, match=r"observation: got shape \(2, 9\); .*\(B, 10\)"):
+        policy.act(np.zeros((2, 9)))
+    with pytest.raises(InvalidField, match=r"shape \(10,\)"):
+        policy.act(np.zeros(10))
+    with pytest.raises(InvalidField, match="a finite number"):
+        policy.act(np.full((1, 10), np.nan))
+    with pytest.raises(InvalidField, match=r"got 1e.300; allowed: what a float32 network can take"):
+        policy.act(np.full((1, 10), 1e300) * np.sign(np.arange(10) - 4.5))
+
+
+def cut(layers, k, part, index):
+    """Layers, one of which lost entries."""
+    changed = [list(pair) for pair in layers]
+    changed[k][part] = changed[k][part][index]
+    return changed
+
+
+def test_layers_that_do_not_fit_are_refused(tmp_path):
+    path, layers = tmp_path / "policy.onnx", perceptron()[1]
+    cases = [
+        ([], "relu", "at least one layer"),
+        (layers, "elu", r"activation: got 'elu'; allowed: one of \['relu', 'silu'\]"),
+        (cut(layers, 1, 0, np.s_[:, :-1]), "relu", r"layers\[1\].*weight \(out, 32\)"),
+        (cut(layers, 2, 1, np.s_[:-1]), "relu", r"layers\[2\]"),
+        (cut(layers, 0, 0, np.s_[0]), "relu", r"layers\[0\]"),
+        ([(np.full((4, 10), np.inf), np.zeros(4))], "relu", "finite numbers"),
+    ]
+    for wrong, activation, message in cases:
+        with pytest.raises(InvalidField, match=message):
+            write_policy(path, wrong, activation, described())
+    with pytest.raises(CarosacError, match="cannot be written"):
+        write_policy(tmp_path / "none" / "policy.onnx", layers, "relu", described())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"observation": "lengths"}, "observation: .*names of the parts"),
+        ({"period": 0.0}, "period > 0"),
+        ({"period": float("nan")}, "period > 0"),
+        ({"steps": -1}, "steps >= 0"),
+        ({"settings": {"robot": simple_robot()}}, "settings: .*JSON cannot hold"),
+        ({"settings": [1]}, "settings: .*a mapping"),
+        ({"scores": {"median_error_m": float("nan")}}, "scores: .*all numbers finite"),
+    ],
+)
+def test_descriptions_that_a_file_cannot_hold_are_refused(changes, message):
+    with pytest.raises(InvalidField, match=message):
+        described(**changes)
