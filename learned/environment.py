@@ -136,6 +136,10 @@ class CableEnvironment:
         """The targets of the present episodes."""
         return tuple(self._paths)
 
+    def first_paths(self, count: int) -> list[Path]:
+        """The first paths of the pool, all different."""
+        return [self._pool.path(k) for k in range(count)]
+
     def reset(self, paths: list[Path] | None = None) -> Array:
         """Begin an episode in every environment; first observations, shape (B, d).
 

@@ -11,7 +11,6 @@ from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.robot import Robot
 from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import Path as TargetPath
 from learned.episodes import PathSettings
 from learned.policy_file import Policy
 from learned.scores import Scores, score
@@ -22,6 +21,7 @@ Protocol = Literal["no-sag", "settle", "realtime"]
 PATHS = {"no-sag": 1000, "settle": 20, "realtime": 20}
 POINTS = {"no-sag": 100, "settle": 100}  # set-points along a path
 BATCH = 100  # paths at once
+UNSEEN = 1_000_003  # added to seeds, so that no path of a training comes again
 REST = 1.0  # [s] that particles get to come to their own rest
 WORLDS = {"no-sag": "no_sag", "settle": "settle", "realtime": "realtime"}
 
@@ -47,12 +47,8 @@ def evaluate(policy: Policy, protocol: Protocol, *, paths: int, seed: int) -> Sc
     trained = environment_settings(policy.description.settings)
     settings = settings_of(trained, protocol)
     size = next(k for k in range(min(BATCH, paths), 0, -1) if paths % k == 0)
-    environment = CableEnvironment(robot, settings, size=size, seed=seed)
-    drawn: list[TargetPath] = []
-    while len(drawn) < paths:
-        environment.reset()
-        drawn += environment.paths
-    found = score(environment, policy.act, drawn)
+    environment = CableEnvironment(robot, settings, size=size, seed=UNSEEN + seed)
+    found = score(environment, policy.act, environment.first_paths(paths))
     return settled_particles(robot, found) if protocol == "settle" else found
 
 

@@ -11,7 +11,6 @@ which it cannot rest. Higher degrees help little: sixteen leaves 0.1 mm and 5 mm
 from __future__ import annotations
 
 import numpy as np
-from numpy.polynomial import chebyshev
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import CarosacError, InvalidField
@@ -47,8 +46,8 @@ class LengthMap:
         sound = rest.converged & rest.stable
         self.feasible = float(sound.mean())
         powers = np.stack(np.meshgrid(*[np.arange(DEGREE + 1)] * 3, indexing="ij"), -1)
-        self._kept = (powers.sum(axis=-1) <= DEGREE).reshape(-1)
-        if sound.sum() < 2 * self._kept.sum():
+        self._powers = powers[powers.sum(axis=-1) <= DEGREE].T  # (3, K)
+        if sound.sum() < 2 * self._powers.shape[1]:
             share = f"{100 * self.feasible:.0f} %"
             raise CarosacError(f"{robot.name}: it can rest at {share} of its workspace box only")
         extra = rest.unstrained_length - straight_line.straight_length(robot, points).length
@@ -59,7 +58,7 @@ class LengthMap:
     def lengths(self, position: Array, displacement: Array) -> Array:
         """Lengths that move the rest from a position by a displacement [m], shape (B, n).
 
-        The displacement follows straight lines, so it may be large and leave the box.
+        A displacement may leave the box; sag and tilt are those of its border then.
 
         Args:
             position: In W [m], in the workspace box, shape (B, 3).
@@ -75,11 +74,16 @@ class LengthMap:
             allowed = f"positions in the workspace box, {low} m to {high} m"
             raise InvalidField(f"position[{row}]", f"{position[row].round(3)} m", allowed)
         straight = straight_line.straight_length(self._robot, position + displacement).length
-        found: Array = straight + self._basis(unit) @ self._coefficients
+        moved = np.clip(unit + displacement / self._half, -1.0, 1.0)
+        found: Array = straight + self._basis(moved) @ self._coefficients
         return found
 
     def _basis(self, unit: Array) -> Array:
         """Chebyshev products up to the total degree, shape (B, K)."""
-        x, y, z = unit.T
-        found: Array = chebyshev.chebvander3d(x, y, z, [DEGREE] * 3)[:, self._kept]
+        values = np.empty((DEGREE + 1, *unit.shape))
+        values[0], values[1] = 1.0, unit
+        for k in range(2, DEGREE + 1):
+            values[k] = 2.0 * unit * values[k - 1] - values[k - 2]
+        x, y, z = self._powers
+        found: Array = (values[x, :, 0] * values[y, :, 1] * values[z, :, 2]).T
         return found

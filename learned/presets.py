@@ -34,6 +34,7 @@ class Td3Settings:
         critic: ``value``: a network of observation and action; ``metric``: a learned distance, for
             the reward ``fit`` and a discount of 0 (`learned.metric_policy`).
         relabelled: Share of replayed steps with another target; needs the same.
+        target_noise: Standard deviation of the noise on target actions, cut at 2.5 times that.
         exploration: Noise of the actions.
     """
 
@@ -52,6 +53,7 @@ class Td3Settings:
     critics: int = 2
     critic: Literal["value", "metric"] = "value"
     relabelled: float = 0.0
+    target_noise: float = 0.2
     exploration: ExplorationSettings = field(default_factory=ExplorationSettings)
 
     def __post_init__(self) -> None:
@@ -60,7 +62,7 @@ class Td3Settings:
         for name in whole:
             check_whole(name, getattr(self, name), 1)
         check_whole("random_steps", self.random_steps, 0, self.steps - 1)
-        check_fields(self, positive=("actor_rate", "critic_rate"))
+        check_fields(self, positive=("actor_rate", "critic_rate"), not_negative=("target_noise",))
         for name in ("discount", "rate_end", "relabelled"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise InvalidField(name, getattr(self, name), "0 to 1")
@@ -92,9 +94,18 @@ class Stage:
 
     def __post_init__(self) -> None:
         """Refuse a critic that does not know the reward."""
-        if self.td3.values_one_step and self.environment.reward.terms != ("fit",):
-            allowed = "('fit',) with a metric critic or relabelled steps"
-            raise InvalidField("reward.terms", self.environment.reward.terms, allowed)
+        if not self.td3.values_one_step:
+            return
+        environment = self.environment
+        why = "with a metric critic or relabelled steps"
+        if environment.reward.terms != ("fit",):
+            raise InvalidField("reward.terms", environment.reward.terms, f"('fit',) {why}")
+        if environment.world == "realtime":
+            raise InvalidField("world", "'realtime'", f"'no_sag' or 'settle' {why}")
+        moving = {"error", "preview", "target_velocity"} & set(environment.observation)
+        if "target" not in environment.observation or moving:
+            allowed = f"with 'target', without {sorted(moving)}, {why}"
+            raise InvalidField("observation", environment.observation, allowed)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,6 +15,8 @@ from carosac_toolkit.robot import Robot
 from learned.environment import CableEnvironment
 from learned.episodes import Path
 
+AT_LIMIT = 1e-3  # [N] inverse kinematics may choose a tension that is just at its limit
+
 Act = Callable[[Array], Array]  # observations (B, d) to actions (B, a) in [-1, 1]
 
 
@@ -63,7 +65,7 @@ class Scores:
                 **{axis: _median(error[valid][:, k]) for k, axis in enumerate("xyz")},
                 "norm": _median(norm[valid]),
             },
-            "median_of_trajectory_means_m": _median(means),
+            "median_of_trajectory_means_m": _median(np.array(means)),
             "p95_error_m": _percentile(norm[valid], 95),
             "rmse_m": _mean(norm[valid] ** 2) ** 0.5,
             "length_error_m": _median(np.abs(self.length_error[valid])),
@@ -75,8 +77,10 @@ class Scores:
         }
         if self.tension is not None:
             seen = self.tension[valid]
-            data["slack_share"] = _mean((seen < robot.tension_min).any(axis=1))
-            data["overload_share"] = _mean((seen > robot.tension_max).any(axis=1))
+            slack = seen < robot.tension_min - AT_LIMIT
+            overload = seen > robot.tension_max + AT_LIMIT
+            data["slack_share"] = _mean(np.any(slack, axis=1))
+            data["overload_share"] = _mean(np.any(overload, axis=1))
             data["tension_range_N"] = [_percentile(seen, 0), _percentile(seen, 100)]
         return data
 
@@ -135,7 +139,7 @@ def _wanted(environment: CableEnvironment, target: Array, rotation: Array) -> tu
     return rest.unstrained_length, np.arccos(np.clip(cosine, -1.0, 1.0))
 
 
-def _mean(values: NDArray[Any]) -> float:
+def _mean(values: Any) -> float:
     """The mean; NaN of nothing, as those below."""
     return float(np.mean(values)) if np.size(values) else float("nan")
 

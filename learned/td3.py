@@ -17,6 +17,7 @@ from learned.relabelling import RelabellingBuffer
 from learned.vector_environment import CableVecEnv
 
 ACTIVATIONS = {"relu": torch.nn.ReLU, "silu": torch.nn.SiLU}
+NOISE_CLIP = 2.5  # of the noise on target actions, over its standard deviation
 BUFFER_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 BUFFER_EXTRAS = ("positions", "inconsistencies", "failed")
 
@@ -59,31 +60,49 @@ def build_model(stage: Stage, environment: CableVecEnv, seed: int) -> StagedTd3:
         stage.environment.observation, cables.robot.n, len(stage.environment.preview),
         cables.action_size,
     )  # fmt: skip
-    policy: dict[str, Any] = {
-        "net_arch": list(settings.hidden),
-        "activation_fn": ACTIVATIONS[settings.activation],
-        "n_critics": settings.critics,
-    }
-    buffer: dict[str, Any] = {}
-    reward, span = stage.environment.reward, cables.reward.span
-    if settings.critic == "metric":
-        policy["metric"] = {"target": parts["target"], "scale": reward.fit_scale, "span": span}
-    if settings.relabelled > 0.0:
-        buffer = {
-            "share": settings.relabelled, "target": parts["target"], "scales": cables.scales,
-            "fit_scale": reward.fit_scale, "consistency": reward.consistency, "span": span,
-        }  # fmt: skip
+    target, span = parts.get("target"), cables.reward.span
+    buffer = _relabelling(stage, environment, target, span)
     model = StagedTd3(
         MetricPolicy if settings.critic == "metric" else "MlpPolicy", environment,
         learning_rate=settings.actor_rate, buffer_size=settings.buffer_size,
         learning_starts=settings.random_steps, batch_size=settings.batch_size,
         gamma=settings.discount, train_freq=1, gradient_steps=settings.gradient_steps,
-        action_noise=noise, policy_kwargs=policy, seed=seed, device="cpu",
+        target_policy_noise=settings.target_noise,
+        target_noise_clip=NOISE_CLIP * settings.target_noise,
+        action_noise=noise, policy_kwargs=_networks(stage, target, span), seed=seed, device="cpu",
         replay_buffer_class=RelabellingBuffer if buffer else None,
         replay_buffer_kwargs=buffer or None,
     )  # fmt: skip
     model.rates = settings
     return model
+
+
+def _networks(stage: Stage, target: slice | None, span: float) -> dict[str, Any]:
+    """Arguments of the policy: sizes, activation, critics."""
+    settings = stage.td3
+    policy: dict[str, Any] = {
+        "net_arch": list(settings.hidden),
+        "activation_fn": ACTIVATIONS[settings.activation],
+        "n_critics": settings.critics,
+    }
+    if settings.critic == "metric":
+        scale = stage.environment.reward.fit_scale
+        policy["metric"] = {"target": target, "scale": scale, "span": span}
+    return policy
+
+
+def _relabelling(
+    stage: Stage, environment: CableVecEnv, target: slice | None, span: float
+) -> dict[str, Any]:
+    """Arguments of the relabelling buffer; empty without relabelling."""
+    if stage.td3.relabelled == 0.0:
+        return {}
+    reward = stage.environment.reward
+    return {
+        "share": stage.td3.relabelled, "target": target,
+        "scales": environment.environment.scales, "fit_scale": reward.fit_scale,
+        "consistency": reward.consistency, "span": span,
+    }  # fmt: skip
 
 
 def state_of(model: StagedTd3) -> dict[str, Any]:

@@ -8,10 +8,11 @@ had not been, bit by bit.
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -64,9 +65,11 @@ class Job:
 
     def settings(self) -> dict[str, Any]:
         """All settings as JSON holds them."""
+        start = None if self.start is None else f"{self.start.parent.name}/{self.start.name}"
         return {
             "preset": self.preset, "stage": self.stage_name, "robot": self.robot.name,
-            "seed": self.seed, "start": None if self.start is None else self.start.name,
+            "robot_digest": digest(self.robot),
+            "seed": self.seed, "start": start,
             "environment": asdict(self.stage.environment), "td3": asdict(self.stage.td3),
         }  # fmt: skip
 
@@ -113,7 +116,7 @@ class _Run:
         cables = CableEnvironment(job.robot, settings, size=td3.environments, seed=job.seed)
         self.model = build_model(job.stage, CableVecEnv(cables), job.seed)
         self.test = CableEnvironment(
-            job.robot, test_settings(settings), size=TEST_PATHS, seed=TEST_SEED
+            job.robot, curve_settings(settings), size=TEST_PATHS, seed=TEST_SEED
         )
         self.paths: list[TargetPath] = []
         self.fresh: dict[str, Any] = {}  # state of the test: the same disturbances each time
@@ -136,7 +139,7 @@ class _Run:
         self.model.set_logger(configure(str(self.folder), ["tensorboard"]))
         self.test.reset()
         self.fresh = self.test.state()
-        self.paths = list(self.fresh["paths"])
+        self.paths = self.test.first_paths(TEST_PATHS)
         total = self.job.stage.td3.steps
         _, self.callback = self.model._setup_learn(total)
         self.callback.init_callback(self.model)
@@ -260,7 +263,14 @@ class _Run:
         self.model.set_parameters(state["parameters"])
 
 
-def test_settings(settings: EnvironmentSettings) -> EnvironmentSettings:
+def digest(robot: Robot) -> str:
+    """What stands for all numbers of a robot."""
+    values = [getattr(robot, f.name) for f in fields(robot)]
+    parts = [x.tobytes() if isinstance(x, np.ndarray) else repr(x).encode() for x in values]
+    return hashlib.sha256(b"|".join(parts)).hexdigest()[:16]
+
+
+def curve_settings(settings: EnvironmentSettings) -> EnvironmentSettings:
     """Settings of the environment in which the learning curve is measured: fewer set-points."""
     if settings.path.period is not None:
         return settings

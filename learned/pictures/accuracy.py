@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import combinations, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.pictures.drawing import (
     COLORS,
     MEASURED,
+    REST,
     draw_violin,
     limits_of,
     new_figure,
@@ -151,6 +152,51 @@ def rmse_gaussians(groups: Mapping[str, ArrayLike], path: str | Path) -> Figure:
         "ticks: the trajectories; number: mean ± standard deviation"
     )
     put_patches(figure, colors)
+    return save(figure, path)
+
+
+def errors_over_time(
+    time: ArrayLike,
+    errors: Mapping[str, ArrayLike],
+    path: str | Path,
+    *,
+    rests: Sequence[tuple[float, float]] = (),
+    marks: Sequence[float] = (),
+) -> Figure:
+    """Draw the absolute error along each axis over time, with rests shaded.
+
+    Args:
+        time: Increasing [s], shape (T,).
+        errors: Errors in W [m], shape (T, 3), by name; their signs do not matter.
+        path: Picture file.
+        rests: Start and end of each rest [s].
+        marks: Where one trajectory ends and the next begins [s].
+    """
+    if not 0 < len(errors) <= MOST:
+        raise InvalidField("errors", len(errors), f"1 to {MOST} of them")
+    when = batch("time", time, ())
+    figure = new_figure(12.0, 7.6)
+    panels = figure.subplots(3, 1, sharex=True)
+    for (name, given), color in zip(errors.items(), COLORS, strict=False):
+        values = MM * np.abs(batch(name, given, (3,)))
+        if len(values) != len(when):
+            raise InvalidField(name, f"{len(values)} errors", f"{len(when)}, one for each time")
+        for axes, column in zip(panels, values.T, strict=True):
+            axes.plot(when, column, color=color, lw=1.2, label=name)
+    for axes, name in zip(panels, "xyz", strict=True):
+        for k, (first, last) in enumerate(rests):
+            label = None if k else "winches at rest"
+            axes.axvspan(first, last, color=REST, lw=0, zorder=0, label=label)
+        for mark in marks:
+            axes.axvline(mark, color=MEASURED, lw=0.6, ls=":")
+        axes.set_ylabel(f"|error| in {name} [mm]")
+        axes.set_ylim(bottom=0.0)
+        axes.margins(x=0.005)
+        axes.grid(axis="y", alpha=0.25)
+    panels[-1].set_xlabel("time [s]")
+    figure.align_ylabels(panels)
+    figure.suptitle("Absolute position error over time")
+    put_legend(figure, panels[0])
     return save(figure, path)
 
 

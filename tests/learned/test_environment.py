@@ -1,0 +1,258 @@
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics import statics, straight_line
+from carosac_toolkit.robot_file import load_robot
+from learned.environment import FAILURE, CableEnvironment, EnvironmentSettings
+from learned.episodes import PathSettings
+from learned.moving_worlds import MovingSettings
+from learned.observation import slices
+from learned.rewards import PAPER_SAG, RewardSettings
+from tests.robots import simple_robot
+
+SHORT = PathSettings(steps=4)
+NO_SAG = EnvironmentSettings(path=SHORT)
+SETTLE = EnvironmentSettings(world="settle", path=SHORT, reward=RewardSettings(terms=PAPER_SAG))
+REALTIME = EnvironmentSettings(
+    world="realtime", action="displacement", path=PathSettings(steps=4, period=0.05),
+    observation=("error", "velocity", "tilt", "target_velocity", "preview", "last_action"),
+    preview=(2, 5), reward=RewardSettings(terms=("tracking", "effort")),
+)  # fmt: skip
+WORLDS = {"no_sag": NO_SAG, "settle": SETTLE, "realtime": REALTIME}
+
+
+def made(settings, size=3, seed=0, robot=None):
+    return CableEnvironment(robot or simple_robot(), settings, size=size, seed=seed)
+
+
+def reaching(environment):
+    """Actions whose lengths are those of rest at the targets, or no displacement."""
+    if environment.settings.action == "displacement":
+        return np.zeros((environment.size, environment.action_size))
+    state = environment.state()
+    target = np.stack(
+        [path.position[k + 1] for path, k in zip(state["paths"], state["step"], strict=True)]
+    )
+    if environment.settings.world == "no_sag":
+        length = straight_line.inverse_kinematics(environment.robot, target)
+    else:
+        length = statics.inverse_kinematics(environment.robot, target).unstrained_length
+    return environment.scales.to_action(length)
+
+
+def played(environment, steps, seed=7):
+    """Observations and rewards of right actions with some noise."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for _ in range(steps):
+        action = reaching(environment)
+        action = np.clip(action + 0.01 * rng.standard_normal(action.shape), -1.0, 1.0)
+        result = environment.step(action)
+        found.append((result.observation, result.final_observation, result.reward))
+    return found
+
+
+def assert_same(first, second):
+    for one, other in zip(first, second, strict=True):
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("robot, world", [("carosac", "no_sag"), ("scampi", "no_sag"),
+                                          ("cogiro", "no_sag"), ("carosac", "settle"),
+                                          ("scampi", "settle")])  # fmt: skip
+def test_targets_are_the_path_and_right_lengths_reach_them(robot, world):
+    robot = load_robot(robot)
+    environment = made(WORLDS[world], 2, robot=robot)
+    environment.reset()
+    paths = environment.paths
+    for step in range(4):
+        result = environment.step(reaching(environment))
+        target = np.stack([path.position[step + 1] for path in paths])
+        np.testing.assert_array_equal(result.transition.target, target)
+        np.testing.assert_allclose(result.transition.position, target, atol=1e-5)
+        np.testing.assert_allclose(result.transition.inconsistency, 0.0, atol=1e-5)
+    assert environment.action_size == robot.n
+    assert environment.observation_size == robot.n + 6
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_the_reward_is_that_of_the_transition(world):
+    environment = made(WORLDS[world])
+    environment.reset()
+    result = environment.step(reaching(environment))
+    np.testing.assert_array_equal(result.reward, environment.reward(result.transition))
+    assert environment.reward.span == pytest.approx(4.0 * np.sqrt(3.0))
+
+
+@pytest.mark.parametrize("world", ["no_sag", "settle"])
+def test_a_transition_says_what_was_before_and_what_came_of_it(world):
+    environment = made(WORLDS[world])
+    environment.reset()
+    start = environment.state()["reached"]
+    action = reaching(environment) + 0.02
+    step = environment.step(action).transition
+    np.testing.assert_array_equal(step.position_before, start.position)
+    np.testing.assert_array_equal(step.length_before, start.length)
+    np.testing.assert_allclose(step.asked, environment.scales.to_length(action))
+    np.testing.assert_allclose(step.length, step.asked, atol=1e-9)
+    straight = straight_line.straight_length(environment.robot, step.position).length
+    np.testing.assert_array_equal(step.straight_position, straight)
+    wanted = straight_line.inverse_kinematics(environment.robot, step.target)
+    np.testing.assert_array_equal(step.straight_target, wanted)
+
+
+@pytest.mark.parametrize("world", ["no_sag", "settle"])
+def test_the_last_step_of_an_episode_is_not_changed_by_the_next_one(world):
+    """What was asked for at the end is not the start of the next episode."""
+    environment = made(WORLDS[world])
+    environment.reset()
+    for _ in range(4):
+        action = reaching(environment)
+        result = environment.step(action)
+    assert result.truncated.all()
+    np.testing.assert_allclose(result.transition.asked, environment.scales.to_length(action))
+    np.testing.assert_allclose(result.reached.length, result.transition.asked, atol=1e-9)
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_episodes_end_after_their_steps_and_begin_anew_at_rest(world):
+    environment = made(WORLDS[world])
+    environment.reset()
+    old = environment.paths
+    ends = []
+    for _ in range(9):
+        result = environment.step(reaching(environment))
+        ends.append(result.truncated.all())
+        assert not result.terminated.any()
+        same = np.array_equal(result.observation, result.final_observation)
+        assert same != result.truncated.all()
+    assert ends == [False, False, False, True] * 2 + [False]
+    state = environment.state()
+    assert (state["step"] == 1).all()
+    assert all(new is not path for new, path in zip(environment.paths, old, strict=True))
+
+
+def test_observations_show_what_was_asked_for_where_it_led_and_the_next_target():
+    environment = made(NO_SAG)
+    observation = environment.reset()
+    paths = environment.paths
+    where = slices(NO_SAG.observation, 4, 0, 4)
+    unit = environment.scales.to_unit
+    start = np.stack([path.position[0] for path in paths])
+    np.testing.assert_allclose(observation[:, where["position"]], unit(start))
+    action = reaching(environment) + 0.05
+    result = environment.step(action)
+    following = np.stack([path.position[2] for path in paths])
+    np.testing.assert_allclose(result.observation[:, where["length"]], action, atol=1e-12)
+    np.testing.assert_allclose(result.observation[:, where["target"]], unit(following))
+    np.testing.assert_allclose(
+        result.observation[:, where["position"]], unit(result.transition.position)
+    )
+
+
+def test_previews_are_later_targets_and_the_end_counts_on():
+    environment = made(REALTIME)
+    observation = environment.reset()
+    where = slices(REALTIME.observation, 4, 2, 3)["preview"]
+    paths = environment.paths
+    steps = np.stack([path.position[[1, 3, 4]] for path in paths])  # 5 ahead of 1: past the end, 4
+    expected = (steps[:, 1:] - steps[:, :1]).reshape(3, 6) / 0.2
+    np.testing.assert_allclose(observation[:, where], expected, atol=1e-12)
+
+
+def test_a_biased_belief_is_seen_and_the_truth_is_rewarded():
+    moving = MovingSettings(position_bias=0.05, perturbation="none", start_speed=0.0)
+    environment = made(replace(REALTIME, moving=moving))
+    observation = environment.reset()
+    state = environment.state()
+    reached = state["reached"]
+    target = np.stack([path.position[1] for path in state["paths"]])
+    believed = reached.position + reached.position_bias
+    np.testing.assert_allclose(observation[:, :3], (believed - target) / 0.2, atol=1e-12)
+    result = environment.step(np.zeros((3, 3)))
+    np.testing.assert_array_equal(result.transition.position, result.reached.position)
+    velocity = np.stack([path.velocity[1] for path in state["paths"]])
+    np.testing.assert_allclose(
+        result.transition.velocity, result.reached.twist[:, :3] - velocity, atol=1e-12
+    )
+
+
+def test_a_step_without_solution_ends_the_episode_with_its_own_reward():
+    environment = made(SETTLE)
+    environment.reset()
+    action = reaching(environment)
+    action[1] = -1.0  # all cables shortest: nothing hangs on those
+    result = environment.step(action)
+    assert result.terminated.tolist() == [False, True, False]
+    assert not result.truncated.any()
+    assert result.reward[1] == FAILURE
+    assert environment.state()["step"].tolist() == [1, 0, 1]
+    np.testing.assert_array_equal(result.observation[[0, 2]], result.final_observation[[0, 2]])
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_a_seed_repeats_and_another_seed_has_other_paths(world):
+    first, second = made(WORLDS[world], seed=4), made(WORLDS[world], seed=4)
+    np.testing.assert_array_equal(first.reset(), second.reset())
+    assert_same(played(first, 6), played(second, 6))
+    other = made(WORLDS[world], seed=5)
+    other.reset()
+    starts = [{tuple(path.position[0]) for path in env.paths} for env in (first, other)]
+    assert len(starts[0]) > 1
+    assert not starts[0] & starts[1]
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_a_restored_environment_goes_on_bit_by_bit(world):
+    environment = made(WORLDS[world], seed=2)
+    environment.reset()
+    played(environment, 3)
+    state = copy.deepcopy(environment.state())
+    live = environment.state()
+    expected = played(environment, 6)
+    environment.restore(live)  # what happened in between has not touched it
+    assert_same(played(environment, 6), expected)
+    other = made(WORLDS[world], seed=2)
+    other.restore(state)
+    assert_same(played(other, 6), expected)
+
+
+def test_given_paths_are_followed():
+    environment = made(NO_SAG, seed=1)
+    environment.reset()
+    paths = environment.paths
+    other = made(NO_SAG, seed=9)
+    other.reset(paths)
+    result = other.step(reaching(other))
+    np.testing.assert_array_equal(result.transition.target, [p.position[1] for p in paths])
+    with pytest.raises(InvalidField, match="paths: got 2 paths; allowed: 3, one for each"):
+        other.reset(paths[:2])
+
+
+def test_a_step_before_the_reset_is_refused():
+    with pytest.raises(InvalidField, match="reset before step"):
+        made(NO_SAG).step(np.zeros((3, 4)))
+
+
+@pytest.mark.parametrize(
+    "changes, message",
+    [
+        ({"world": "underwater"}, "world: got 'underwater'"),
+        ({"action": "speed"}, "action: got 'speed'"),
+        ({"observation": ("wind",)}, r"observation\[0\]: got 'wind'"),
+        ({"world": "realtime"}, "path.period: got None"),
+        ({"path": PathSettings(period=0.1)}, "path.period: got 0.1"),
+        ({"preview": (2,)}, r"preview: got \(2,\)"),
+        ({"observation": ("target", "preview")}, r"preview: got \(\)"),
+        ({"observation": ("preview",), "preview": (0,)}, r"preview\[0\]: got 0"),
+        ({"reach": 0.0}, "reach: got 0.0 m"),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused(changes, message):
+    with pytest.raises(InvalidField, match=message):
+        EnvironmentSettings(**changes)

@@ -1,0 +1,122 @@
+import copy
+
+import numpy as np
+import pytest
+
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.physics import statics
+from learned.moving_worlds import MovingSettings, MovingWorlds
+from tests.robots import simple_robot
+
+PERIOD = 0.05
+CALM = MovingSettings(perturbation="none", position_bias=0.0, length_bias=0.0, start_speed=0.0)
+START = np.array([[0.4, -1.8, 2.2], [1.0, -1.0, 3.0], [-0.5, -2.5, 2.5]])
+
+
+def made(settings, seed=0, size=3):
+    return MovingWorlds(simple_robot(), settings, PERIOD, size, seed)
+
+
+def motion(worlds, length, steps=6):
+    """Positions while the winches are asked for a little more and less."""
+    found = []
+    for k in range(steps):
+        found.append(worlds.advance(length + 0.02 * np.sin(k)).position)
+    return np.stack(found)
+
+
+@pytest.mark.parametrize("cables", ["catenary", "particles"])
+def test_a_platform_without_disturbance_stays_at_rest_on_held_lengths(cables):
+    settings = MovingSettings(
+        cables=cables, perturbation="none", position_bias=0.0, length_bias=0.0, start_speed=0.0
+    )
+    worlds = made(settings)
+    start = worlds.reset(np.arange(3), START)
+    np.testing.assert_allclose(start.position, START, atol=1e-5)
+    for _ in range(10):
+        reached = worlds.advance(start.length)
+    np.testing.assert_allclose(reached.position, START, atol=2e-5)
+    np.testing.assert_allclose(reached.twist, 0.0, atol=1e-4)
+    np.testing.assert_allclose(reached.length, start.length, atol=1e-9)
+    assert not reached.failed.any()
+
+
+def test_winches_lag_behind_what_they_are_asked_for():
+    worlds = made(CALM)
+    start = worlds.reset(np.arange(3), START)
+    reached = worlds.advance(start.length + 0.01)
+    share = (reached.length - start.length) / 0.01
+    assert (share > 0.3).all() and (share < 0.9).all()  # 0.63 of a first-order lag after 0.05 s
+
+
+def test_encoders_agree_with_commands_and_err_in_the_length_wound():
+    """Command and reading share the bias, so it shows in where the platform hangs alone."""
+    biased = MovingSettings(
+        perturbation="none", position_bias=0.0, length_bias=0.02, start_speed=0.0
+    )
+    worlds = made(biased)
+    worlds.reset(np.arange(3), START)
+    asked = statics.inverse_kinematics(simple_robot(), START).unstrained_length
+    for _ in range(20):
+        reached = worlds.advance(asked)
+    np.testing.assert_allclose(reached.length, asked, atol=1e-6)
+    assert (np.linalg.norm(reached.position - START, axis=1) > 5e-3).all()
+
+
+def test_biases_and_speeds_have_the_spread_that_was_set():
+    settings = MovingSettings(
+        perturbation="none", position_bias=0.01, length_bias=0.0, start_speed=0.2
+    )
+    worlds = made(settings, size=60)
+    reached = worlds.reset(np.arange(60), np.repeat(START[:1], 60, axis=0))
+    assert np.std(reached.position_bias) == pytest.approx(0.01, rel=0.2)  # 180 draws: 5 % sigma
+    assert np.std(reached.twist[:, :3]) == pytest.approx(0.2, rel=0.2)
+    np.testing.assert_allclose(reached.position, np.repeat(START[:1], 60, axis=0), atol=1e-5)
+    again = worlds.reset(np.array([0]), START[:1])  # only those that begin anew are drawn anew
+    assert (again.position_bias[0] != reached.position_bias[0]).all()
+    np.testing.assert_array_equal(again.position_bias[1:], reached.position_bias[1:])
+
+
+def test_a_seed_repeats_the_motion_bit_for_bit_and_another_does_not():
+    def moved(seed):
+        worlds = made(MovingSettings(), seed)
+        return motion(worlds, worlds.reset(np.arange(3), START).length)
+
+    np.testing.assert_array_equal(moved(1), moved(1))
+    assert np.abs(moved(1) - moved(2)).max() > 1e-3
+
+
+def test_restored_worlds_go_on_bit_by_bit():
+    worlds = made(MovingSettings(), 3)
+    length = worlds.reset(np.arange(3), START).length
+    motion(worlds, length)
+    state = copy.deepcopy(worlds.state())
+
+    def go_on(worlds):
+        first = motion(worlds, length)
+        reset = worlds.reset(np.array([1]), START[:1])
+        return first, reset.position_bias, motion(worlds, reset.length)
+
+    expected = go_on(worlds)
+    other = made(MovingSettings(), 3)  # as after a kill
+    for again in (worlds, other):
+        again.restore(state)
+        for one, two in zip(expected, go_on(again), strict=True):
+            np.testing.assert_array_equal(one, two)
+
+
+def test_a_plant_that_cannot_rest_at_a_start_begins_on_the_way_home():
+    worlds = made(CALM, size=1)
+    far = np.array([[0.4, -1.8, 8.3]])  # above what tensions can hold
+    found = worlds.reset(np.array([0]), far).position[0]
+    home = simple_robot().home_position
+    assert 2.2 < found[2] < 8.3
+    np.testing.assert_allclose(found[:2], home[:2], atol=1e-5)
+    with pytest.raises(CarosacError, match="simple: a plant that was drawn cannot rest near"):
+        worlds.reset(np.array([0]), np.array([[0.4, -1.8, 60.0]]))
+
+
+def test_negative_spreads_are_refused():
+    for name in ("position_bias", "length_bias", "start_speed"):
+        with pytest.raises(InvalidField, match=f"{name}: got -1.0"):
+            MovingSettings(**{name: -1.0})

@@ -1,0 +1,197 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("stable_baselines3")
+pytest.importorskip("onnxruntime")
+
+import torch
+
+from carosac_toolkit.errors import InvalidField, MissingFile
+from carosac_toolkit.robot_file import load_robot
+from learned import training
+from learned.environment import CableEnvironment, EnvironmentSettings
+from learned.episodes import PathSettings
+from learned.policy_file import Policy
+from learned.presets import PRESETS, Stage, Td3Settings
+from learned.rewards import RewardSettings
+from learned.training import Job, read_curve, train
+from tests.robots import simple_robot
+
+TINY = Td3Settings(
+    steps=320, environments=4, gradient_steps=1, random_steps=80, batch_size=32,
+    buffer_size=160, hidden=(32, 32),
+)  # fmt: skip
+FIT = replace(
+    TINY, discount=0.0, critic="metric", critics=1, relabelled=0.8, activation="silu", rate_end=0.02
+)
+SHORT = PathSettings(steps=30, pool=6)
+STAGES = {
+    "value": Stage(environment=EnvironmentSettings(path=SHORT), td3=TINY),
+    "metric": Stage(
+        environment=EnvironmentSettings(
+            observation=("target",), path=SHORT, reward=RewardSettings(terms=("fit",))
+        ),
+        td3=FIT,
+    ),
+    "realtime": Stage(
+        environment=EnvironmentSettings(
+            world="realtime", action="displacement", path=replace(SHORT, period=0.05),
+            observation=("error", "velocity", "tilt"), reward=RewardSettings(terms=("tracking",)),
+        ),
+        td3=TINY,
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch):
+    monkeypatch.setattr(training, "TEST_PATHS", 2)
+    monkeypatch.setattr(training, "TEST_STEPS", 5)
+    monkeypatch.setattr(training, "REPORT_STEPS", 80)
+
+
+def job(kind="metric", **changes):
+    made = Job(robot=simple_robot(), preset="tiny", stage_name="no_sag", stage=STAGES[kind])
+    return replace(made, **changes)
+
+
+def checkpoint(folder):
+    return torch.load(folder / training.CHECKPOINT, weights_only=False)
+
+
+def flat(value, name=""):
+    """All tensors and numbers of a nested state, by their path."""
+    if isinstance(value, dict):
+        pairs = value.items()
+    elif isinstance(value, list | tuple):
+        pairs = enumerate(value)
+    else:
+        return {name: np.asarray(value)}
+    return {k: v for key, one in pairs for k, v in flat(one, f"{name}/{key}").items()}
+
+
+def assert_same_state(first, second):
+    """Networks, optimizers, replay, noise and learning curve, but for the time they took."""
+    for name in ("parameters", "buffer", "noise", "last_observation", "numpy"):
+        one, other = flat(checkpoint(first)[name]), flat(checkpoint(second)[name])
+        assert set(one) == set(other)
+        for key in one:
+            np.testing.assert_array_equal(one[key], other[key], f"{name}{key}")
+    rows = [read_curve(folder / training.CURVE) for folder in (first, second)]
+    assert len(rows[0]) == len(rows[1]) == 4
+    for one, other in zip(*rows, strict=True):
+        for key in set(one) - {"cpu_seconds"}:
+            np.testing.assert_equal(one[key], other[key], key)
+
+
+@pytest.mark.parametrize("kind", STAGES)
+def test_a_seed_repeats_and_kill_and_resume_is_no_kill_bit_for_bit(tmp_path, kind):
+    """Two trainings from one seed, the second of which is killed twice."""
+    train(job(kind), tmp_path / "whole")
+    for stop in (40, 200):  # among random steps, and after the replay has begun to overwrite
+        assert train(job(kind), tmp_path / "killed", stop_after=stop) is None
+        assert not (tmp_path / "killed" / training.POLICY).exists()
+        np.random.seed(stop)  # noqa: NPY002 - whatever the next process draws first
+        torch.manual_seed(stop)
+    train(job(kind), tmp_path / "killed")
+    assert_same_state(tmp_path / "whole", tmp_path / "killed")
+
+
+def test_another_seed_learns_another_network(tmp_path):
+    networks = []
+    for seed in (0, 1):
+        train(job(seed=seed), tmp_path / str(seed), stop_after=120)
+        networks.append(flat(checkpoint(tmp_path / str(seed))["parameters"]["policy"]))
+    assert any(not np.array_equal(networks[0][key], networks[1][key]) for key in networks[0])
+
+
+@pytest.mark.parametrize("kind", STAGES)
+def test_the_exported_policy_acts_as_the_actor(tmp_path, kind):
+    wanted = job(kind)
+    run = training._Run(wanted, tmp_path, None)
+    run.begin()
+    run.go(160)
+    run._measure()
+    policy = Policy.load(run.export())
+    observation = np.random.default_rng(0).standard_normal((50, policy.observation_size))
+    np.testing.assert_allclose(policy.act(observation), run.act(observation), atol=1e-5)
+    assert policy.description.observation == wanted.stage.environment.observation
+    assert policy.description.period == wanted.stage.environment.path.period
+    assert policy.description.steps == run.model.num_timesteps
+
+
+def test_a_folder_with_other_settings_is_refused(tmp_path):
+    train(job(), tmp_path, stop_after=100)
+    with pytest.raises(InvalidField, match="a folder of the same settings; seed differ"):
+        train(job(seed=1), tmp_path)
+    slower = replace(STAGES["metric"], td3=replace(FIT, actor_rate=1e-5))
+    with pytest.raises(InvalidField, match="a folder of the same settings; td3 differ"):
+        train(job(stage=slower), tmp_path)
+    assert train(job(), tmp_path, stop_after=100) is None  # the same ones go on
+
+
+def test_a_stage_starts_from_the_networks_before_it(tmp_path):
+    train(job(), tmp_path / "first", stop_after=160)
+    start = tmp_path / "first" / training.CHECKPOINT
+    settle = replace(STAGES["metric"].environment, world="settle")
+    following = job(stage_name="sag", start=start, seed=3,
+                    stage=Stage(environment=settle, td3=replace(FIT, random_steps=0)))  # fmt: skip
+    run = training._Run(following, tmp_path / "second", None)
+    run.begin()
+    before = flat(checkpoint(tmp_path / "first")["parameters"]["policy"])
+    for key, value in flat(dict(run.model.policy.state_dict())).items():
+        np.testing.assert_array_equal(value, before[key])
+    assert run.model.num_timesteps == 0
+    gone = replace(following, start=tmp_path / "nowhere.pt")
+    with pytest.raises(MissingFile, match="train the earlier stage first"):
+        train(gone, tmp_path / "third")
+
+
+def test_a_short_training_brings_the_error_down(tmp_path, monkeypatch):
+    """From nothing learned, at the end of the random steps, to less than a third of that."""
+    monkeypatch.setattr(training, "REPORT_STEPS", 4096)
+    monkeypatch.setattr(training, "TEST_PATHS", 8)
+    monkeypatch.setattr(training, "TEST_STEPS", 40)
+    stage = PRESETS["carosac"].stage("no_sag")
+    short = replace(
+        stage.td3, steps=3 * 4096, random_steps=4096, environments=32, hidden=(48, 48),
+        batch_size=32, gradient_steps=7, buffer_size=20_000,
+    )  # fmt: skip
+    environment = replace(stage.environment, path=PathSettings(steps=128, pool=40))
+    wanted = Job(robot=load_robot("carosac"), preset="carosac", stage_name="no_sag",
+                 stage=Stage(environment=environment, td3=short))  # fmt: skip
+    seen = []
+    path = train(wanted, tmp_path, report=lambda row, left: seen.append((row, left)))
+    rows = read_curve(tmp_path / training.CURVE)
+    assert [row["steps"] for row in rows] == [4096.0, 8192.0, 12288.0]
+    assert rows[0]["updates"] == 0.0 and rows[-1]["updates"] == 7 * 2 * 4096 / 32
+    assert rows[0]["median_error_m"] > 3.0 * rows[-1]["median_error_m"]
+    assert rows[-1]["reward"] > rows[0]["reward"]
+    assert [left for _, left in seen][-1] == 0.0
+    assert Policy.load(path).description.scores["median_error_m"] == pytest.approx(
+        rows[-1]["median_error_m"], rel=1e-4
+    )
+
+
+def test_the_learning_curve_is_measured_on_the_same_paths_and_disturbances(tmp_path):
+    run = training._Run(job("realtime"), tmp_path, None)
+    run.begin()
+    run._measure()
+    run._measure()
+    assert run.rows[0]["median_error_m"] == run.rows[1]["median_error_m"]
+
+
+def test_the_test_paths_are_those_of_training_in_kind_and_not_in_seed():
+    settings = STAGES["value"].environment
+    assert training.curve_settings(settings).path.steps == training.TEST_STEPS
+    realtime = STAGES["realtime"].environment
+    assert training.curve_settings(realtime) == realtime
+    trained = CableEnvironment(simple_robot(), settings, size=4, seed=0)
+    tested = CableEnvironment(simple_robot(), settings, size=4, seed=training.TEST_SEED)
+    for environment in (trained, tested):
+        environment.reset()
+    starts = [{tuple(path.position[0]) for path in env.paths} for env in (trained, tested)]
+    assert not starts[0] & starts[1]
