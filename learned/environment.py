@@ -16,7 +16,7 @@ from carosac_toolkit.robot import Robot
 from learned.actions import Absolute, ActionMap, Displacement
 from learned.episodes import Path, PathPool, PathSettings
 from learned.moving_worlds import MovingSettings, MovingWorlds
-from learned.observation import Look, Scales, check_parts, observe
+from learned.observation import Look, Scales, Units, check_parts, observe
 from learned.rewards import Reward, RewardSettings
 from learned.transition import Transition
 from learned.worlds import NoSagWorlds, Reached, SettledWorlds, Worlds
@@ -40,6 +40,8 @@ class EnvironmentSettings:
         reward: Terms of the reward.
         path: How targets move.
         moving: Plants, winches and sensors of ``realtime``.
+        units: What counts as 1 in an observation.
+        lost: Distance from the target beyond which an episode is cut short [m]; None: never.
     """
 
     world: WorldName = "no_sag"
@@ -50,6 +52,8 @@ class EnvironmentSettings:
     reward: RewardSettings = field(default_factory=RewardSettings)
     path: PathSettings = field(default_factory=PathSettings)
     moving: MovingSettings = field(default_factory=MovingSettings)
+    units: Units = field(default_factory=Units)
+    lost: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together."""
@@ -67,6 +71,8 @@ class EnvironmentSettings:
             allowed = "steps where the observation has the part 'preview', and only there"
             raise InvalidField("preview", self.preview, allowed)
         check_positive("reach", self.reach, "m")
+        if self.lost is not None:
+            check_positive("lost", self.lost, "m")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,7 +84,7 @@ class StepResult:
         final_observation: Of the state that the step ended in, shape (B, d).
         reward: Shape (B,).
         terminated: Episodes that ended for lack of a solution, shape (B,).
-        truncated: Episodes that ended at their last step, shape (B,).
+        truncated: Episodes that were cut short, at their last step or lost, shape (B,).
         transition: All quantities behind the reward.
         reached: Where the platforms were at the end of the step.
     """
@@ -109,7 +115,7 @@ class CableEnvironment:
         self.robot = robot
         self.settings = settings
         self.size = size
-        self.scales = Scales.of(robot)
+        self.scales = Scales.of(robot, settings.units)
         self.worlds = _worlds(robot, settings, size, seed)
         self.actions = make_actions(robot, settings, self.scales)
         span = float(np.linalg.norm(robot.workspace_max - robot.workspace_min))
@@ -173,7 +179,8 @@ class CableEnvironment:
         self._asked = np.array(asked)
         self._reached = reached
         final = self._observe()
-        truncated = (self._step >= self.settings.path.steps) & ~reached.failed
+        over = (self._step >= self.settings.path.steps) | self._is_lost(transition)
+        truncated = over & ~reached.failed
         ended = np.flatnonzero(truncated | reached.failed)
         observation = final
         if len(ended):
@@ -185,6 +192,12 @@ class CableEnvironment:
             terminated=reached.failed, truncated=truncated, transition=transition,
             reached=reached,
         )  # fmt: skip
+
+    def _is_lost(self, transition: Transition) -> NDArray[np.bool_]:
+        """Environments whose platform is too far from the target to learn anything from."""
+        limit = np.inf if self.settings.lost is None else self.settings.lost
+        found: NDArray[np.bool_] = transition.distance > limit
+        return found
 
     def state(self) -> dict[str, Any]:
         """Everything that changes; `restore` goes on from there, bit by bit."""

@@ -60,13 +60,19 @@ def settings_of(trained: EnvironmentSettings, protocol: Protocol) -> Environment
         allowed = "'realtime'" if trained.world == "realtime" else "'no-sag' or 'settle'"
         raise InvalidField("protocol", repr(protocol), f"{allowed}, as the policy was trained")
     if protocol == "realtime":
-        return replace(trained, moving=replace(trained.moving, cables="particles", start_speed=0.0))
+        return replace(
+            trained, lost=None, moving=replace(trained.moving, cables="particles", start_speed=0.0)
+        )
     path = PathSettings(steps=POINTS[protocol])
     return replace(trained, world="no_sag" if protocol == "no-sag" else "settle", path=path)
 
 
 def settled_particles(robot: Robot, scores: Scores) -> Scores:
-    """The same set-points in cables of particles: placed at rest, and left alone for a second."""
+    """The same set-points in cables of particles: placed at rest, and left alone for a second.
+
+    Positions and tensions are those of the particles then; tilt and inconsistency stay those of
+    the catenaries.
+    """
     paths, points, _ = scores.length.shape
     simulator = Simulator(robot, worlds=paths, cables="particles")
     position, tension = np.array(scores.position), np.array(scores.tension)
@@ -79,6 +85,6 @@ def settled_particles(robot: Robot, scores: Scores) -> Scores:
 
 
 def trajectory_errors(scores: Scores) -> tuple[Array, Array]:
-    """Mean distance and mean |length| error of each path [m], each of shape (N,)."""
+    """Mean distance and mean absolute length error of each path [m], each of shape (N,)."""
     distance = np.linalg.norm(scores.error, axis=2).mean(axis=1)
     return distance, np.abs(scores.length_error).mean(axis=(1, 2))

@@ -116,6 +116,6 @@ class MovingWorlds:
         return Reached(
             position=state.position, rotation=state.rotation, twist=state.twist,
             length=state.unstrained_length - self._length_bias,
-            inconsistency=np.zeros_like(state.unstrained_length), tension=state.tension,
+            inconsistency=np.full_like(state.unstrained_length, np.nan), tension=state.tension,
             failed=state.failed, position_bias=self._position_bias.copy(),
         )  # fmt: skip

@@ -13,15 +13,37 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.number_checks import check_fields
 from carosac_toolkit.physics.straight_line import inverse_kinematics
 from carosac_toolkit.robot import Robot
 
-ERROR = 0.2  # [m] that count as 1
-SPEED = 1.0  # [m/s]
-TILT = 0.2  # [rad]
-TURN = 1.0  # [rad/s]
 MARGIN = 0.02  # share of its range by which lengths may go beyond those of the workspace box
 GRID = 9  # points along each edge of the box at which lengths are looked at
+
+
+@dataclass(frozen=True, kw_only=True)
+class Units:
+    """What counts as 1 in an observation; kept with a policy, which knows no others.
+
+    Attributes:
+        error: Distance from the target [m].
+        speed_error: Speed against the target [m/s].
+        ahead: Distance of later targets from the present one [m].
+        speed: [m/s].
+        tilt: Sine of the angle of the platform's z axis to the vertical [-].
+        turn: Angular speed [rad/s].
+    """
+
+    error: float = 0.1
+    speed_error: float = 0.3
+    ahead: float = 0.5
+    speed: float = 1.0
+    tilt: float = 0.2
+    turn: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse units that are not positive."""
+        check_fields(self, positive=("error", "speed_error", "ahead", "speed", "tilt", "turn"))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,16 +80,18 @@ class Scales:
         half: Half its edges [m], shape (3,).
         length_low: Shortest straight-line lengths in the box [m], less a margin, shape (n,).
         length_high: Longest ones [m], and a margin, shape (n,).
+        units: What counts as 1 where the box is no measure.
     """
 
     center: Array
     half: Array
     length_low: Array
     length_high: Array
+    units: Units
 
     @classmethod
-    def of(cls, robot: Robot) -> Scales:
-        """Those of a robot."""
+    def of(cls, robot: Robot, units: Units | None = None) -> Scales:
+        """Those of a robot; without units the default ones."""
         low, high = robot.workspace_min, robot.workspace_max
         axes = [np.linspace(a, b, GRID) for a, b in zip(low, high, strict=True)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -77,6 +101,7 @@ class Scales:
         return cls(
             center=(low + high) / 2, half=(high - low) / 2,
             length_low=least - room, length_high=most + room,
+            units=units or Units(),
         )  # fmt: skip
 
     def to_length(self, action: Array) -> Array:
@@ -94,20 +119,23 @@ class Scales:
 
 def _tilt(look: Look, scales: Scales) -> Array:
     """Horizontal components of the platform's z axis, in W."""
-    return look.rotation[:, :2, 2] / TILT
+    return look.rotation[:, :2, 2] / scales.units.tilt
 
 
 PARTS: dict[str, Callable[[Look, Scales], Array]] = {
     "length": lambda look, scales: scales.to_action(look.length),
     "position": lambda look, scales: scales.to_unit(look.position),
     "target": lambda look, scales: scales.to_unit(look.target),
-    "error": lambda look, scales: (look.position - look.target) / ERROR,
-    "velocity": lambda look, scales: look.twist[:, :3] / SPEED,
+    "error": lambda look, scales: (look.position - look.target) / scales.units.error,
+    "velocity_error": lambda look, scales: (
+        (look.twist[:, :3] - look.target_velocity) / scales.units.speed_error
+    ),
+    "velocity": lambda look, scales: look.twist[:, :3] / scales.units.speed,
     "tilt": _tilt,
-    "turn": lambda look, scales: look.twist[:, 3:] / TURN,
-    "target_velocity": lambda look, scales: look.target_velocity / SPEED,
+    "turn": lambda look, scales: look.twist[:, 3:] / scales.units.turn,
+    "target_velocity": lambda look, scales: look.target_velocity / scales.units.speed,
     "preview": lambda look, scales: (
-        (look.preview - look.target[:, None]).reshape(len(look.target), -1) / ERROR
+        (look.preview - look.target[:, None]).reshape(len(look.target), -1) / scales.units.ahead
     ),
     "last_action": lambda look, scales: look.last_action,
 }
@@ -138,8 +166,8 @@ def slices(parts: Sequence[str], n: int, previews: int, actions: int) -> dict[st
         actions: Size of the action.
     """
     sizes = {
-        "length": n, "position": 3, "target": 3, "error": 3, "velocity": 3, "tilt": 2, "turn": 3,
-        "target_velocity": 3, "preview": 3 * previews, "last_action": actions,
+        "length": n, "position": 3, "target": 3, "error": 3, "velocity_error": 3, "velocity": 3,
+        "tilt": 2, "turn": 3, "target_velocity": 3, "preview": 3 * previews, "last_action": actions,
     }  # fmt: skip
     ends = np.cumsum([0, *(sizes[name] for name in parts)])
     return {name: slice(int(ends[k]), int(ends[k + 1])) for k, name in enumerate(parts)}

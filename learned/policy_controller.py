@@ -21,7 +21,7 @@ from learned.policy_file import Policy
 from learned.settings_data import environment_settings
 
 SUFFIX = ".onnx"
-NEEDS_TWIST = {"velocity", "turn"}
+NEEDS_TWIST = {"velocity", "velocity_error", "turn"}
 # What a policy learns depends on; names, calibration and sensors are free.
 TRAINED_FOR = (
     "exit_points", "anchor_points", "pulley_radius", "swivel_axis", "run_length",
@@ -66,7 +66,7 @@ class PolicyController:
         check_robot(robot, policy)
         self._policy = policy
         self._environment: EnvironmentSettings = environment_settings(policy.description.settings)
-        self._scales = Scales.of(robot)
+        self._scales = Scales.of(robot, self._environment.units)
         self._actions = make_actions(robot, self._environment, self._scales)
         self._check_sizes(robot)
         period = policy.description.period

@@ -156,9 +156,9 @@ _FIT_SAG = replace(_FIT, steps=100_000, random_steps=0, exploration=ExplorationS
     start=0.02, end=0.002))  # fmt: skip
 _FIT_REWARD = RewardSettings(terms=("fit",))
 _DAMP = Td3Settings(
-    steps=600_000, environments=64, gradient_steps=8, random_steps=0, discount=0.97,
+    steps=300_000, environments=64, gradient_steps=8, random_steps=0, discount=0.97,
     actor_rate=5e-4, critic_rate=1e-3, rate_end=0.05, hidden=(128, 128), activation="silu",
-    exploration=ExplorationSettings(start=0.2, end=0.02),
+    target_noise=0.05, exploration=ExplorationSettings(start=0.1, end=0.02),
 )  # fmt: skip
 
 PRESETS = {
@@ -210,9 +210,10 @@ PRESETS = {
                         world="realtime",
                         observation=(
                             "error",
-                            "velocity",
+                            "velocity_error",
                             "tilt",
                             "turn",
+                            "position",
                             "target_velocity",
                             "preview",
                             "last_action",
@@ -221,6 +222,7 @@ PRESETS = {
                         action="displacement",
                         reach=0.2,
                         reward=RewardSettings(terms=("tracking", "effort")),
+                        lost=0.5,
                         path=PathSettings(
                             kind="minimum_snap",
                             speed=(0.5, 2.08),

@@ -9,13 +9,16 @@ from carosac_toolkit.errors import InvalidField
 from learned.environment import EnvironmentSettings
 from learned.episodes import PathSettings
 from learned.moving_worlds import MovingSettings
-from learned.rewards import RewardSettings
+from learned.observation import Units
 
-_PARTS = {"reward": RewardSettings, "path": PathSettings, "moving": MovingSettings}
+_PARTS = {"path": PathSettings, "moving": MovingSettings, "units": Units}
 
 
 def environment_settings(settings: dict[str, Any]) -> EnvironmentSettings:
     """Read the entry ``environment`` of a training's settings.
+
+    Its reward is left out: what a policy was rewarded for does not change what it does, and terms
+    of a user's own need not be known.
 
     Raises:
         InvalidField: It is not there, or has fields that this version does not know.
@@ -23,7 +26,7 @@ def environment_settings(settings: dict[str, Any]) -> EnvironmentSettings:
     data = settings.get("environment")
     if not isinstance(data, dict):
         raise InvalidField("settings.environment", data, "the settings of an environment")
-    values = {name: _tuple(value) for name, value in data.items()}
+    values = {name: _tuple(value) for name, value in data.items() if name != "reward"}
     for name, kind in _PARTS.items():
         part = {key: _tuple(value) for key, value in data.get(name, {}).items()}
         _check_names(f"settings.environment.{name}", part, kind)

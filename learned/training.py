@@ -271,10 +271,13 @@ def digest(robot: Robot) -> str:
 
 
 def curve_settings(settings: EnvironmentSettings) -> EnvironmentSettings:
-    """Settings of the environment in which the learning curve is measured: fewer set-points."""
+    """Settings of the environment in which the learning curve is measured.
+
+    Fewer set-points, no paths but those that are measured on, and all errors count.
+    """
     if settings.path.period is not None:
-        return settings
-    return replace(settings, path=replace(settings.path, steps=TEST_STEPS))
+        return replace(settings, lost=None, path=replace(settings.path, pool=TEST_PATHS))
+    return replace(settings, path=replace(settings.path, steps=TEST_STEPS, pool=TEST_PATHS))
 
 
 def check_settings(job: Job, folder: Path) -> None:

@@ -24,7 +24,8 @@ class Transition:
         straight_position: Straight-line lengths at `position` [m], shape (B, n).
         straight_target: Straight-line lengths at `target` [m], shape (B, n).
         inconsistency: What each length lacks to the one that inverse kinematics of the same model
-            gives at `position` [m], shape (B, n); zero where the lengths agree with each other.
+            gives at `position` [m], shape (B, n); zero where the lengths agree with each other,
+            NaN where a platform moves and nobody can say.
         velocity: Of the platform origin less that of its target [m/s], shape (B, 3); zero where
             set-points settle.
         effort: How far the action moves the target off the reference, over its range, shape (B,);

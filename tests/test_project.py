@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = (
     "calibration", "calibration-identify", "calibration-lengths", "calibration-tachymeter",
     "calibration-without-poses", "drivers", "dynamic-estimator",
-    "recordings", "robot-yaml", "statics", "trajectories",
+    "learned-control", "recordings", "robot-yaml", "statics", "trajectories",
 )  # fmt: skip
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 

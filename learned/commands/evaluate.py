@@ -24,7 +24,7 @@ from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import load_robot
 from learned.evaluation import PATHS, evaluate, trajectory_errors
 from learned.policy_controller import check_robot, find_policy
-from learned.policy_file import Policy
+from learned.policy_file import Policy, PolicyDescription
 from learned.scores import Scores
 from learned.settings_data import environment_settings
 
@@ -66,12 +66,17 @@ def run(options: Options) -> CommandResult:
     scores = evaluate(policy, protocol, paths=count, seed=options.seed)
     data = scores.data(description.robot)
     print(_table(data))
-    name = Path(options.policy).stem
-    folder = options.output or Path("carosac-results") / "evaluate" / f"{name}-{protocol}"
+    folder = options.output or _default_folder(description, protocol)
     pictures = draw(scores, description.robot, folder)
     print(f"pictures: {folder}")
     status = 1 if data["failures"] else 0
     return CommandResult(data | {"protocol": protocol, "pictures": pictures}, status=status)
+
+
+def _default_folder(description: PolicyDescription, protocol: str) -> Path:
+    """Where pictures go that were not sent anywhere."""
+    parts = (description.preset, description.robot.name, f"seed{description.seed}", protocol)
+    return Path("carosac-results") / "evaluate" / "-".join(parts)
 
 
 def policy_robot(options: Options) -> Robot:
@@ -89,9 +94,11 @@ def _table(data: dict[str, Any]) -> str:
         ["median of the paths' means", f"{1e3 * data['median_of_trajectory_means_m']:.1f} mm"],
         ["95 % of the distances below", f"{1e3 * data['p95_error_m']:.1f} mm"],
         ["median |length - IK|", f"{1e3 * data['length_error_m']:.1f} mm"],
-        ["median inconsistency", f"{1e3 * data['inconsistency_m']:.1f} mm"],
         ["median tilt against rest", f"{np.degrees(data['median_tilt_rad']):.2f} degrees"],
     ]
+    if np.isfinite(data["inconsistency_m"]):
+        inconsistency = f"{1e3 * data['inconsistency_m']:.1f} mm"
+        rows.append(["median inconsistency", inconsistency])
     if "slack_share" in data:
         low, high = data["tension_range_N"]
         rows += [

@@ -4,7 +4,7 @@ Each stage goes to a folder of its own, with settings, learning curve, checkpoin
 an ONNX file. Interrupted or killed, the same command goes on from the last checkpoint as if nothing
 had happened. TensorBoard shows the folder while it grows.
 
-The policy runs on any driver as the controller td3: carosac compare --controller td3
+The policy runs on any driver as the controller td3: carosac compare --controllers td3
 --set controller.td3.policy=FILE
 """
 

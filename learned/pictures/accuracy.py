@@ -195,7 +195,8 @@ def errors_over_time(
         axes.grid(axis="y", alpha=0.25)
     panels[-1].set_xlabel("time [s]")
     figure.align_ylabels(panels)
-    figure.suptitle("Absolute position error over time")
+    title = "Absolute position error over time"
+    figure.suptitle(title + ("; dotted: the next trajectory" if len(marks) else ""))
     put_legend(figure, panels[0])
     return save(figure, path)
 

@@ -28,7 +28,7 @@ class Curve(TypedDict):
 
     Attributes:
         steps: Environment steps at the end of each episode, shape (E,).
-        reward: Mean reward of each episode per step [-], shape (E,).
+        reward: Sum of rewards of an episode, a mean over some [-], shape (E,).
         evaluated_steps: Environment steps at each evaluation, shape (K,).
         median_error: Median position error at each evaluation [m], shape (K,).
         name: For the legend; without it, the number of the training.

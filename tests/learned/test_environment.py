@@ -161,7 +161,7 @@ def test_previews_are_later_targets_and_the_end_counts_on():
     where = slices(REALTIME.observation, 4, 2, 3)["preview"]
     paths = environment.paths
     steps = np.stack([path.position[[1, 3, 4]] for path in paths])  # 5 ahead of 1: past the end, 4
-    expected = (steps[:, 1:] - steps[:, :1]).reshape(3, 6) / 0.2
+    expected = (steps[:, 1:] - steps[:, :1]).reshape(3, 6) / 0.5
     np.testing.assert_allclose(observation[:, where], expected, atol=1e-12)
 
 
@@ -173,7 +173,7 @@ def test_a_biased_belief_is_seen_and_the_truth_is_rewarded():
     reached = state["reached"]
     target = np.stack([path.position[1] for path in state["paths"]])
     believed = reached.position + reached.position_bias
-    np.testing.assert_allclose(observation[:, :3], (believed - target) / 0.2, atol=1e-12)
+    np.testing.assert_allclose(observation[:, :3], (believed - target) / 0.1, atol=1e-12)
     result = environment.step(np.zeros((3, 3)))
     np.testing.assert_array_equal(result.transition.position, result.reached.position)
     velocity = np.stack([path.velocity[1] for path in state["paths"]])
@@ -256,3 +256,16 @@ def test_a_step_before_the_reset_is_refused():
 def test_settings_that_do_not_fit_are_refused(changes, message):
     with pytest.raises(InvalidField, match=message):
         EnvironmentSettings(**changes)
+
+
+def test_a_platform_that_is_lost_begins_anew_and_is_no_failure():
+    environment = made(replace(REALTIME, lost=0.05))
+    environment.reset()
+    ended = 0
+    for _ in range(10):
+        result = environment.step(np.tile([1.0, 1.0, 1.0], (environment.size, 1)))
+        far = result.transition.distance > 0.05
+        np.testing.assert_array_equal(result.truncated, far)
+        assert not result.terminated.any()
+        ended += int(far.sum())
+    assert ended > 0

@@ -8,7 +8,7 @@ from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics import straight_line
 from carosac_toolkit.robot_file import load_robot
 from learned.environment import empty_look
-from learned.observation import PARTS, Scales, check_parts, observe, slices
+from learned.observation import PARTS, Scales, Units, check_parts, observe, slices
 from tests.robots import eight_cable_robot, simple_robot
 
 
@@ -48,17 +48,29 @@ def test_each_part_says_what_its_name_says():
         last_action=np.array([[0.1, -0.2, 0.3, -0.4]]),
     )  # fmt: skip
     found = {name: part(look, scales)[0] for name, part in PARTS.items()}
-    np.testing.assert_allclose(found["error"], [-1.0, 0.0, 0.5], atol=1e-12)
+    np.testing.assert_allclose(found["error"], [-2.0, 0.0, 1.0], atol=1e-12)
     np.testing.assert_allclose(found["velocity"], [0.1, 0.2, 0.3])
+    against = (np.array([0.1, 0.2, 0.3]) - 0.5) / 0.3
+    np.testing.assert_allclose(found["velocity_error"], against)
     np.testing.assert_allclose(found["turn"], [4.0, 5.0, 6.0])
     tilt = found["tilt"] * 0.2  # the z axis of P in W; at a yaw of 0.7 rad it leans in both
     assert np.linalg.norm(tilt) == pytest.approx(np.sin(2 * np.arcsin(np.linalg.norm(tilt) / 2)),
                                                  rel=1e-3)  # fmt: skip
     np.testing.assert_allclose(tilt, turned[0] @ [0.0, 0.0, 1.0] @ np.eye(3)[:, :2], atol=1e-12)
-    ahead = (robot.home_position - look.target[0]) / 0.2
+    ahead = (robot.home_position - look.target[0]) / 0.5
     np.testing.assert_allclose(found["preview"], np.tile(ahead, 2), atol=1e-12)
     np.testing.assert_allclose(found["target"], scales.to_unit(look.target)[0])
     np.testing.assert_allclose(found["last_action"], [0.1, -0.2, 0.3, -0.4])
+
+
+def test_units_say_what_counts_as_one():
+    robot = simple_robot()
+    look = replace(empty_look(robot, 0, 4), twist=np.full((1, 6), 2.0))
+    coarse = Scales.of(robot, Units(speed=4.0, turn=0.5))
+    np.testing.assert_allclose(PARTS["velocity"](look, coarse), 0.5)
+    np.testing.assert_allclose(PARTS["turn"](look, coarse), 4.0)
+    with pytest.raises(InvalidField, match="tilt: got 0"):
+        Units(tilt=0.0)
 
 
 @pytest.mark.parametrize("robot", [simple_robot(), eight_cable_robot()])

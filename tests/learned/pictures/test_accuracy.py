@@ -6,7 +6,13 @@ from matplotlib.colors import to_hex
 
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.pictures.drawing import COLORS, MEASURED
-from learned.pictures.accuracy import error_histograms, error_violins, rmse_gaussians, sample_paths
+from learned.pictures.accuracy import (
+    error_histograms,
+    error_violins,
+    errors_over_time,
+    rmse_gaussians,
+    sample_paths,
+)
 from tests.robots import simple_robot
 
 RNG = np.random.default_rng(0)
@@ -115,3 +121,27 @@ def test_what_cannot_be_drawn_is_refused(tmp_path):
     with pytest.raises(InvalidField, match=r"KS: got shape \(3,\)"):
         rmse_gaussians({"KS": [0.1, 0.1, 0.1]}, path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_errors_over_time_are_absolute_in_millimetres_with_rests_shaded(tmp_path):
+    time = np.linspace(0.0, 4.0, 41)
+    errors = {"a": RNG.normal(0.0, 0.01, (41, 3)), "b": RNG.normal(0.0, 0.02, (41, 3))}
+    rests, marks = [(0.0, 1.0), (3.0, 4.0)], [2.0]
+    path = tmp_path / "errors.png"
+    figure = errors_over_time(time, errors, path, rests=rests, marks=marks)
+    assert len(figure.axes) == 3
+    for column, axes in enumerate(figure.axes):
+        drawn = {line.get_label(): line for line in axes.lines}
+        for name, values in errors.items():
+            assert drawn[name].get_xdata() == pytest.approx(time)
+            assert drawn[name].get_ydata() == pytest.approx(1e3 * np.abs(values[:, column]))
+        spans = [(p.get_x(), p.get_x() + p.get_width()) for p in axes.patches]
+        assert np.array(spans) == pytest.approx(np.array(rests))
+        assert "xyz"[column] in axes.get_ylabel() and "[mm]" in axes.get_ylabel()
+
+
+def test_errors_over_time_want_one_error_for_each_time(tmp_path):
+    with pytest.raises(InvalidField, match=r"late: got 3 errors; allowed: 4, one for each time"):
+        errors_over_time(np.arange(4.0), {"late": np.zeros((3, 3))}, tmp_path / "errors.png")
+    with pytest.raises(InvalidField, match="errors: got 0"):
+        errors_over_time(np.arange(4.0), {}, tmp_path / "errors.png")

@@ -1,0 +1,69 @@
+"""A learned controller beside exact statics: the same move, the same plant, wind and noise.
+
+The bundled policy of the robot ``carosac`` was trained in simulation to move the target of catenary
+inverse kinematics so that the platform does not sway (preset `residual`). It sees the belief of the
+dynamic estimator. The kinematic solver sends lengths of rest along the path.
+
+Writes 08_learned_control.png and prints how far the platform still sways two seconds after the
+move.
+"""
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import carosac_toolkit as ct
+from baselines.dynamic_estimator import DynamicEstimator
+from baselines.kinematic_solver_controller import KinematicSolverController
+from carosac_toolkit import trajectories
+from carosac_toolkit.loop import run
+from carosac_toolkit.perturbations import CONDITIONS, draw_plant
+from learned.policy_controller import PolicyController
+from sim_warp.driver import SimDriver, SimDriverSettings
+
+SEED = 3
+LATE = 2.0  # [s] after the move
+COLORS = ("tab:red", "tab:blue")
+
+robot = ct.load_robot("carosac")
+condition = CONDITIONS["nominal-1"]
+plant = draw_plant(robot, condition, np.random.default_rng(SEED))
+start, goal = (0.9, -1.8, 2.6), (-0.3, -1.8, 3.0)  # [m]
+path = trajectories.line(start, goal, speed_max=1.5, acceleration_max=2.0)
+
+
+def go(controller):
+    """The log of one run on the same plant, wind and noise."""
+    settings = SimDriverSettings(
+        suite="lengths+imu", start_position=start, wind_force=condition.wind_force,
+        period=controller.period,
+    )  # fmt: skip
+    driver = SimDriver.build(plant, settings, seed=SEED)
+    estimator = DynamicEstimator.build(robot)
+    return run(driver, estimator, controller, path, duration=path.duration + 4.0)
+
+
+logs = {
+    "kinematic solver": go(KinematicSolverController.build(robot)),
+    "learned": go(PolicyController.build(robot)),
+}
+
+figure, (space, time) = plt.subplots(1, 2, figsize=(12, 4.2), layout="constrained")
+residual = {}
+for (name, log), color in zip(logs.items(), COLORS, strict=True):
+    where, error = log.position[:, 0], log.position[:, 0] - log.reference[:, 0]
+    late = where[log.time > path.duration + LATE]
+    residual[name] = 1e3 * np.linalg.norm(late.std(axis=0))
+    space.plot(where[:, 0], where[:, 2], color=color, lw=1.2, label=name)
+    time.plot(log.time, 1e3 * error[:, 0], color=color, lw=1.4, label=name)
+target = logs["learned"].reference[:, 0]
+space.plot(target[:, 0], target[:, 2], color="black", lw=1.2, ls="--", label="target")
+space.set(xlabel="x [m]", ylabel="z [m]", title="Where the platform goes")
+time.axvspan(0.0, path.duration, color="0.93", zorder=0)
+time.set(xlabel="time [s]", ylabel="x, platform minus path [mm]", title="What is left of the sway")
+figure.legend(*space.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+figure.savefig("08_learned_control.png", dpi=120)
+print("sway two seconds after the move:", ", ".join(f"{k} {v:.0f} mm" for k, v in residual.items()))
