@@ -45,11 +45,12 @@ lint: $(STAMP)  ## check style, formatting and types
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
-bench: $(STAMP)  ## measure speed: statics, limits, simulator beside MuJoCo
+bench: $(STAMP)  ## measure speed: statics, limits, learning, simulator beside MuJoCo
 	@$(BIN)/python -m pip install -qq --constraint constraints.txt mujoco
 	$(BIN)/python -m benchmarks.statics
 	$(BIN)/python -m benchmarks.limits
 	$(BIN)/python -m benchmarks.simulator
+	$(BIN)/python -m benchmarks.learning --parts throughput
 
 bars: $(STAMP)  ## run the slow acceptance measurements; figures go to benchmarks/RESULTS.md
 	$(BIN)/python -m benchmarks.bars

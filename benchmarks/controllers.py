@@ -66,7 +66,11 @@ GALE = 0.023  # wind over weight: scampi's 1 N; its cables slacken at 6 N, a six
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One run: names, and what is wrong with the plant (None: nominal-1 drawn by the seed)."""
+    """One run: names, and what is wrong with the plant (None: nominal-1 drawn by the seed).
+
+    A controller that `CONTROLLERS` does not know is named as the registry knows it, or as
+    ``module:Class``; one that is a trained policy has its file in `policy`.
+    """
 
     robot: str
     controller: str
@@ -75,6 +79,7 @@ class Task:
     estimator: str = ESTIMATOR
     wind: bool = True
     wrong: str | None = None
+    policy: str | None = None
 
 
 def path_of(task: Task, robot: Robot) -> Trajectory:
@@ -114,7 +119,9 @@ def plant_of(task: Task, robot: Robot) -> Robot:
 
 def make(task: Task, robot: Robot, path: Trajectory, **options: Any) -> tuple[Any, Any, Any]:
     """Driver, estimator and controller of a task."""
-    controller = registry.load("controllers", CONTROLLERS[task.controller]).build(robot)
+    chosen = registry.load("controllers", CONTROLLERS.get(task.controller, task.controller))
+    given = None if task.policy is None else chosen.Settings(policy=task.policy)
+    controller = chosen.build(robot, given)
     kind = registry.load("drivers", "simulator")
     force = find_condition("nominal-1").wind_force if task.wind and task.wrong is None else 0.0
     start = tuple(float(x) for x in path.sample(np.zeros(1)).position[0])
@@ -133,8 +140,9 @@ def score(task: Task) -> dict[str, Any]:
     robot = ct.load_robot(task.robot)
     path = path_of(task, robot)
     driver, estimator, controller = make(task, robot, path)
+    clock = Clock(controller)
     try:
-        log = run(driver, estimator, controller, path, duration=path.duration + END)
+        log = run(driver, estimator, clock, path, duration=path.duration + END)
     except CarosacError as failure:
         return {"task": task, "failed": str(failure)[:120]}
     assert log.position is not None and log.tension is not None
@@ -156,6 +164,7 @@ def score(task: Task) -> dict[str, Any]:
         "speed": float((np.abs(np.diff(log.command[:, 0], axis=0)) / controller.period
                         / robot.speed_max).max()),
         "fallbacks": sum(record.fallbacks.values()) if record is not None else 0,
+        "latency": clock.cpu[5:],
     }  # fmt: skip
 
 

@@ -26,6 +26,18 @@ def environment_settings(settings: dict[str, Any]) -> EnvironmentSettings:
     data = settings.get("environment")
     if not isinstance(data, dict):
         raise InvalidField("settings.environment", data, "the settings of an environment")
+    unmeasured = {
+        "error",
+        "velocity_error",
+        "velocity",
+        "tilt",
+        "turn",
+        "target_velocity",
+        "preview",
+    }
+    if "units" not in data and unmeasured & set(data.get("observation", ())):
+        allowed = "the units of the observation, which old policies lack: train it again"
+        raise InvalidField("settings.environment.units", None, allowed)
     values = {name: _tuple(value) for name, value in data.items() if name != "reward"}
     for name, kind in _PARTS.items():
         part = {key: _tuple(value) for key, value in data.get(name, {}).items()}

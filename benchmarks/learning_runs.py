@@ -1,0 +1,296 @@
+"""Trainings that ``carosac train --output RUNS/NAME-SEED`` left behind: curves and bars."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.results import table
+from carosac_toolkit.arrays import Array
+from learned.evaluation import evaluate
+from learned.pictures.training import Curve, learning_curves
+from learned.policy_file import Policy, PolicyDescription
+from learned.scores import Scores
+from learned.training import CURVE, POLICY, SETTINGS, read_curve
+
+FOLDER = Path(__file__).parent
+MM = 1e3
+SEED = 999  # of paths that no training has seen
+PAPER_NO_SAG = 0.027  # [m]
+PAPER_SAG = (0.013, 0.014, 0.012)  # [m], median |error| of each axis
+LIMIT_MEDIAN, LIMIT_P95, LIMIT_MINUTES = 0.015, 0.040, 20.0  # of `carosac` without sag
+LIMIT_INCONSISTENCY = 0.03  # [m]
+LIMIT_SAG_MINUTES = 60.0
+LIMIT_RATIO = 0.6  # of catenary inverse kinematics
+PATHS = {"no-sag": 1000, "settle": 20, "realtime": 20}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """One stage of one training.
+
+    Attributes:
+        name: Its folder, without the stage.
+        folder: Of the stage.
+        settings: As they were written.
+        rows: Of the learning curve.
+    """
+
+    name: str
+    folder: Path
+    settings: dict[str, Any]
+    rows: list[dict[str, float]]
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """Robot, preset, stage."""
+        return (self.settings["robot"], self.settings["preset"], self.settings["stage"])
+
+    @property
+    def world(self) -> str:
+        """In which it was trained."""
+        return str(self.settings["environment"]["world"])
+
+    @property
+    def finished(self) -> bool:
+        """Whether there is a policy."""
+        return (self.folder / POLICY).is_file()
+
+    @property
+    def minutes(self) -> float:
+        """CPU time of this stage so far [min]."""
+        return self.rows[-1]["cpu_seconds"] / 60.0
+
+
+def find_trainings(runs: Sequence[Path]) -> list[Training]:
+    """All stages in folders of trainings, by robot, preset, stage and seed."""
+    found = []
+    for path in (path for folder in runs for path in sorted(folder.glob(f"*/*/{CURVE}"))):
+        rows = read_curve(path)
+        if rows:
+            settings = json.loads((path.parent / SETTINGS).read_text(encoding="utf-8"))
+            found.append(Training(name=path.parent.parent.name, folder=path.parent,
+                                  settings=settings, rows=rows))  # fmt: skip
+    return sorted(found, key=lambda t: (*t.key, t.settings["seed"], t.name))
+
+
+def groups(trainings: Sequence[Training]) -> dict[tuple[str, str, str], list[Training]]:
+    """Trainings that differ in their seed alone."""
+    found: dict[tuple[str, str, str], list[Training]] = {}
+    for training in trainings:
+        found.setdefault(training.key, []).append(training)
+    return found
+
+
+def curves(trainings: Sequence[Training]) -> str:
+    """A picture for each preset and stage, and where each training ended."""
+    rows, pictures = [], []
+    for (robot, preset, stage), group in groups(trainings).items():
+        name = f"learning_{preset}_{stage}{'' if robot == 'carosac' else f'_{robot}'}.png"
+        drawn = [curve_of(t) for t in group if len(told(t)) > 1]
+        if drawn:
+            marks = {"paper": PAPER_NO_SAG} if stage == "no_sag" else {}
+            learning_curves(drawn, FOLDER / name, marks=marks)
+            pictures.append(f"![{robot}, {preset}, {stage}]({name})")
+        rows += [end_of(t) for t in group]
+    header = (
+        "robot", "preset", "stage", "seed", "steps", "CPU [min]", "median [mm]",
+        "median of the paths' means [mm]", "p95 [mm]", "inconsistency [mm]",
+    )  # fmt: skip
+    return (
+        "Each training's last point of its learning curve: the policy without noise on 64 paths "
+        "that no training follows, of 40 set-points each or of a whole episode in `realtime`. CPU "
+        "time is that of the stage alone, learning curve included. A point of the reward is the "
+        "mean of all episodes since the point before.\n\n"
+        f"{table(header, rows)}\n\n" + "\n\n".join(pictures)
+    )
+
+
+def told(training: Training) -> list[dict[str, float]]:
+    """Points of the curve before which an episode ended."""
+    return [row for row in training.rows if np.isfinite(row["reward"])]
+
+
+def curve_of(training: Training) -> Curve:
+    """The learning curve as its picture wants it."""
+    rewarded, rows = told(training), training.rows
+    return Curve(
+        steps=[row["steps"] for row in rewarded], reward=[row["reward"] for row in rewarded],
+        evaluated_steps=[row["steps"] for row in rows],
+        median_error=[row["median_error_m"] for row in rows],
+        name=f"seed {training.settings['seed']}",
+    )  # fmt: skip
+
+
+def end_of(training: Training) -> tuple[str, ...]:
+    """A row of the table."""
+    last, wanted = training.rows[-1], training.settings["td3"]["steps"]
+    steps = f"{last['steps']:,.0f}"
+    if not training.finished:
+        steps += f" of {wanted:,}, not finished"
+    names = ("median_error_m", "median_of_means_m", "p95_error_m", "inconsistency_m")
+    values = [MM * last[name] for name in names]
+    return (*training.key, str(training.settings["seed"]), steps, f"{training.minutes:.1f}",
+            *(f"{value:.1f}" if np.isfinite(value) else "-" for value in values))  # fmt: skip
+
+
+def bars(trainings: Sequence[Training]) -> str:
+    """All policies by the protocols of `learned.evaluation`."""
+    done = [t for t in trainings if t.finished]
+    parts = {"no_sag": without_sag, "settle": settled, "realtime": real_time}
+    texts = []
+    for world, part in parts.items():
+        mine = [t for t in done if t.world == world]
+        if mine:
+            texts.append(part(mine, trainings))
+    waiting = [f"{t.name}/{t.key[2]}" for t in trainings if not t.finished]
+    if waiting:
+        texts.append(f"Not finished, so not here: {', '.join(waiting)}.")
+    return "\n\n".join(texts)
+
+
+def names_of(training: Training) -> tuple[str, str, str]:
+    """The first cells of a row."""
+    robot, preset, _ = training.key
+    return (robot, preset, str(training.settings["seed"]))
+
+
+def verdict(*good: bool) -> str:
+    """Of a bar."""
+    return "passed" if all(good) else "**missed**"
+
+
+def distinct(scores: Scores) -> int:
+    """How many of the paths differ."""
+    return len(np.unique(scores.target[:, :2].reshape(len(scores.target), -1), axis=0))
+
+
+def scored(training: Training, protocol: Any) -> tuple[dict[str, Any], Scores]:
+    """The numbers of one policy, and what is behind them."""
+    policy = Policy.load(training.folder / POLICY)
+    scores = evaluate(policy, protocol, paths=PATHS[protocol], seed=SEED)
+    print(training.name, protocol, flush=True)
+    return scores.data(policy.description.robot), scores
+
+
+def without_sag(mine: Sequence[Training], _: Sequence[Training]) -> str:
+    """1000 paths on straight cables."""
+    rows, paths = [], 0
+    for training in mine:
+        data, scores = scored(training, "no-sag")
+        paths = distinct(scores)
+        both = (data["median_error_m"]["norm"], data["median_of_trajectory_means_m"])
+        agree = data["inconsistency_m"] <= LIMIT_INCONSISTENCY and data["failures"] == 0
+        fine = (data["p95_error_m"] < LIMIT_P95, training.minutes <= LIMIT_MINUTES)
+        rows.append((
+            *names_of(training), *(f"{MM * value:.1f}" for value in both),
+            f"{MM * data['p95_error_m']:.1f}", f"{MM * data['inconsistency_m']:.1f}",
+            f"{MM * data['p95_inconsistency_m']:.1f}", str(data["failures"]),
+            f"{training.minutes:.1f}", verdict(max(both) < PAPER_NO_SAG, agree),
+            verdict(max(both) < LIMIT_MEDIAN, agree, *fine),
+        ))  # fmt: skip
+    header = (
+        "robot", "preset", "seed", "median, all points [mm]", "median of the paths' means [mm]",
+        "p95 [mm]", "inconsistency [mm]", "its p95 [mm]", "paths that failed", "CPU [min]",
+        "27 mm in both medians", "15 mm in both, p95 40 mm, 20 min",
+    )  # fmt: skip
+    return (
+        f"No sag, {PATHS['no-sag']} paths ({paths} of them different) that no training has seen, "
+        f"seed {SEED}. Both bars want a median inconsistency of at most "
+        f"{MM * LIMIT_INCONSISTENCY:.0f} mm, too; the second one is the bar of `carosac`.\n\n"
+        + table(header, rows)
+    )
+
+
+def settled(mine: Sequence[Training], trainings: Sequence[Training]) -> str:
+    """20 paths as set-points of sagging cables."""
+    rows = []
+    for training in mine:
+        data, scores = scored(training, "settle")
+        axes = [data["median_error_m"][axis] for axis in "xyz"]
+        before = [t for t in trainings if t.name == training.name and t.world == "no_sag"
+                  and t.folder.parent == training.folder.parent]  # fmt: skip
+        minutes = training.minutes + sum(t.minutes for t in before)
+        assert scores.tension is not None
+        low, high = data["tension_range_N"]
+        fine = (
+            data["inconsistency_m"] <= LIMIT_INCONSISTENCY, data["failures"] == 0,
+            data["slack_share"] == 0.0, data["overload_share"] == 0.0,
+            minutes <= LIMIT_SAG_MINUTES,
+        )  # fmt: skip
+        near = all(a < b for a, b in zip(axes, PAPER_SAG, strict=True))
+        rows.append((
+            *names_of(training), " / ".join(f"{MM * value:.1f}" for value in axes),
+            f"{MM * data['p95_error_m']:.1f}", f"{MM * data['inconsistency_m']:.1f}",
+            f"{np.degrees(data['median_tilt_rad']):.2f}", f"{100 * data['slack_share']:.2f}",
+            f"{100 * data['overload_share']:.2f}", f"{low:.1f} to {high:.1f}",
+            str(data["failures"]), f"{minutes:.1f}", verdict(near), verdict(near, *fine),
+        ))  # fmt: skip
+    header = (
+        "robot", "preset", "seed", "median \\|error\\| x / y / z [mm]", "p95 of the distance [mm]",
+        "inconsistency [mm]", "tilt against rest, median [deg]", "points with a slack cable [%]",
+        "with one overloaded [%]", "tensions [N]", "paths that failed",
+        "CPU [min], both stages", "13 / 14 / 12 mm", "and nothing else wrong",
+    )  # fmt: skip
+    return (
+        f"Sag, set-points that settle, {PATHS['settle']} splines of up to 5 m/s with 100 points "
+        f"each, cables of particles, seed {SEED}. Nothing else wrong: an inconsistency of at most "
+        f"{MM * LIMIT_INCONSISTENCY:.0f} mm, no slack and no overloaded cable, no failure, an hour "
+        "of training.\n\n" + table(header, rows)
+    )
+
+
+class Still:
+    """A policy that never displaces the reference: catenary inverse kinematics, and no more."""
+
+    def __init__(self, description: PolicyDescription, act: Callable[[Array], Array]) -> None:
+        self.description = description
+        self.act = act
+
+
+def real_time(mine: Sequence[Training], _: Sequence[Training]) -> str:
+    """Paths in time on robots that sway, beside no action at all."""
+    rows = []
+    known: dict[str, dict[str, Any]] = {}
+    for training in mine:
+        data, _scores = scored(training, "realtime")
+        policy = Policy.load(training.folder / POLICY)
+        key = json.dumps([training.key, training.settings["environment"]], sort_keys=True)
+        if key not in known:  # it does not depend on the seed of the training
+            still = without_action(policy)
+            found = evaluate(still, "realtime", paths=PATHS["realtime"], seed=SEED)
+            known[key] = found.data(policy.description.robot)
+        other = known[key]
+        ratio = data["rmse_m"] / other["rmse_m"]
+        medians = [one["median_error_m"]["norm"] for one in (data, other)]
+        rows.append((
+            *names_of(training), f"{MM * data['rmse_m']:.1f}", f"{MM * other['rmse_m']:.1f}",
+            f"{ratio:.2f}", " / ".join(f"{MM * value:.1f}" for value in medians),
+            " / ".join(f"{MM * one['p95_error_m']:.1f}" for one in (data, other)),
+            " / ".join(f"{100 * one['slack_share']:.2f}" for one in (data, other)),
+            " / ".join(f"{100 * one['overload_share']:.2f}" for one in (data, other)),
+            f"{data['failures']} / {other['failures']}", f"{training.minutes:.1f}",
+            verdict(ratio <= LIMIT_RATIO, data["failures"] <= other["failures"]),
+        ))  # fmt: skip
+    header = (
+        "robot", "preset", "seed", "RMSE [mm]", "of zero action [mm]", "ratio",
+        "median, both [mm]", "p95, both [mm]", "time with a slack cable, both [%]",
+        "with one overloaded, both [%]", "paths that failed, both", "CPU [min]", "0.6",
+    )  # fmt: skip
+    return (
+        f"Real time, {PATHS['realtime']} minimum-snap paths of up to 2.08 m/s through the whole box"
+        f", cables of particles, plants and wind of `nominal-1`, seed {SEED}. Zero action is "
+        "catenary inverse kinematics of the reference, by the map of the lengths, on the same "
+        "plants, paths, wind and errors of the belief.\n\n" + table(header, rows)
+    )
+
+
+def without_action(policy: Policy) -> Any:
+    """The same environment, and no displacement."""
+    size = policy.action_size
+    return Still(policy.description, lambda seen: np.zeros((len(seen), size)))
