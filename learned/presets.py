@@ -10,6 +10,7 @@ from carosac_toolkit.number_checks import check_fields, check_whole
 from learned.environment import EnvironmentSettings
 from learned.episodes import PathSettings
 from learned.exploration_settings import ExplorationSettings
+from learned.moving_worlds import MovingSettings
 from learned.rewards import PAPER_NO_SAG, PAPER_SAG, RewardSettings
 
 
@@ -222,6 +223,7 @@ PRESETS = {
                         action="displacement",
                         reach=0.2,
                         reward=RewardSettings(terms=("tracking", "effort")),
+                        moving=MovingSettings(cables="particles"),  # fast modes count, too
                         lost=0.5,
                         path=PathSettings(
                             kind="minimum_snap",
