@@ -37,6 +37,8 @@ class EnvironmentSettings:
         action: ``absolute``: lengths; ``displacement``: how far the target is moved off the
             reference before catenary inverse kinematics.
         reach: Largest displacement per axis [m].
+        share: Of the way to the action that a displacement goes in a step; see
+            `learned.actions.Displacement`.
         reward: Terms of the reward.
         path: How targets move.
         moving: Plants, winches and sensors of ``realtime``.
@@ -49,6 +51,7 @@ class EnvironmentSettings:
     preview: tuple[int, ...] = ()
     action: Literal["absolute", "displacement"] = "absolute"
     reach: float = 0.3
+    share: float = 1.0
     reward: RewardSettings = field(default_factory=RewardSettings)
     path: PathSettings = field(default_factory=PathSettings)
     moving: MovingSettings = field(default_factory=MovingSettings)
@@ -71,6 +74,8 @@ class EnvironmentSettings:
             allowed = "steps where the observation has the part 'preview', and only there"
             raise InvalidField("preview", self.preview, allowed)
         check_positive("reach", self.reach, "m")
+        if not 0.0 < self.share <= 1.0:
+            raise InvalidField("share", self.share, "0 < share <= 1")
         if self.lost is not None:
             check_positive("lost", self.lost, "m")
 
@@ -175,7 +180,7 @@ class CableEnvironment:
         transition = self._transition(before, reached, look, asked, action)
         reward = np.where(reached.failed, FAILURE, self.reward(transition))
         self._step += 1
-        self._last_action = np.array(action)
+        self._last_action = np.array(self.actions.applied(action, look))
         self._asked = np.array(asked)
         self._reached = reached
         final = self._observe()
@@ -293,7 +298,7 @@ def make_actions(robot: Robot, settings: EnvironmentSettings, scales: Scales) ->
         return Absolute(scales)
     period = settings.path.period or 0.0
     lead = max(0.0, float(robot.winch_lag.mean()) - 0.5 * period)
-    return Displacement(robot, settings.reach, lead)
+    return Displacement(robot, settings.reach, lead, settings.share)
 
 
 def _worlds(robot: Robot, settings: EnvironmentSettings, size: int, seed: int) -> Worlds:

@@ -58,7 +58,7 @@ class Look:
         target: Where the platform origin shall be, in W [m], shape (B, 3).
         target_velocity: [m/s], shape (B, 3).
         preview: Where it shall be later, in W [m], shape (B, K, 3).
-        last_action: In [-1, 1], shape (B, a).
+        last_action: What was applied last, in [-1, 1], shape (B, a).
     """
 
     position: Array

@@ -107,7 +107,7 @@ class PolicyController:
         look = self._look(belief, reference)
         action = self._policy.act(observe(self._environment.observation, look, self._scales))
         self._length = self._actions.lengths(action, look)
-        self._last_action = action
+        self._last_action = self._actions.applied(action, look)
         return Command(time=belief.time, unstrained_length=self._length)
 
     def _look(self, belief: Belief, reference: Reference) -> Look:
@@ -118,9 +118,11 @@ class PolicyController:
             raise InvalidField("belief.twist", None, allowed)
         size = len(belief.position)
         position, velocity = (
-            np.broadcast_to(self._between(values), (size, len(self._row), 3))
-            for values in (reference.position, reference.velocity)
+            self._between(values) for values in (reference.position, reference.velocity)
         )
+        if len(position) < size:
+            shape = (size, *position.shape[1:])
+            position, velocity = (np.broadcast_to(x, shape) for x in (position, velocity))
         assert self._length is not None
         return Look(
             position=belief.position, rotation=belief.rotation,

@@ -120,12 +120,15 @@ class Policy:
         Raises:
             InvalidField: A wrong size, or a number that is not finite or too large.
         """
-        values = batch("observation", observation, (self.observation_size,))
+        values = np.asarray(observation)
+        if values.ndim != 2 or values.shape[1] != self.observation_size:
+            batch("observation", observation, (self.observation_size,))  # says what is wrong
         with np.errstate(over="ignore"):  # what overflows is refused below
             single = values.astype(np.float32)
         action = np.asarray(self._session.run(["action"], {"observation": single})[0], np.float64)
-        if not np.isfinite(action).all():
-            largest = np.abs(values).max()
+        if not np.isfinite(action.sum()):
+            checked = batch("observation", observation, (self.observation_size,))
+            largest = np.abs(checked).max()
             raise InvalidField("observation", f"{largest:g}", "what a float32 network can take")
         return action
 

@@ -222,6 +222,7 @@ PRESETS = {
                         preview=(4, 8, 16),
                         action="displacement",
                         reach=0.2,
+                        share=0.4,
                         reward=RewardSettings(terms=("tracking", "effort")),
                         moving=MovingSettings(cables="particles"),  # fast modes count, too
                         lost=0.5,
