@@ -1,8 +1,8 @@
 """A learned controller beside exact statics: the same move, the same plant, wind and noise.
 
-The bundled policy of the robot ``carosac`` learned absolute lengths of rest by trial and error (preset
-`carosac`). The kinematic solver computes them from exact statics. Both go the same way, and neither
-sees the sway that the move leaves: that takes feedback, as in 07_stop_the_sway.py.
+The bundled policy of the robot ``carosac`` learned absolute lengths of rest by trial and error
+(preset `carosac`). The kinematic solver computes them from exact statics. Both go the same way, and
+neither sees the sway that the move leaves: that takes feedback, as in 07_stop_the_sway.py.
 
 Writes 08_learned_control.png and prints how far the two paths are apart, and how far the platform
 still sways two seconds after the move.
