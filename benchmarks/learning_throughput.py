@@ -57,8 +57,8 @@ class Walker:
         action += NOISE * self._rng.standard_normal(action.shape)
         found = environment.step(np.clip(action, -1.0, 1.0))
         self._step += 1
-        self._step[found.terminated | found.truncated] = 0
-        self.failures += int(found.terminated.sum())
+        self._step[found.truncated] = 0
+        self.failures += int(found.failed.sum())
         self.walked += len(action)
 
     def _lengths(self, path: Path) -> Array:

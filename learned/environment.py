@@ -22,7 +22,7 @@ from learned.transition import Transition
 from learned.worlds import NoSagWorlds, Reached, SettledWorlds, Worlds
 
 WorldName = Literal["no_sag", "settle", "realtime"]
-FAILURE = -1.0  # reward of a step without a solution
+FAILURE = -1.0  # reward of a step without a solution; what came later is still valued
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +68,9 @@ class EnvironmentSettings:
         if (self.world == "realtime") != (self.path.period is not None):
             allowed = "a number of seconds with world 'realtime', none with the others"
             raise InvalidField("path.period", self.path.period, allowed)
+        if self.world == "realtime" and "fit" in self.reward.terms:
+            allowed = "terms without 'fit', whose inconsistency nobody knows in real time"
+            raise InvalidField("reward.terms", self.reward.terms, allowed)
         for k, step in enumerate(self.preview):
             check_whole(f"preview[{k}]", step, 1)
         if ("preview" in self.observation) != bool(self.preview):
@@ -88,8 +91,8 @@ class StepResult:
         observation: Of the next step, after a reset where the episode ended, shape (B, d).
         final_observation: Of the state that the step ended in, shape (B, d).
         reward: Shape (B,).
-        terminated: Episodes that ended for lack of a solution, shape (B,).
-        truncated: Episodes that were cut short, at their last step or lost, shape (B,).
+        failed: Steps without a solution, shape (B,).
+        truncated: Episodes that were cut short: at their last step, lost, or failed, shape (B,).
         transition: All quantities behind the reward.
         reached: Where the platforms were at the end of the step.
     """
@@ -97,7 +100,7 @@ class StepResult:
     observation: Array
     final_observation: Array
     reward: Array
-    terminated: NDArray[np.bool_]
+    failed: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
     transition: Transition
     reached: Reached
@@ -185,8 +188,8 @@ class CableEnvironment:
         self._reached = reached
         final = self._observe()
         over = (self._step >= self.settings.path.steps) | self._is_lost(transition)
-        truncated = over & ~reached.failed
-        ended = np.flatnonzero(truncated | reached.failed)
+        truncated = over | reached.failed
+        ended = np.flatnonzero(truncated)
         observation = final
         if len(ended):
             for row in ended:
@@ -194,7 +197,7 @@ class CableEnvironment:
             observation = self._begin(ended)
         return StepResult(
             observation=observation, final_observation=final, reward=reward,
-            terminated=reached.failed, truncated=truncated, transition=transition,
+            failed=reached.failed, truncated=truncated, transition=transition,
             reached=reached,
         )  # fmt: skip
 

@@ -10,7 +10,7 @@ import numpy as np
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.robot import Robot
-from learned.environment import CableEnvironment, EnvironmentSettings
+from learned.environment import CableEnvironment, EnvironmentSettings, WorldName
 from learned.episodes import PathSettings
 from learned.policy_file import Policy
 from learned.scores import Scores, score
@@ -64,7 +64,8 @@ def settings_of(trained: EnvironmentSettings, protocol: Protocol) -> Environment
             trained, lost=None, moving=replace(trained.moving, cables="particles", start_speed=0.0)
         )
     path = PathSettings(steps=POINTS[protocol])
-    return replace(trained, world="no_sag" if protocol == "no-sag" else "settle", path=path)
+    world: WorldName = "no_sag" if protocol == "no-sag" else "settle"
+    return replace(trained, world=world, lost=None, path=path)
 
 
 def settled_particles(robot: Robot, scores: Scores) -> Scores:
@@ -76,12 +77,14 @@ def settled_particles(robot: Robot, scores: Scores) -> Scores:
     paths, points, _ = scores.length.shape
     simulator = Simulator(robot, worlds=paths, cables="particles")
     position, tension = np.array(scores.position), np.array(scores.tension)
+    failed = np.array(scores.failed)
     for k in range(points):
         simulator.reset(unstrained_length=scores.length[:, k])
         simulator.step(scores.length[:, k], REST)
         state = simulator.state.numpy()
         position[:, k], tension[:, k] = state.position, state.tension
-    return replace(scores, position=position, tension=tension)
+        failed[:, k] |= state.failed
+    return replace(scores, position=position, tension=tension, failed=failed)
 
 
 def trajectory_errors(scores: Scores) -> tuple[Array, Array]:

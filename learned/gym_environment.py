@@ -57,20 +57,24 @@ class CableGymEnvironment(gymnasium.Env[Any, Any]):
         return self._environment.reset()[0].astype(np.float32), {}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Act once; the info has position, target and distance [m], and each reward term."""
+        """Act once; the info has position, target and distance [m], and each reward term.
+
+        A step without a solution terminates the episode, with a reward of its own.
+        """
         found = self._environment.step(np.asarray(action, dtype=np.float64)[None])
-        transition = found.transition
+        transition, failed = found.transition, bool(found.failed[0])
         terms = self._environment.reward.terms(transition)
         info = {
             "position": transition.position[0],
             "target": transition.target[0],
             "distance": float(transition.distance[0]),
+            "failed": failed,
             "inconsistency": float(np.abs(transition.inconsistency[0]).max()),
             "reward_terms": {name: float(value[0]) for name, value in terms.items()},
         }
         return (
             found.final_observation[0].astype(np.float32), float(found.reward[0]),
-            bool(found.terminated[0]), bool(found.truncated[0]), info,
+            failed, bool(found.truncated[0]) and not failed, info,
         )  # fmt: skip
 
 

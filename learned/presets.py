@@ -170,7 +170,9 @@ PRESETS = {
             summary="as in the CaRoSaC paper",
             stages={
                 "no_sag": Stage(
-                    environment=EnvironmentSettings(reward=RewardSettings(terms=PAPER_NO_SAG)),
+                    environment=EnvironmentSettings(
+                        reward=RewardSettings(terms=PAPER_NO_SAG), path=PathSettings(pool=5000)
+                    ),
                     td3=_PAPER,
                 ),
                 "sag": Stage(

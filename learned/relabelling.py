@@ -68,8 +68,7 @@ class RelabellingBuffer(ReplayBuffer):
         """Keep the step, with the position reached."""
         self.positions[self.pos] = [info["position"] for info in infos]
         self.inconsistencies[self.pos] = [info["inconsistency"] for info in infos]
-        ended = [info.get("TimeLimit.truncated", False) for info in infos]
-        self.failed[self.pos] = np.asarray(done) & ~np.asarray(ended)
+        self.failed[self.pos] = [info["failed"] for info in infos]
         super().add(obs, next_obs, action, reward, done, infos)
 
     def _get_samples(self, batch_inds: Any, env: Any = None) -> ReplayBufferSamples:

@@ -121,7 +121,7 @@ def _score_batch(environment: CableEnvironment, act: Act, paths: list[Path]) -> 
         found["length"].append(transition.length)
         found["tilt"].append(tilt)
         found["tension"].append(result.reached.tension)
-        found["failed"].append(result.terminated)
+        found["failed"].append(result.failed)
     stacked: dict[str, Any] = {
         name: None if values[0] is None else np.stack(values, axis=1)
         for name, values in found.items()

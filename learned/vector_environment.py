@@ -40,11 +40,13 @@ class CableVecEnv(VecEnv):
         found = self.environment.step(self._action)
         self._total += found.reward
         self._length += 1
-        done = found.terminated | found.truncated
+        done = found.truncated
         lack = np.linalg.norm(found.transition.inconsistency, axis=1)
         infos: list[dict[str, Any]] = [
-            {"position": position, "inconsistency": value}
-            for position, value in zip(found.transition.position, lack, strict=True)
+            {"position": position, "inconsistency": value, "failed": bool(failed)}
+            for position, value, failed in zip(
+                found.transition.position, lack, found.failed, strict=True
+            )
         ]
         final = found.final_observation.astype(np.float32)
         for row in np.flatnonzero(done):

@@ -43,7 +43,7 @@ def test_it_is_found_by_its_name(package):
     source, site = package
     program = "from carosac_toolkit import registry as r; print(r.names('controllers'), "
     printed = execute(site, source, "-c", program + "r.load('controllers', 'tilted').__module__)")
-    assert "'straight_line', 'tilted'] tilted" in printed
+    assert "'straight_line', 'td3', 'tilted'] tilted" in printed
 
 
 def test_its_study_runs_and_it_halves_the_error_of_the_straight_line(package):

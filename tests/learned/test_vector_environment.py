@@ -56,13 +56,14 @@ def test_an_end_in_time_is_marked_and_shows_what_was_seen_last():
             total[:] = 0.0
 
 
-def test_an_end_for_lack_of_a_solution_is_no_end_in_time():
+def test_an_end_for_lack_of_a_solution_is_cut_short_and_said():
     vector = made("settle")
     vector.reset()
     action = -np.ones((2, 4))  # the shortest lengths of all cables hold no platform
     _, _, done, infos = vector.step(action)
     assert done.all()
-    assert [info["TimeLimit.truncated"] for info in infos] == [False, False]
+    assert [info["TimeLimit.truncated"] for info in infos] == [True, True]
+    assert [info["failed"] for info in infos] == [True, True]
     assert [info["episode"]["l"] for info in infos] == [1, 1]
     assert [info["episode"]["r"] for info in infos] == [-1.0, -1.0]
 
