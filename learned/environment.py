@@ -136,9 +136,8 @@ class CableEnvironment:
         self._last_action = np.zeros((size, self.actions.size))
         self._asked = np.zeros((size, robot.n))
         self._reached: Reached | None = None
-        self.observation_size = len(
-            observe(settings.observation, self._empty_look(), self.scales)[0]
-        )
+        shapes = empty_look(robot, len(settings.preview), self.actions.size)
+        self.observation_size = observe(settings.observation, shapes, self.scales).shape[1]
 
     @property
     def action_size(self) -> int:
@@ -278,10 +277,6 @@ class CableEnvironment:
             if moving else np.zeros((self.size, 3)),
             effort=self.actions.effort(action), failed=reached.failed,
         )  # fmt: skip
-
-    def _empty_look(self) -> Look:
-        """A look of one robot at home, which has the right shapes."""
-        return empty_look(self.robot, len(self.settings.preview), self.actions.size)
 
 
 def empty_look(robot: Robot, previews: int, actions: int) -> Look:

@@ -23,7 +23,9 @@ POINTS = {"no-sag": 100, "settle": 100}  # set-points along a path
 BATCH = 100  # paths at once
 UNSEEN = 1_000_003  # added to seeds, so that no path of a training comes again
 REST = 1.0  # [s] that particles get to come to their own rest
-WORLDS = {"no-sag": "no_sag", "settle": "settle", "realtime": "realtime"}
+WORLDS: dict[str, WorldName] = {
+    "no-sag": "no_sag", "settle": "settle", "realtime": "realtime"
+}  # fmt: skip
 
 
 def evaluate(policy: Policy, protocol: Protocol, *, paths: int, seed: int) -> Scores:
@@ -64,8 +66,7 @@ def settings_of(trained: EnvironmentSettings, protocol: Protocol) -> Environment
             trained, lost=None, moving=replace(trained.moving, cables="particles", start_speed=0.0)
         )
     path = PathSettings(steps=POINTS[protocol])
-    world: WorldName = "no_sag" if protocol == "no-sag" else "settle"
-    return replace(trained, world=world, lost=None, path=path)
+    return replace(trained, world=WORLDS[protocol], lost=None, path=path)
 
 
 def settled_particles(robot: Robot, scores: Scores) -> Scores:

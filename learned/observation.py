@@ -141,6 +141,10 @@ PARTS: dict[str, Callable[[Look, Scales], Array]] = {
 }
 
 
+OF_TWIST = {"velocity", "velocity_error", "turn"}  # parts that need a twist
+IN_UNITS = {*OF_TWIST, "error", "tilt", "target_velocity", "preview"}  # parts that `Units` scale
+
+
 def check_parts(parts: Sequence[str]) -> None:
     """Refuse an observation of nothing, or of unknown or repeated parts."""
     if not parts:

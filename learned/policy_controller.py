@@ -16,12 +16,11 @@ from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_differences import same
 from carosac_toolkit.values import Belief, Command, Reference
 from learned.environment import EnvironmentSettings, empty_look, make_actions
-from learned.observation import Look, Scales, observe
+from learned.observation import OF_TWIST, Look, Scales, observe
 from learned.policy_file import Policy
 from learned.settings_data import environment_settings
 
 SUFFIX = ".onnx"
-NEEDS_TWIST = {"velocity", "velocity_error", "turn"}
 # What a policy learns depends on; names, calibration and sensors are free.
 TRAINED_FOR = (
     "exit_points", "anchor_points", "pulley_radius", "swivel_axis", "run_length",
@@ -89,7 +88,8 @@ class PolicyController:
             InvalidField: There is no policy for this robot, or it was trained for another one.
         """
         chosen = settings or PolicySettings()
-        return cls(robot, Policy.load(find_policy(robot, chosen.policy)), chosen)
+        name = policy_of(robot) if chosen.policy is None else chosen.policy
+        return cls(robot, Policy.load(find_policy(name)), chosen)
 
     def reset(self, belief: Belief) -> None:
         """Forget the last action."""
@@ -112,7 +112,7 @@ class PolicyController:
 
     def _look(self, belief: Belief, reference: Reference) -> Look:
         """What there is to see."""
-        wanted = NEEDS_TWIST & set(self._environment.observation)
+        wanted = OF_TWIST & set(self._environment.observation)
         if belief.twist is None and wanted:
             allowed = f"an estimator with a twist; the policy observes {', '.join(sorted(wanted))}"
             raise InvalidField("belief.twist", None, allowed)
@@ -172,22 +172,29 @@ def list_policies() -> tuple[str, ...]:
     return tuple(sorted(name.removesuffix(SUFFIX) for name in names if name.endswith(SUFFIX)))
 
 
-def find_policy(robot: Robot, name_or_path: str | None) -> Path:
+def policy_of(robot: Robot) -> str:
+    """Name of the bundled policy of a robot.
+
+    Raises:
+        InvalidField: There is none.
+    """
+    names = list_policies()
+    if robot.name not in names:
+        allowed = f"a robot with a bundled policy, of {list(names)}, or a policy of its own"
+        raise InvalidField("robot", repr(robot.name), f"{allowed}: `carosac train`")
+    return robot.name
+
+
+def find_policy(name_or_path: str) -> Path:
     """The file of a policy.
 
     Args:
-        robot: Whose bundled policy is looked for without a name.
-        name_or_path: A bundled name, a path, or None.
+        name_or_path: A bundled name, or a path.
 
     Raises:
-        InvalidField: There is none of that name, or none for this robot.
+        InvalidField: There is none of that name.
     """
     names = list_policies()
-    if name_or_path is None:
-        if robot.name not in names:
-            allowed = f"a robot with a bundled policy, of {list(names)}, or a policy of its own"
-            raise InvalidField("robot", repr(robot.name), f"{allowed}: `carosac train`")
-        name_or_path = robot.name
     if name_or_path in names:
         return _folder() / f"{name_or_path}{SUFFIX}"
     path = Path(name_or_path)

@@ -9,7 +9,7 @@ from carosac_toolkit.errors import InvalidField
 from learned.environment import EnvironmentSettings
 from learned.episodes import PathSettings
 from learned.moving_worlds import MovingSettings
-from learned.observation import Units
+from learned.observation import IN_UNITS, Units
 
 _PARTS = {"path": PathSettings, "moving": MovingSettings, "units": Units}
 
@@ -26,16 +26,7 @@ def environment_settings(settings: dict[str, Any]) -> EnvironmentSettings:
     data = settings.get("environment")
     if not isinstance(data, dict):
         raise InvalidField("settings.environment", data, "the settings of an environment")
-    unmeasured = {
-        "error",
-        "velocity_error",
-        "velocity",
-        "tilt",
-        "turn",
-        "target_velocity",
-        "preview",
-    }
-    if "units" not in data and unmeasured & set(data.get("observation", ())):
+    if "units" not in data and IN_UNITS & set(data.get("observation", ())):
         allowed = "the units of the observation, which old policies lack: train it again"
         raise InvalidField("settings.environment.units", None, allowed)
     values = {name: _tuple(value) for name, value in data.items() if name != "reward"}

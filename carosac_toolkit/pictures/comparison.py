@@ -12,6 +12,7 @@ from carosac_toolkit.pictures.drawing import (
     COLORS,
     MEASURED,
     REST,
+    draw_bell,
     draw_violin,
     limits_of,
     new_figure,
@@ -223,20 +224,11 @@ def _title_of(examples: Mapping[str, tuple[Example, str]]) -> str:
 
 
 def _bell(axes: Any, values: Array, place: int, color: str) -> None:
-    """Draw values as ticks below zero, and their normal distribution above."""
+    """Draw a group's values below zero, and their normal distribution above."""
     if len(values) == 0:
         return
     low = -0.11 * (place + 1)
-    axes.plot(values, np.full(len(values), low), "|", color=color, ms=7, alpha=0.7)
-    mean, deviation = float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
-    text = f"{mean:.1f}"
-    if deviation > 0.0:
-        text += f" ± {deviation:.1f}"
-        grid = mean + deviation * np.linspace(-3.5, 3.5, 141)
-        height = np.exp(-0.5 * ((grid - mean) / deviation) ** 2)
-        axes.fill_between(grid, height, color=color, alpha=0.35, lw=1.2, edgecolor=color)
-    beside = axes.get_yaxis_transform()
-    axes.text(0.99, low, text, transform=beside, ha="right", va="center", color=color, fontsize=9)
+    draw_bell(axes, values, low, color)
     axes.set_ylim(bottom=min(low - 0.09, axes.get_ylim()[0]), top=1.1)
 
 

@@ -64,6 +64,20 @@ def set_space(axes: Any, limits: Array) -> None:
         axis.set_tick_params(labelsize=8)
 
 
+def draw_bell(axes: Any, values: Array, low: float, color: str) -> None:
+    """Draw values as ticks at a height below zero, and their normal distribution above."""
+    axes.plot(values, np.full(len(values), low), "|", color=color, ms=7, alpha=0.7)
+    mean, deviation = float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
+    text = f"{mean:.1f}"
+    if deviation > 0.0:
+        text += f" ± {deviation:.1f}"
+        grid = mean + deviation * np.linspace(-3.5, 3.5, 141)
+        height = np.exp(-0.5 * ((grid - mean) / deviation) ** 2)
+        axes.fill_between(grid, height, color=color, alpha=0.35, lw=1.2, edgecolor=color)
+    beside = axes.get_yaxis_transform()
+    axes.text(0.99, low, text, transform=beside, ha="right", va="center", color=color, fontsize=9)
+
+
 def draw_violin(
     axes: Any, values: Array, place: float, color: str, *, width: float = 0.8, signed: bool = False
 ) -> None:

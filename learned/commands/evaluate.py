@@ -49,7 +49,7 @@ class Options(CommonOptions):
 
 def run(options: Options) -> CommandResult:
     """Evaluate a policy."""
-    policy = Policy.load(find_policy(policy_robot(options), options.policy))
+    policy = Policy.load(find_policy(options.policy))
     if options.robot is not None:
         check_robot(load_robot(options.robot), policy)
     description = policy.description
@@ -77,11 +77,6 @@ def _default_folder(description: PolicyDescription, protocol: str) -> Path:
     """Where pictures go that were not sent anywhere."""
     parts = (description.preset, description.robot.name, f"seed{description.seed}", protocol)
     return Path("carosac-results") / "evaluate" / "-".join(parts)
-
-
-def policy_robot(options: Options) -> Robot:
-    """Any robot: a policy that is named needs none to be found."""
-    return load_robot(options.robot or "carosac")
 
 
 def _table(data: dict[str, Any]) -> str:

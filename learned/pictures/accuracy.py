@@ -16,6 +16,7 @@ from carosac_toolkit.pictures.drawing import (
     COLORS,
     MEASURED,
     REST,
+    draw_bell,
     draw_violin,
     limits_of,
     new_figure,
@@ -138,7 +139,7 @@ def rmse_gaussians(groups: Mapping[str, ArrayLike], path: str | Path) -> Figure:
     for place, (name, errors) in enumerate(groups.items()):
         values = MM * batch(name, errors, (3,))
         for axes, column in zip(panels, values.T, strict=True):
-            _bell(axes, column, place, colors[name])
+            draw_bell(axes, column, -0.13 * (place + 1), colors[name])
     for axes, name in zip(panels, "xyz", strict=True):
         axes.set_title(name, fontsize=10)
         axes.set_xlabel("RMSE of a trajectory [mm]")
@@ -237,18 +238,3 @@ def _paths(axes: Any, wanted: Array, found: Array, robot: Robot, view: tuple[int
     for k, reached in enumerate(found[..., columns]):
         label = None if k else "reached"
         axes.plot(*reached.T, color=COLORS[k], lw=1.5, label=label, zorder=2)
-
-
-def _bell(axes: Any, values: Array, place: int, color: str) -> None:
-    """Draw values as ticks below zero, and their normal distribution above."""
-    low = -0.13 * (place + 1)
-    axes.plot(values, np.full(len(values), low), "|", color=color, ms=7, alpha=0.7)
-    mean, deviation = float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
-    text = f"{mean:.1f}"
-    if deviation > 0.0:
-        text += f" ± {deviation:.1f}"
-        grid = mean + deviation * np.linspace(-3.5, 3.5, 141)
-        height = np.exp(-0.5 * ((grid - mean) / deviation) ** 2)
-        axes.fill_between(grid, height, color=color, alpha=0.35, lw=1.2, edgecolor=color)
-    beside = axes.get_yaxis_transform()
-    axes.text(0.99, low, text, transform=beside, ha="right", va="center", color=color, fontsize=9)

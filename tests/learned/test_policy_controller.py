@@ -13,7 +13,13 @@ from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.values import Belief
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.episodes import PathSettings, sampled
-from learned.policy_controller import PolicyController, PolicySettings, find_policy, list_policies
+from learned.policy_controller import (
+    PolicyController,
+    PolicySettings,
+    find_policy,
+    list_policies,
+    policy_of,
+)
 from learned.policy_file import Policy, PolicyDescription, write_policy
 from learned.rewards import RewardSettings
 
@@ -133,10 +139,10 @@ def test_what_the_belief_lacks_is_said(tmp_path):
 def test_policies_go_by_name_or_path(tmp_path):
     robot = ct.load_robot("carosac")
     for name in list_policies():
-        assert Policy.load(find_policy(robot, name)).description.robot.name in name
+        assert Policy.load(find_policy(name)).description.robot.name in name
     with pytest.raises(InvalidField, match=r"policy: got 'carosak'; allowed: one of"):
-        find_policy(robot, "carosak")
+        find_policy("carosak")
     other = replace(robot, name="mine")
     with pytest.raises(InvalidField, match="carosac train"):
-        find_policy(other, None)
-    assert find_policy(robot, str(tmp_path / "p.onnx")) == tmp_path / "p.onnx"
+        policy_of(other)
+    assert find_policy(str(tmp_path / "p.onnx")) == tmp_path / "p.onnx"

@@ -117,15 +117,20 @@ def test_beliefs_without_twist_do():
     assert errors(log)[-10:].max() < 10e-3
 
 
+def fail(monkeypatch, controller, when):
+    """Let no quadratic program have a solution at such times."""
+    improve = controller._planner.improve
+    monkeypatch.setattr(
+        controller._planner, "improve",
+        lambda *a, time, **k: None if when(time) else improve(*a, time=time, **k),
+    )  # fmt: skip
+
+
 def test_after_failures_the_plan_goes_on_and_then_the_platform_rests(monkeypatch):
     robot = simple_robot()
     path = move(robot)
     controller = Mpc.build(robot)
-    improve = controller._planner.improve
-    monkeypatch.setattr(
-        controller._planner, "improve",
-        lambda *a, time, **k: improve(*a, time=time, **k) if time < 1.0 else None,
-    )  # fmt: skip
+    fail(monkeypatch, controller, lambda time: time >= 1.0)
     log = live(controller, plant=robot, path=path, rest=6.0)
     record = controller.record
     assert record.fallbacks["shifted plan"] == MpcSettings().shifted_steps
@@ -142,11 +147,7 @@ def test_after_a_second_without_solves_on_the_way_it_comes_back(monkeypatch):
     robot = simple_robot()
     path = move(robot)
     controller = Mpc.build(robot)
-    improve = controller._planner.improve
-    monkeypatch.setattr(
-        controller._planner, "improve",
-        lambda *a, time, **k: None if 0.5 <= time < 1.6 else improve(*a, time=time, **k),
-    )  # fmt: skip
+    fail(monkeypatch, controller, lambda time: 0.5 <= time < 1.6)
     log = live(controller, plant=robot, path=path, rest=6.0)
     assert errors(log).max() > 0.2
     assert errors(log)[-50:].max() < 10e-3
