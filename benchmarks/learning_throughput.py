@@ -62,9 +62,9 @@ class Walker:
         self.walked += len(action)
 
     def _lengths(self, path: Path) -> Array:
-        """The action of each step: lengths of inverse kinematics, or no displacement."""
+        """The action of each step: lengths of inverse kinematics, or no push."""
         environment, targets = self.environment, path.position[1:]
-        if environment.settings.action == "displacement":
+        if environment.settings.action == "push":
             return np.zeros((len(targets), environment.action_size))
         if environment.settings.world == "no_sag":
             length = straight_line.inverse_kinematics(environment.robot, targets)
@@ -114,7 +114,7 @@ def throughput() -> str:
     )  # fmt: skip
     return (
         f"Robot `{ROBOT}`, CPU time of one core, medians of {REPEATS} repeats. Actions are those "
-        "of a policy that has learned: inverse kinematics of the targets (no displacement in "
+        "of a policy that has learned: inverse kinematics of the targets (no push in "
         f"`realtime`) and noise of {NOISE:g} of their range; paths were drawn before, episodes "
         f"begin anew within the time; {100 * failures / walked:.2f} % of the steps failed. "
         "`settle` solves for the equilibrium that the paper's simulator probably had to wait for. "

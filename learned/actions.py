@@ -1,4 +1,4 @@
-"""What the numbers of an action mean: lengths, or a displacement of the reference."""
+"""What the numbers of an action mean: lengths, or a push that the cables give the platform."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ class ActionMap(Protocol):
 
     size: int
 
-    def lengths(self, action: Array, look: Look) -> Array:
-        """Lengths to ask the winches for [m], shape (B, n)."""
-        ...
-
     def applied(self, action: Array, look: Look) -> Array:
         """What an action comes to after what was applied last, in [-1, 1], shape (B, a)."""
         ...
 
-    def effort(self, action: Array) -> Array:
-        """How much of its range an action uses, shape (B,)."""
+    def lengths(self, applied: Array, look: Look) -> Array:
+        """Lengths to ask the winches for [m], shape (B, n)."""
+        ...
+
+    def effort(self, applied: Array) -> Array:
+        """How much of its range is used, shape (B,)."""
         ...
 
 
@@ -37,53 +37,76 @@ class Absolute:
         self._scales = scales
         self.size = len(scales.length_low)
 
-    def lengths(self, action: Array, look: Look) -> Array:
-        """The lengths, whatever there is to see."""
-        return self._scales.to_length(action)
-
     def applied(self, action: Array, look: Look) -> Array:
         """The action itself."""
         return action
 
-    def effort(self, action: Array) -> Array:
+    def lengths(self, applied: Array, look: Look) -> Array:
+        """The lengths, whatever there is to see."""
+        return self._scales.to_length(applied)
+
+    def effort(self, applied: Array) -> Array:
         """None: lengths cost nothing."""
-        return np.zeros(len(action))
+        return np.zeros(len(applied))
 
 
-class Displacement:
-    """A displacement of the target from the reference, before catenary inverse kinematics.
+class Push:
+    """A push [m/s^2] on the platform, by way of catenary inverse kinematics.
 
-    Displaced lengths agree with each other, whatever the policy does: no cable is pulled against
-    the others.
+    Lengths are those of rest at a target that is moved by
+
+    .. math:: u = S(p) a,
+
+    with the softness S of the rest at the target p, see `learned.length_map`: so far must the rest
+    be moved for the cables to pull the platform at p with m a. Where a direction is soft, as the
+    one in which a suspended platform sways, a push moves the rest far, where it is stiff, hardly;
+    so pushes of one size are about as hard on the cables in all directions. Displaced lengths agree
+    with each other, whatever the policy does: no cable is pulled against the others.
+
+    With feedforward the acceleration of the target is pushed for as well, and the action corrects
+    that; without, no action is catenary inverse kinematics.
     """
 
     size = 3
 
-    def __init__(self, robot: Robot, reach: float, lead: float = 0.0, share: float = 1.0) -> None:
-        """Fit the map of the lengths.
+    def __init__(
+        self,
+        robot: Robot,
+        reach: float,
+        *,
+        lead: float = 0.0,
+        share: float = 1.0,
+        feedforward: bool = False,
+    ) -> None:
+        """Fit the maps of lengths and softness.
 
         Args:
             robot: The nominal robot.
-            reach: Largest displacement per axis [m].
+            reach: Largest push per axis [m/s^2].
             lead: How far ahead of the target the reference is aimed at [s].
-            share: Of the way to the action that the displacement goes in a step: a low-pass that
-                keeps fast modes quiet. 1 goes all of it.
+            share: Of the way to the action that a push goes in a step: a low-pass that keeps fast
+                modes quiet. 1 goes all of it.
+            feedforward: Whether the push of an action comes on top of that of the target.
         """
         self._map = LengthMap(robot)
         self._reach = reach
+        self._feedforward = feedforward
         self._lead = lead
         self._share = share
-
-    def lengths(self, action: Array, look: Look) -> Array:
-        """Lengths of rest at the displaced target."""
-        aimed = look.target + self._lead * look.target_velocity
-        return self._map.lengths(aimed, self._reach * self.applied(action, look))
 
     def applied(self, action: Array, look: Look) -> Array:
         """Some of the way from what was applied last to the action."""
         return look.last_action + self._share * (action - look.last_action)
 
-    def effort(self, action: Array) -> Array:
-        """Norm of the displacement over the reach."""
-        found: Array = np.linalg.norm(action, axis=1)
+    def lengths(self, applied: Array, look: Look) -> Array:
+        """Lengths of rest at the displaced target."""
+        push = self._reach * applied
+        if self._feedforward:
+            push = push + look.target_acceleration
+        displacement = (self._map.softness(look.target) @ push[:, :, None])[:, :, 0]
+        return self._map.lengths(look.target + self._lead * look.target_velocity + displacement)
+
+    def effort(self, applied: Array) -> Array:
+        """Norm of the push over the reach."""
+        found: Array = np.linalg.norm(applied, axis=1)
         return found

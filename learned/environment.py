@@ -13,7 +13,7 @@ from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.number_checks import check_positive, check_whole
 from carosac_toolkit.physics import statics, straight_line
 from carosac_toolkit.robot import Robot
-from learned.actions import Absolute, ActionMap, Displacement
+from learned.actions import Absolute, ActionMap, Push
 from learned.episodes import Path, PathPool, PathSettings
 from learned.moving_worlds import MovingSettings, MovingWorlds
 from learned.observation import Look, Scales, Units, check_parts, observe
@@ -34,11 +34,11 @@ class EnvironmentSettings:
             ``realtime``: sagging ones on a platform that sways, with winches.
         observation: Parts, of `learned.observation.PARTS`.
         preview: How many steps ahead the later targets of the observation are.
-        action: ``absolute``: lengths; ``displacement``: how far the target is moved off the
-            reference before catenary inverse kinematics.
-        reach: Largest displacement per axis [m].
-        share: Of the way to the action that a displacement goes in a step; see
-            `learned.actions.Displacement`.
+        action: ``absolute``: lengths; ``push``: an acceleration that the cables give the platform
+            beyond those of catenary inverse kinematics; see `learned.actions.Push`.
+        reach: Largest push per axis [m/s^2].
+        share: Of the way to the action that a push goes in a step.
+        feedforward: Whether a push comes on top of the acceleration of the target.
         reward: Terms of the reward.
         path: How targets move.
         moving: Plants, winches and sensors of ``realtime``.
@@ -49,9 +49,10 @@ class EnvironmentSettings:
     world: WorldName = "no_sag"
     observation: tuple[str, ...] = ("length", "position", "target")
     preview: tuple[int, ...] = ()
-    action: Literal["absolute", "displacement"] = "absolute"
-    reach: float = 0.3
+    action: Literal["absolute", "push"] = "absolute"
+    reach: float = 3.0
     share: float = 1.0
+    feedforward: bool = False
     reward: RewardSettings = field(default_factory=RewardSettings)
     path: PathSettings = field(default_factory=PathSettings)
     moving: MovingSettings = field(default_factory=MovingSettings)
@@ -63,8 +64,8 @@ class EnvironmentSettings:
         check_parts(self.observation)
         if self.world not in ("no_sag", "settle", "realtime"):
             raise InvalidField("world", repr(self.world), "'no_sag', 'settle' or 'realtime'")
-        if self.action not in ("absolute", "displacement"):
-            raise InvalidField("action", repr(self.action), "'absolute' or 'displacement'")
+        if self.action not in ("absolute", "push"):
+            raise InvalidField("action", repr(self.action), "'absolute' or 'push'")
         if (self.world == "realtime") != (self.path.period is not None):
             allowed = "a number of seconds with world 'realtime', none with the others"
             raise InvalidField("path.period", self.path.period, allowed)
@@ -76,7 +77,7 @@ class EnvironmentSettings:
         if ("preview" in self.observation) != bool(self.preview):
             allowed = "steps where the observation has the part 'preview', and only there"
             raise InvalidField("preview", self.preview, allowed)
-        check_positive("reach", self.reach, "m")
+        check_positive("reach", self.reach, "m/s^2")
         if not 0.0 < self.share <= 1.0:
             raise InvalidField("share", self.share, "0 < share <= 1")
         if self.lost is not None:
@@ -177,12 +178,13 @@ class CableEnvironment:
         if before is None:
             raise InvalidField("environment", "not reset yet", "reset before step")
         look = self._look(before)
-        asked = self.actions.lengths(action, look)
+        applied = self.actions.applied(action, look)
+        asked = self.actions.lengths(applied, look)
         reached = self.worlds.advance(asked)
-        transition = self._transition(before, reached, look, asked, action)
+        transition = self._transition(before, reached, look, asked, applied)
         reward = np.where(reached.failed, FAILURE, self.reward(transition))
         self._step += 1
-        self._last_action = np.array(self.actions.applied(action, look))
+        self._last_action = np.array(applied)
         self._asked = np.array(asked)
         self._reached = reached
         final = self._observe()
@@ -253,29 +255,28 @@ class CableEnvironment:
         return Look(
             position=reached.position + bias, rotation=reached.rotation, twist=reached.twist,
             length=self._asked, target=ahead[0][0], target_velocity=ahead[0][1],
-            preview=np.stack([position for position, _ in ahead[1:]], axis=1)
+            target_acceleration=ahead[0][2],
+            preview=np.stack([rows[0] for rows in ahead[1:]], axis=1)
             if len(ahead) > 1 else np.zeros((self.size, 0, 3)),
             last_action=self._last_action,
         )  # fmt: skip
 
-    def _path_rows(self, ahead: int) -> tuple[Array, Array]:
-        """Targets so many steps ahead, position and velocity, each of shape (B, 3)."""
+    def _path_rows(self, ahead: int) -> Array:
+        """Position, velocity and acceleration of targets so many steps ahead, shape (3, B, 3)."""
         rows = [p.rows(int(k) + ahead) for p, k in zip(self._paths, self._step, strict=True)]
-        return np.stack([row[0] for row in rows]), np.stack([row[1] for row in rows])
+        return np.stack(rows, axis=1)
 
     def _transition(
-        self, before: Reached, reached: Reached, look: Look, asked: Array, action: Array
+        self, before: Reached, reached: Reached, look: Look, asked: Array, applied: Array
     ) -> Transition:
         moving = self.settings.world == "realtime"
         return Transition(
-            target=look.target, position_before=before.position, position=reached.position,
-            length_before=before.length, length=reached.length, asked=asked,
-            straight_position=straight_line.straight_length(self.robot, reached.position).length,
-            straight_target=straight_line.straight_length(self.robot, look.target).length,
-            inconsistency=reached.inconsistency,
+            robot=self.robot, target=look.target, position_before=before.position,
+            position=reached.position, length_before=before.length, length=reached.length,
+            asked=asked, inconsistency=reached.inconsistency,
             velocity=reached.twist[:, :3] - look.target_velocity
             if moving else np.zeros((self.size, 3)),
-            effort=self.actions.effort(action), failed=reached.failed,
+            effort=self.actions.effort(applied), failed=reached.failed,
         )  # fmt: skip
 
 
@@ -285,7 +286,8 @@ def empty_look(robot: Robot, previews: int, actions: int) -> Look:
     return Look(
         position=home, rotation=robot.home_rotation[None], twist=np.zeros((1, 6)),
         length=straight_line.inverse_kinematics(robot, home), target=home,
-        target_velocity=np.zeros((1, 3)), preview=np.repeat(home[:, None], previews, axis=1),
+        target_velocity=np.zeros((1, 3)), target_acceleration=np.zeros((1, 3)),
+        preview=np.repeat(home[:, None], previews, axis=1),
         last_action=np.zeros((1, actions)),
     )  # fmt: skip
 
@@ -296,7 +298,9 @@ def make_actions(robot: Robot, settings: EnvironmentSettings, scales: Scales) ->
         return Absolute(scales)
     period = settings.path.period or 0.0
     lead = max(0.0, float(robot.winch_lag.mean()) - 0.5 * period)
-    return Displacement(robot, settings.reach, lead, settings.share)
+    return Push(
+        robot, settings.reach, lead=lead, share=settings.share, feedforward=settings.feedforward
+    )
 
 
 def _worlds(robot: Robot, settings: EnvironmentSettings, size: int, seed: int) -> Worlds:

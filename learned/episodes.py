@@ -62,17 +62,19 @@ class Path:
     Attributes:
         position: In W [m], shape (steps + 1, 3).
         velocity: [m/s], shape (steps + 1, 3); zero for set-points.
+        acceleration: [m/s^2], shape (steps + 1, 3); zero for set-points.
     """
 
     position: Array
     velocity: Array
+    acceleration: Array
 
-    def rows(self, index: int) -> tuple[Array, Array]:
-        """Position and velocity at a step; after the last one it rests there."""
+    def rows(self, index: int) -> Array:
+        """Position, velocity and acceleration at a step, shape (3, 3); it rests after the last."""
         last = len(self.position) - 1
         if index > last:
-            return self.position[last], np.zeros(3)
-        return self.position[index], self.velocity[index]
+            return np.stack([self.position[last], np.zeros(3), np.zeros(3)])
+        return np.stack([self.position[index], self.velocity[index], self.acceleration[index]])
 
 
 class PathPool:
@@ -127,9 +129,10 @@ def sampled(trajectory: Trajectory, settings: PathSettings) -> Path:
     if settings.period is None:
         times = np.linspace(0.0, trajectory.duration, settings.steps + 1)
         position = trajectory.sample(times).position
-        return Path(position=position, velocity=np.zeros_like(position))
+        still = np.zeros_like(position)
+        return Path(position=position, velocity=still, acceleration=still)
     found = trajectory.sample(settings.period * np.arange(settings.steps + 1))
-    return Path(position=found.position, velocity=found.velocity)
+    return Path(position=found.position, velocity=found.velocity, acceleration=found.acceleration)
 
 
 def _draw(robot: Robot, settings: PathSettings, rng: np.random.Generator) -> Trajectory:

@@ -1,31 +1,36 @@
-"""The paper's protocols for a trained policy."""
+"""The paper's protocols for a trained policy, and catenary inverse kinematics beside it."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.number_checks import check_whole
+from carosac_toolkit.physics import statics
 from carosac_toolkit.robot import Robot
-from learned.environment import CableEnvironment, EnvironmentSettings, WorldName
-from learned.episodes import PathSettings
+from carosac_toolkit.trajectories import Trajectory, random_minimum_snap
+from learned.environment import CableEnvironment, EnvironmentSettings
+from learned.episodes import ATTEMPTS, Path, PathSettings
+from learned.moving_worlds import MovingSettings
 from learned.policy_file import Policy
-from learned.scores import Scores, score
+from learned.scores import Act, Scores, score
 from learned.settings_data import environment_settings
 from sim_warp import Simulator
 
 Protocol = Literal["no-sag", "settle", "realtime"]
 PATHS = {"no-sag": 1000, "settle": 20, "realtime": 20}
-POINTS = {"no-sag": 100, "settle": 100}  # set-points along a path
-BATCH = 100  # paths at once
+POINTS = 100  # set-points along a path
+BATCH = 100  # paths of set-points at once
 UNSEEN = 1_000_003  # added to seeds, so that no path of a training comes again
-REST = 1.0  # [s] that particles get to come to their own rest
-WORLDS: dict[str, WorldName] = {
-    "no-sag": "no_sag", "settle": "settle", "realtime": "realtime"
-}  # fmt: skip
+REST = 1.0  # [s] that particles get to come to their own rest, and platforms at the end of a path
+SPEED = (0.5, 2.08)  # [m/s] least and largest peak speed in real time
+ACCELERATION_MAX = 2.0  # [m/s^2] in real time
+CHECKED = 0.05  # [s] between two points of a path at which the robot must be able to rest
+MOVING = MovingSettings(cables="particles", perturbation="nominal-1", start_speed=0.0)
 
 
 def evaluate(policy: Policy, protocol: Protocol, *, paths: int, seed: int) -> Scores:
@@ -33,8 +38,11 @@ def evaluate(policy: Policy, protocol: Protocol, *, paths: int, seed: int) -> Sc
 
     * ``no-sag``: cubic splines with peak speeds up to 5 m/s as set-points of straight cables.
     * ``settle``: the same with sagging cables; each set-point settles, in cables of particles.
-    * ``realtime``: minimum-snap paths with peak speeds up to 2.08 m/s on a robot that sways, with
-      the plants, winches and wind that the policy was trained for, in cables of particles.
+    * ``realtime``: whole minimum-snap paths, and a second of rest, with peak speeds up to 2.08 m/s
+      on a robot that sways; plants and wind of `nominal-1`, cables of particles.
+
+    Paths, plants and errors of the belief depend on the robot, the number of paths and the seed
+    alone, not on how the policy was trained; wind is drawn in time steps that divide its period.
 
     Args:
         policy: Trained for set-points, or for real time.
@@ -45,28 +53,146 @@ def evaluate(policy: Policy, protocol: Protocol, *, paths: int, seed: int) -> Sc
     Raises:
         InvalidField: A policy of set-points in real time, or the other way round.
     """
+    trial = _trial(policy, protocol, paths, seed)
+    found = trial.follow(trial.settings, policy.act)
+    return settled_particles(trial.robot, found) if protocol == "settle" else found
+
+
+def evaluate_inverse_kinematics(
+    policy: Policy, protocol: Protocol, *, paths: int, seed: int, feedforward: bool = False
+) -> Scores:
+    """What catenary inverse kinematics of the targets does on the same paths and plants.
+
+    In real time it acts as often as the policy and is aimed ahead as the reference of `Push` is.
+    What it errs by, and the cables that it leaves slack, the set-points themselves cause.
+
+    Args:
+        policy: With which it shall be compared.
+        protocol: ``settle`` or ``realtime``; without sag it is exact.
+        paths: As in `evaluate`.
+        seed: The same.
+        feedforward: Whether the acceleration of the target is pushed for, in real time; see `Push`.
+
+    Raises:
+        InvalidField: The protocol ``no-sag``, or one that does not fit the policy.
+    """
+    if protocol == "no-sag":
+        raise InvalidField("protocol", repr(protocol), "'settle' or 'realtime'")
+    trial = _trial(policy, protocol, paths, seed)
+    if protocol == "realtime":
+        still = replace(
+            trial.settings, observation=("target",), preview=(), action="push",
+            feedforward=feedforward,
+        )  # fmt: skip
+        return trial.follow(still, lambda seen: np.zeros((len(seen), 3)))
+    return settled_particles(trial.robot, solved(trial.robot, trial.paths))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Trial:
+    """What is the same for all that follow the paths of a protocol."""
+
+    robot: Robot
+    settings: EnvironmentSettings
+    paths: list[Path]
+    seed: int
+
+    def follow(self, settings: EnvironmentSettings, act: Act) -> Scores:
+        """Act on all paths."""
+        count = len(self.paths)
+        size = count  # in real time all have a plant of their own
+        if settings.world != "realtime":
+            size = next(k for k in range(min(BATCH, count), 0, -1) if count % k == 0)
+        environment = CableEnvironment(self.robot, settings, size=size, seed=UNSEEN + self.seed)
+        return score(environment, act, self.paths)
+
+
+def _trial(policy: Policy, protocol: Protocol, paths: int, seed: int) -> _Trial:
+    """The settings and paths of a protocol."""
+    check_whole("paths", paths, 1)
     robot = policy.description.robot
-    trained = environment_settings(policy.description.settings)
-    settings = settings_of(trained, protocol)
-    size = next(k for k in range(min(BATCH, paths), 0, -1) if paths % k == 0)
-    environment = CableEnvironment(robot, settings, size=size, seed=UNSEEN + seed)
-    found = score(environment, policy.act, environment.first_paths(paths))
-    return settled_particles(robot, found) if protocol == "settle" else found
+    settings = settings_of(environment_settings(policy.description.settings), protocol)
+    if protocol == "realtime":
+        period = settings.path.period
+        assert period is not None
+        found = [timed(one, period) for one in random_trajectories(robot, paths, seed)]
+        steps = max(len(path.position) for path in found)  # one more: no row begins anew
+        settings = replace(settings, path=replace(settings.path, steps=steps))
+    else:
+        found = CableEnvironment(robot, settings, seed=UNSEEN + seed).first_paths(paths)
+    return _Trial(robot=robot, settings=settings, paths=found, seed=seed)
 
 
 def settings_of(trained: EnvironmentSettings, protocol: Protocol) -> EnvironmentSettings:
     """The environment of a protocol, for a policy that was trained in another one."""
-    if protocol not in WORLDS:
-        raise InvalidField("protocol", repr(protocol), f"one of {list(WORLDS)}")
+    if protocol not in PATHS:
+        raise InvalidField("protocol", repr(protocol), f"one of {list(PATHS)}")
     if (trained.world == "realtime") != (protocol == "realtime"):
         allowed = "'realtime'" if trained.world == "realtime" else "'no-sag' or 'settle'"
         raise InvalidField("protocol", repr(protocol), f"{allowed}, as the policy was trained")
     if protocol == "realtime":
-        return replace(
-            trained, lost=None, moving=replace(trained.moving, cables="particles", start_speed=0.0)
-        )
-    path = PathSettings(steps=POINTS[protocol])
-    return replace(trained, world=WORLDS[protocol], lost=None, path=path)
+        path = PathSettings(
+            kind="minimum_snap", speed=SPEED, acceleration_max=ACCELERATION_MAX,
+            period=trained.path.period,
+        )  # fmt: skip
+        return replace(trained, lost=None, moving=MOVING, path=path)
+    world: Literal["no_sag", "settle"] = "no_sag" if protocol == "no-sag" else "settle"
+    return replace(trained, world=world, lost=None, path=PathSettings(steps=POINTS))
+
+
+def random_trajectories(robot: Robot, count: int, seed: int) -> list[Trajectory]:
+    """The paths of ``realtime``, from rest to rest, whatever the period of a policy.
+
+    Raises:
+        CarosacError: The robot cannot rest along any of 100 paths that were drawn.
+    """
+    found = []
+    for index in range(count):
+        rng = np.random.default_rng([UNSEEN + seed, 7, index])
+        drawn = (_drawn(robot, rng) for _ in range(ATTEMPTS))
+        one = next((trajectory for trajectory in drawn if trajectory is not None), None)
+        if one is None:
+            raise CarosacError(f"{robot.name}: none of {ATTEMPTS} random paths is feasible")
+        found.append(one)
+    return found
+
+
+def _drawn(robot: Robot, rng: np.random.Generator) -> Trajectory | None:
+    """A random path, or None if it leaves the box or the robot cannot rest along it."""
+    speed = float(rng.uniform(*SPEED))
+    try:
+        path = random_minimum_snap(robot, rng, speed_max=speed, acceleration_max=ACCELERATION_MAX)
+    except InvalidField:
+        return None
+    times = np.linspace(0.0, path.duration, int(np.ceil(path.duration / CHECKED)) + 1)
+    rest = statics.inverse_kinematics(robot, path.sample(times).position)
+    return path if (rest.converged & rest.stable).all() else None
+
+
+def timed(trajectory: Trajectory, period: float) -> Path:
+    """A whole path and a second of rest, one target each period."""
+    steps = int(np.ceil((trajectory.duration + REST) / period - 1e-9))
+    found = trajectory.sample(period * np.arange(steps + 1))
+    return Path(position=found.position, velocity=found.velocity, acceleration=found.acceleration)
+
+
+def solved(robot: Robot, paths: list[Path]) -> Scores:
+    """Set-points at rest on the lengths of catenary inverse kinematics; they are reached."""
+    target = np.stack([path.position[1:] for path in paths])
+    rest = statics.inverse_kinematics(robot, target.reshape(-1, 3))
+    shape = target.shape[:2]
+    zero = np.zeros((*shape, robot.n))
+    return Scores(
+        target=target,
+        position=rest.position.reshape(target.shape),
+        length_error=zero,
+        inconsistency=zero[..., 0],
+        length=rest.unstrained_length.reshape(zero.shape),
+        tilt=zero[..., 0],
+        tension=rest.tension.reshape(zero.shape),
+        failed=~(rest.converged & rest.stable).reshape(shape),
+        counted=np.ones(shape, dtype=bool),
+    )
 
 
 def settled_particles(robot: Robot, scores: Scores) -> Scores:
@@ -90,5 +216,27 @@ def settled_particles(robot: Robot, scores: Scores) -> Scores:
 
 def trajectory_errors(scores: Scores) -> tuple[Array, Array]:
     """Mean distance and mean absolute length error of each path [m], each of shape (N,)."""
-    distance = np.linalg.norm(scores.error, axis=2).mean(axis=1)
-    return distance, np.abs(scores.length_error).mean(axis=(1, 2))
+    distance = np.linalg.norm(scores.error, axis=2)
+    length = np.abs(scores.length_error).mean(axis=2)
+    return _mean_of_path(scores, distance), _mean_of_path(scores, length)
+
+
+def trajectory_rmse(scores: Scores) -> Array:
+    """RMSE of each path along each axis of W [m], shape (N, 3)."""
+    squares = (_mean_of_path(scores, scores.error[..., k] ** 2) for k in range(3))
+    found: Array = np.sqrt(np.stack(list(squares), axis=1))
+    return found
+
+
+def rmse_ratio(scores: Scores, other: Scores) -> float:
+    """RMSE of the distance over that of another's, over all steps that count for both."""
+    failed = np.maximum.accumulate(scores.failed | other.failed, axis=1)
+    seen = scores.counted & ~failed
+    mine, theirs = ((one.error[seen] ** 2).sum() for one in (scores, other))
+    return float(np.sqrt(mine / theirs)) if seen.any() else float("nan")
+
+
+def _mean_of_path(scores: Scores, values: Array) -> Array:
+    """The mean of values (N, T) over the steps of each path that count, shape (N,)."""
+    found: Array = np.where(scores.counted, values, 0.0).sum(axis=1) / scores.counted.sum(axis=1)
+    return found

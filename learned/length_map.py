@@ -1,11 +1,17 @@
-r"""Catenary inverse kinematics over the workspace as a polynomial: microseconds instead of a solve.
+r"""Catenary inverse kinematics, and how soft the rest is, as polynomials: microseconds.
 
 .. math:: L_{catenary}(p) = L_{straight}(p) + \sum_k c_k T_k(x(p)),
 
 with products of Chebyshev polynomials over the workspace box. What sag, stretch and tilt add to
 straight lines is smooth but where a tension meets its limit, so a degree of six leaves, over the
 box of the robot `carosac`, 0.6 mm in the median and at most a few millimetres, near positions at
-which it cannot rest. Higher degrees help little: sixteen leaves 0.1 mm and 5 mm.
+which it cannot rest. Higher degrees help little: sixteen leaves 0.1 mm and 5 mm. The
+softness, a movement of the rest per acceleration,
+
+.. math:: S(p) = \begin{pmatrix} I & 0 \end{pmatrix} K^{-1}
+    \begin{pmatrix} m I \\ m [R c]_\times \end{pmatrix},
+
+with the stiffness K at rest, the mass and its centre c, is fitted the same way.
 """
 
 from __future__ import annotations
@@ -13,17 +19,17 @@ from __future__ import annotations
 import numpy as np
 
 from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.errors import CarosacError
 from carosac_toolkit.physics import statics, straight_line
 from carosac_toolkit.robot import Robot
 
 DEGREE = 6
 NODES = 10  # along each axis
-OUTSIDE = 0.02  # by how much of half an edge a position may lie outside the box
+ORDERS = np.arange(DEGREE + 1.0)[:, None, None]
 
 
 class LengthMap:
-    """Lengths of rest at positions in a workspace box.
+    """Lengths of rest, and how it yields to inertia, at positions in a workspace box.
 
     Attributes:
         largest_error: Against inverse kinematics at all nodes that are feasible [m].
@@ -51,39 +57,57 @@ class LengthMap:
             share = f"{100 * self.feasible:.0f} %"
             raise CarosacError(f"{robot.name}: it can rest at {share} of its workspace box only")
         extra = rest.unstrained_length - straight_line.straight_length(robot, points).length
-        basis = self._basis(unit[sound])
+        basis = self._basis(points[sound])
         self._coefficients = np.linalg.lstsq(basis, extra[sound], rcond=None)[0]
+        soft = softness(robot, rest)[sound].reshape(-1, 9)
+        self._softness = np.linalg.lstsq(basis, soft, rcond=None)[0]
         self.largest_error = float(np.abs(basis @ self._coefficients - extra[sound]).max())
 
-    def lengths(self, position: Array, displacement: Array) -> Array:
-        """Lengths that move the rest from a position by a displacement [m], shape (B, n).
+    def lengths(self, position: Array) -> Array:
+        """Lengths of rest, shape (B, n).
 
-        A displacement may leave the box; sag and tilt are those of its border then.
+        Beyond the box, sag and tilt are those of its border.
 
         Args:
-            position: In W [m], in the workspace box, shape (B, 3).
-            displacement: In W [m], shape (B, 3).
-
-        Raises:
-            InvalidField: A position outside the box.
+            position: In W [m], shape (B, 3).
         """
-        unit = (position - self._center) / self._half
-        if not (np.abs(unit) <= 1.0 + OUTSIDE).all():
-            row = int(np.argmax(np.abs(unit).max(axis=1)))
-            low, high = self._robot.workspace_min, self._robot.workspace_max
-            allowed = f"positions in the workspace box, {low} m to {high} m"
-            raise InvalidField(f"position[{row}]", f"{position[row].round(3)} m", allowed)
-        straight = straight_line.straight_length(self._robot, position + displacement).length
-        moved = np.clip(unit + displacement / self._half, -1.0, 1.0)
-        found: Array = straight + self._basis(moved) @ self._coefficients
+        straight = straight_line.straight_length(self._robot, position).length
+        found: Array = straight + self._basis(position) @ self._coefficients
         return found
 
-    def _basis(self, unit: Array) -> Array:
+    def softness(self, position: Array) -> Array:
+        """Movement of the rest per acceleration, as `softness` [s^2], shape (B, 3, 3).
+
+        Beyond the box it is that of its border.
+
+        Args:
+            position: In W [m], shape (B, 3).
+        """
+        found: Array = (self._basis(position) @ self._softness).reshape(-1, 3, 3)
+        return found
+
+    def _basis(self, position: Array) -> Array:
         """Chebyshev products up to the total degree, shape (B, K)."""
-        values = np.empty((DEGREE + 1, *unit.shape))
-        values[0], values[1] = 1.0, unit
-        for k in range(2, DEGREE + 1):
-            values[k] = 2.0 * unit * values[k - 1] - values[k - 2]
+        unit = ((position - self._center) / self._half).clip(-1.0, 1.0)
+        values = np.cos(ORDERS * np.arccos(unit))
         x, y, z = self._powers
         found: Array = (values[x, :, 0] * values[y, :, 1] * values[z, :, 2]).T
         return found
+
+
+def softness(robot: Robot, rest: statics.Equilibrium) -> Array:
+    """How far the rest moves against inertia, lengths held [s^2], shape (B, 3, 3).
+
+    While the platform accelerates with a, in W, its inertia pulls at its centre of mass with -m a;
+    the rest then lies S a behind. The platform turns as it likes.
+
+    Args:
+        robot: n cables.
+        rest: Equilibria of it, B of them.
+    """
+    center = rest.rotation @ robot.center_of_mass
+    moment = np.cross(center[:, None, :], np.eye(3)).transpose(0, 2, 1)  # columns c x e_k
+    force = np.broadcast_to(np.eye(3), moment.shape)
+    wrench = robot.mass * np.concatenate([force, moment], axis=1)
+    found = np.linalg.solve(rest.stiffness, wrench)[:, :3]
+    return np.asarray(found, dtype=np.float64)

@@ -30,6 +30,7 @@ class Units:
         speed_error: Speed against the target [m/s].
         ahead: Distance of later targets from the present one [m].
         speed: [m/s].
+        acceleration: [m/s^2].
         tilt: Sine of the angle of the platform's z axis to the vertical [-].
         turn: Angular speed [rad/s].
     """
@@ -38,12 +39,14 @@ class Units:
     speed_error: float = 0.3
     ahead: float = 0.5
     speed: float = 1.0
+    acceleration: float = 1.0
     tilt: float = 0.2
     turn: float = 1.0
 
     def __post_init__(self) -> None:
         """Refuse units that are not positive."""
-        check_fields(self, positive=("error", "speed_error", "ahead", "speed", "tilt", "turn"))
+        names = ("error", "speed_error", "ahead", "speed", "acceleration", "tilt", "turn")
+        check_fields(self, positive=names)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,6 +60,7 @@ class Look:
         length: Unstrained lengths, as asked for last [m], shape (B, n).
         target: Where the platform origin shall be, in W [m], shape (B, 3).
         target_velocity: [m/s], shape (B, 3).
+        target_acceleration: [m/s^2], shape (B, 3).
         preview: Where it shall be later, in W [m], shape (B, K, 3).
         last_action: What was applied last, in [-1, 1], shape (B, a).
     """
@@ -67,6 +71,7 @@ class Look:
     length: Array
     target: Array
     target_velocity: Array
+    target_acceleration: Array
     preview: Array
     last_action: Array
 
@@ -134,6 +139,9 @@ PARTS: dict[str, Callable[[Look, Scales], Array]] = {
     "tilt": _tilt,
     "turn": lambda look, scales: look.twist[:, 3:] / scales.units.turn,
     "target_velocity": lambda look, scales: look.target_velocity / scales.units.speed,
+    "target_acceleration": lambda look, scales: (
+        look.target_acceleration / scales.units.acceleration
+    ),
     "preview": lambda look, scales: (
         (look.preview - look.target[:, None]).reshape(len(look.target), -1) / scales.units.ahead
     ),
@@ -142,7 +150,8 @@ PARTS: dict[str, Callable[[Look, Scales], Array]] = {
 
 
 OF_TWIST = {"velocity", "velocity_error", "turn"}  # parts that need a twist
-IN_UNITS = {*OF_TWIST, "error", "tilt", "target_velocity", "preview"}  # parts that `Units` scale
+# Parts that `Units` scale.
+IN_UNITS = {*OF_TWIST, "error", "tilt", "target_velocity", "target_acceleration", "preview"}
 
 
 def check_parts(parts: Sequence[str]) -> None:
@@ -171,7 +180,8 @@ def slices(parts: Sequence[str], n: int, previews: int, actions: int) -> dict[st
     """
     sizes = {
         "length": n, "position": 3, "target": 3, "error": 3, "velocity_error": 3, "velocity": 3,
-        "tilt": 2, "turn": 3, "target_velocity": 3, "preview": 3 * previews, "last_action": actions,
+        "tilt": 2, "turn": 3, "target_velocity": 3, "target_acceleration": 3,
+        "preview": 3 * previews, "last_action": actions,
     }  # fmt: skip
     ends = np.cumsum([0, *(sizes[name] for name in parts)])
     return {name: slice(int(ends[k]), int(ends[k + 1])) for k, name in enumerate(parts)}

@@ -21,12 +21,18 @@ from learned.policy_file import Policy
 from learned.settings_data import environment_settings
 
 SUFFIX = ".onnx"
+OUTSIDE = 0.02  # by how much of half an edge of the box a target may lie outside it
 # What a policy learns depends on; names, calibration and sensors are free.
 TRAINED_FOR = (
     "exit_points", "anchor_points", "pulley_radius", "swivel_axis", "run_length",
-    "linear_density", "axial_stiffness", "mass", "center_of_mass", "inertia", "gravity",
-    "workspace_min", "workspace_max", "home_rotation",
+    "linear_density", "axial_stiffness", "tension_min", "tension_max", "mass", "center_of_mass",
+    "inertia", "gravity", "workspace_min", "workspace_max", "home_rotation",
 )  # fmt: skip
+# And one that moves in real time on these, too.
+TRAINED_IN_MOTION = (
+    "winch_lag", "speed_max", "acceleration_max", "axial_damping", "drag", "angular_drag"
+)  # fmt: skip
+DEFAULTS = {"carosac": "carosac-settle"}  # bundled policies by robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,12 +108,14 @@ class PolicyController:
         """The lengths that the policy asks for.
 
         Raises:
-            InvalidField: The belief lacks what the policy observes.
+            InvalidField: The belief lacks what the policy observes, or a target lies outside the
+                workspace box.
         """
         look = self._look(belief, reference)
+        check_targets(self._robot, look.target)
         action = self._policy.act(observe(self._environment.observation, look, self._scales))
-        self._length = self._actions.lengths(action, look)
         self._last_action = self._actions.applied(action, look)
+        self._length = self._actions.lengths(self._last_action, look)
         return Command(time=belief.time, unstrained_length=self._length)
 
     def _look(self, belief: Belief, reference: Reference) -> Look:
@@ -117,25 +125,23 @@ class PolicyController:
             allowed = f"an estimator with a twist; the policy observes {', '.join(sorted(wanted))}"
             raise InvalidField("belief.twist", None, allowed)
         size = len(belief.position)
-        position, velocity = (
-            self._between(values) for values in (reference.position, reference.velocity)
-        )
-        if len(position) < size:
-            shape = (size, *position.shape[1:])
-            position, velocity = (np.broadcast_to(x, shape) for x in (position, velocity))
+        position = self._between(reference.position, size)
+        velocity = self._between(reference.velocity, size, 1)[:, 0]
+        acceleration = self._between(reference.acceleration, size, 1)[:, 0]
         assert self._length is not None
         return Look(
             position=belief.position, rotation=belief.rotation,
             twist=np.zeros((size, 6)) if belief.twist is None else belief.twist,
-            length=self._length, target=position[:, 0], target_velocity=velocity[:, 0],
-            preview=position[:, 1:], last_action=self._last_action,
+            length=self._length, target=position[:, 0], target_velocity=velocity,
+            target_acceleration=acceleration, preview=position[:, 1:],
+            last_action=self._last_action,
         )  # fmt: skip
 
-    def _between(self, rows: Array) -> Array:
-        """Values ahead of now, between the rows (B, N, 3) of a reference: (B, K, 3)."""
-        share = self._share[:, None]
-        found: Array = (1.0 - share) * rows[:, self._row] + share * rows[:, self._row + 1]
-        return found
+    def _between(self, rows: Array, size: int, count: int | None = None) -> Array:
+        """Values ahead of now, between the rows (1 or B, N, 3) of a reference: (B, K, 3)."""
+        row, share = self._row[:count], self._share[:count, None]
+        found: Array = (1.0 - share) * rows[:, row] + share * rows[:, row + 1]
+        return found if len(found) == size else np.broadcast_to(found, (size, *found.shape[1:]))
 
     def _check_sizes(self, robot: Robot) -> None:
         """Make sure that observation and action fit the networks."""
@@ -160,10 +166,30 @@ def check_robot(robot: Robot, policy: Policy) -> None:
     trained = policy.description.robot
     if trained.n != robot.n:
         raise InvalidField("robot", f"{robot.n} cables", f"{trained.n}, as the policy's robot")
-    names = [x for x in TRAINED_FOR if not same(getattr(trained, x), getattr(robot, x))]
+    moving = policy.description.period is not None
+    needed = TRAINED_FOR + TRAINED_IN_MOTION if moving else TRAINED_FOR
+    names = [x for x in needed if not same(getattr(trained, x), getattr(robot, x))]
     if names:
         allowed = f"the robot that the policy was trained for; {', '.join(names)} differ"
         raise InvalidField("robot", repr(robot.name), f"{allowed}: train one with `carosac train`")
+
+
+def check_targets(robot: Robot, target: Array) -> None:
+    """Refuse targets outside the workspace box, where a policy has learned nothing.
+
+    Args:
+        robot: Whose box it is.
+        target: In W [m], shape (B, 3).
+
+    Raises:
+        InvalidField: Names the row that is furthest outside, and the box.
+    """
+    low, high = robot.workspace_min, robot.workspace_max
+    unit = np.abs(2.0 * target - low - high) / (high - low)
+    if not (unit <= 1.0 + OUTSIDE).all():
+        row = int(np.argmax(unit.max(axis=1)))
+        allowed = f"in the workspace box of the policy, {low} m to {high} m"
+        raise InvalidField(f"reference.position[{row}]", f"{target[row].round(3)} m", allowed)
 
 
 def list_policies() -> tuple[str, ...]:
@@ -173,16 +199,15 @@ def list_policies() -> tuple[str, ...]:
 
 
 def policy_of(robot: Robot) -> str:
-    """Name of the bundled policy of a robot.
+    """Name of the bundled policy that a robot gets by default.
 
     Raises:
         InvalidField: There is none.
     """
-    names = list_policies()
-    if robot.name not in names:
-        allowed = f"a robot with a bundled policy, of {list(names)}, or a policy of its own"
+    if robot.name not in DEFAULTS:
+        allowed = f"a robot with a bundled policy, of {sorted(DEFAULTS)}, or a policy of its own"
         raise InvalidField("robot", repr(robot.name), f"{allowed}: `carosac train`")
-    return robot.name
+    return DEFAULTS[robot.name]
 
 
 def find_policy(name_or_path: str) -> Path:

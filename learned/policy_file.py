@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from carosac_toolkit.arrays import Array, batch
 from carosac_toolkit.errors import CarosacError, InvalidField, MissingFile
 from carosac_toolkit.robot import Robot
+from learned.probe import check_probe, make_probe
+from learned.settings_data import environment_settings
 
 if TYPE_CHECKING:
     from onnx import ModelProto, NodeProto
@@ -44,6 +46,8 @@ class PolicyDescription:
         steps: Environment steps it was trained for.
         commit: Commit of the code that trained it.
         scores: What an evaluation found, by name with its unit.
+        probe: What fixed looks and actions come to where it was trained (`learned.probe`); None:
+            found out when it is written.
     """
 
     preset: str
@@ -56,6 +60,7 @@ class PolicyDescription:
     steps: int
     commit: str
     scores: dict[str, float]
+    probe: dict[str, Any] | None = None
 
     def __post_init__(self) -> None:
         """Refuse what a file could not give back as it was."""
@@ -71,6 +76,8 @@ class PolicyDescription:
             object.__setattr__(self, name, int(getattr(self, name)))
         for name in ("settings", "scores"):
             object.__setattr__(self, name, _plain(name, getattr(self, name)))
+        if self.probe is not None:
+            object.__setattr__(self, "probe", _plain("probe", self.probe))
 
 
 class Policy:
@@ -94,7 +101,8 @@ class Policy:
 
         Raises:
             MissingFile: There is no such file.
-            InvalidField: It is no policy that `write_policy` wrote.
+            InvalidField: It is no policy that `write_policy` wrote, or one of another version, that
+                would not do here what it did where it was trained.
             CarosacError: onnxruntime is not installed.
         """
         if not Path(path).is_file():
@@ -106,6 +114,8 @@ class Policy:
             shapes = {one.name: one.shape for one in found}
             if set(shapes) != {name} or not _is_batch(shapes[name]):
                 raise InvalidField("path", f"{path} with {shapes}", f"{WRITTEN}: {name} (batch, d)")
+        settings = environment_settings(description.settings)
+        check_probe(description.probe, description.robot, settings)
         return cls(session, description)
 
     def act(self, observation: ArrayLike) -> Array:
@@ -145,7 +155,8 @@ def write_policy(
         description: What it was trained for; kept as metadata.
 
     Raises:
-        InvalidField: Layers that do not fit, or an unknown activation.
+        InvalidField: Layers that do not fit, an unknown activation, or settings without those of
+            an environment.
         CarosacError: onnx is not installed, or the file cannot be written.
     """
     from carosac_toolkit.cli.common import replacing
@@ -153,6 +164,9 @@ def write_policy(
     if activation not in ACTIVATIONS:
         raise InvalidField("activation", repr(activation), f"one of {list(ACTIVATIONS)}")
     model = _model(_checked(layers), activation)
+    if description.probe is None:
+        settings = environment_settings(description.settings)
+        description = replace(description, probe=make_probe(description.robot, settings))
     with replacing(Path(path)) as temporary:
         temporary.write_bytes(_with_metadata(model, description))
 
@@ -253,7 +267,8 @@ def _description(path: str | Path, metadata: Mapping[str, str]) -> PolicyDescrip
     names = [f.name for f in fields(PolicyDescription)]
     missing = [name for name in names if PREFIX + name not in metadata]
     if missing:
-        raise InvalidField("path", f"{path} without {', '.join(missing)}", WRITTEN)
+        allowed = f"{WRITTEN} of this version: train it again with `carosac train`"
+        raise InvalidField("path", f"{path} without {', '.join(missing)}", allowed)
     try:
         record = {name: json.loads(metadata[PREFIX + name]) for name in names}
     except ValueError as error:

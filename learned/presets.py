@@ -37,6 +37,9 @@ class Td3Settings:
         relabelled: Share of replayed steps with another target; needs the same.
         target_noise: Standard deviation of the noise on target actions, cut at 2.5 times that.
         exploration: Noise of the actions.
+        critic_first: Updates of the critics before the first one of the actor.
+        quiet_start: Whether the untrained policy does next to nothing, for actions that correct
+            what is good already.
     """
 
     steps: int = 1_000_000
@@ -56,6 +59,8 @@ class Td3Settings:
     relabelled: float = 0.0
     target_noise: float = 0.2
     exploration: ExplorationSettings = field(default_factory=ExplorationSettings)
+    critic_first: int = 0
+    quiet_start: bool = False
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
@@ -63,6 +68,7 @@ class Td3Settings:
         for name in whole:
             check_whole(name, getattr(self, name), 1)
         check_whole("random_steps", self.random_steps, 0, self.steps - 1)
+        check_whole("critic_first", self.critic_first, 0)
         check_fields(self, positive=("actor_rate", "critic_rate"), not_negative=("target_noise",))
         for name in ("discount", "rate_end", "relabelled"):
             if not 0.0 <= getattr(self, name) <= 1.0:
@@ -103,7 +109,9 @@ class Stage:
             raise InvalidField("reward.terms", environment.reward.terms, f"('fit',) {why}")
         if environment.world == "realtime":
             raise InvalidField("world", "'realtime'", f"'no_sag' or 'settle' {why}")
-        moving = {"error", "preview", "target_velocity"} & set(environment.observation)
+        moving = {"error", "preview", "target_velocity", "target_acceleration"} & set(
+            environment.observation
+        )
         if "target" not in environment.observation or moving:
             allowed = f"with 'target', without {sorted(moving)}, {why}"
             raise InvalidField("observation", environment.observation, allowed)
@@ -153,13 +161,14 @@ _FIT = Td3Settings(
     actor_rate=1e-3, critic_rate=1e-3, rate_end=0.02, hidden=(128, 128), activation="silu",
     critics=1, critic="metric", relabelled=0.8,
 )  # fmt: skip
-_FIT_SAG = replace(_FIT, steps=100_000, random_steps=0, exploration=ExplorationSettings(
+_FIT_SAG = replace(_FIT, steps=300_000, random_steps=0, exploration=ExplorationSettings(
     start=0.02, end=0.002))  # fmt: skip
 _FIT_REWARD = RewardSettings(terms=("fit",))
 _DAMP = Td3Settings(
-    steps=300_000, environments=64, gradient_steps=8, random_steps=0, discount=0.97,
+    steps=300_000, environments=64, gradient_steps=8, random_steps=0, discount=0.98,
     actor_rate=5e-4, critic_rate=1e-3, rate_end=0.05, hidden=(128, 128), activation="silu",
-    target_noise=0.05, exploration=ExplorationSettings(start=0.1, end=0.02),
+    target_noise=0.05, exploration=ExplorationSettings(start=0.1, end=0.02), critic_first=1000,
+    quiet_start=True,
 )  # fmt: skip
 
 PRESETS = {
@@ -206,7 +215,7 @@ PRESETS = {
         ),
         Preset(
             name="residual",
-            summary="moves the target of catenary inverse kinematics so that sway is damped",
+            summary="corrects catenary inverse kinematics with pushes that damp the sway",
             stages={
                 "realtime": Stage(
                     environment=EnvironmentSettings(
@@ -218,21 +227,24 @@ PRESETS = {
                             "turn",
                             "position",
                             "target_velocity",
+                            "target_acceleration",
                             "preview",
                             "last_action",
                         ),
-                        preview=(4, 8, 16),
-                        action="displacement",
-                        reach=0.2,
+                        preview=(8, 16, 32),
+                        action="push",
+                        reach=1.5,
                         share=0.4,
-                        reward=RewardSettings(terms=("tracking", "effort")),
+                        feedforward=True,
+                        reward=RewardSettings(terms=("tracking", "effort"), effort=0.1),
                         moving=MovingSettings(cables="particles"),  # fast modes count, too
                         lost=0.5,
                         path=PathSettings(
                             kind="minimum_snap",
                             speed=(0.5, 2.08),
-                            acceleration_max=2.0,
-                            period=0.05,
+                            acceleration_max=3.0,
+                            steps=400,
+                            period=0.025,
                             pool=256,
                         ),
                     ),

@@ -41,6 +41,7 @@ class RewardSettings:
         terms: Names of `TERMS`.
         goal_radius: Within which the goal counts as reached [m].
         fit_scale: Misfit at which the reward `fit` turns from linear to logarithmic [m].
+        tracking_scale: Misfit at which `tracking` turns from quadratic to logarithmic [m].
         consistency: What a metre of inconsistency costs in `fit`, in metres of distance.
         velocity: Time that turns a velocity error into a misfit of `tracking` [s].
         effort: Weight of the squared effort.
@@ -49,6 +50,7 @@ class RewardSettings:
     terms: tuple[str, ...] = PAPER_NO_SAG
     goal_radius: float = 0.05
     fit_scale: float = 0.04
+    tracking_scale: float = 0.1
     consistency: float = 1.0
     velocity: float = 0.1
     effort: float = 0.02
@@ -60,7 +62,7 @@ class RewardSettings:
                 raise InvalidField(f"terms[{k}]", repr(name), f"one of {sorted(TERMS)}")
         check_fields(
             self,
-            positive=("goal_radius", "fit_scale"),
+            positive=("goal_radius", "fit_scale", "tracking_scale"),
             not_negative=("consistency", "velocity", "effort"),
         )
 
@@ -109,6 +111,22 @@ def misfit_reward(misfit: Array, scale: float, span: float) -> Array:
         span: D, the largest distance in the workspace [m], where the reward is -1.
     """
     found: Array = -np.log1p(misfit / scale) / np.log1p(span / scale)
+    return found
+
+
+def tracking_reward(misfit: Array, scale: float, span: float) -> Array:
+    r"""A reward for feedback: quadratic close by, so that small errors call for small actions.
+
+    .. math:: r = -\ln(1 + (m / s)^2) / \ln(1 + (D / s)^2)
+
+    A reward with a slope at zero, as `misfit_reward`, makes a policy bang-bang.
+
+    Args:
+        misfit: [m], shape (B,).
+        scale: s, where it turns from quadratic to logarithmic [m].
+        span: D, the largest distance in the workspace [m], where the reward is -1.
+    """
+    found: Array = -np.log1p((misfit / scale) ** 2) / np.log1p((span / scale) ** 2)
     return found
 
 
@@ -170,7 +188,7 @@ def _fit(transition: Transition, reward: Reward) -> Array:
 def _tracking(transition: Transition, reward: Reward) -> Array:
     speed = np.linalg.norm(transition.velocity, axis=1)
     misfit = np.hypot(transition.distance, reward.settings.velocity * speed)
-    return misfit_reward(misfit, reward.settings.fit_scale, reward.span)
+    return tracking_reward(misfit, reward.settings.tracking_scale, reward.span)
 
 
 TERMS: dict[str, Callable[[Transition, Reward], Array]] = {

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics import statics, straight_line
 from carosac_toolkit.robot import Robot
 from learned.environment import CableEnvironment
@@ -34,6 +35,7 @@ class Scores:
         tilt: Angle of the platform's z axis to that of rest at the target [rad], shape (N, T).
         tension: At the platform [N], shape (N, T, n); None without forces.
         failed: Steps without a solution, shape (N, T); nothing counts after the first one.
+        counted: Steps up to the end of their path, shape (N, T); those after it do not count.
     """
 
     target: Array
@@ -44,6 +46,7 @@ class Scores:
     tilt: Array
     tension: Array | None
     failed: NDArray[np.bool_]
+    counted: NDArray[np.bool_]
 
     @property
     def error(self) -> Array:
@@ -56,7 +59,7 @@ class Scores:
         Args:
             robot: For its tension limits.
         """
-        valid = ~np.maximum.accumulate(self.failed, axis=1)
+        valid = self.counted & ~np.maximum.accumulate(self.failed, axis=1)
         error = np.abs(self.error)
         norm = np.linalg.norm(error, axis=2)
         means = [one[seen].mean() for one, seen in zip(norm, valid, strict=True) if seen.any()]
@@ -86,29 +89,42 @@ class Scores:
 
 
 def score(environment: CableEnvironment, act: Act, paths: list[Path]) -> Scores:
-    """Follow paths, as many at once as the environment has rows.
+    """Follow paths to the end of the longest, as many at once as the environment has rows.
 
     Args:
         environment: Its size divides the number of paths.
         act: The policy.
-        paths: All as long as an episode of the environment.
+        paths: Each at most as long as an episode of the environment.
+
+    Raises:
+        InvalidField: A longer path.
     """
     size = environment.size
+    ends = np.array([len(path.position) - 1 for path in paths])
+    longest = int(ends.argmax())
+    steps, most = int(ends[longest]), environment.settings.path.steps
+    if steps > most:
+        raise InvalidField(f"paths[{longest}]", f"{steps} steps", f"{most}, those of an episode")
     parts = [
-        _score_batch(environment, act, paths[k : k + size]) for k in range(0, len(paths), size)
+        _score_batch(environment, act, paths[k : k + size], steps)
+        for k in range(0, len(paths), size)
     ]
-    joined: dict[str, Any] = {}
-    for name in Scores.__dataclass_fields__:
-        values = [getattr(part, name) for part in parts]
-        joined[name] = None if values[0] is None else np.concatenate(values)
-    return Scores(**joined)
+    found: dict[str, Any] = {
+        name: None if values is None else np.concatenate([part[name] for part in parts])
+        for name, values in parts[0].items()
+    }
+    found["counted"] = np.arange(steps) < ends[:, None]
+    found["failed"] &= found["counted"]
+    return Scores(**found)
 
 
-def _score_batch(environment: CableEnvironment, act: Act, paths: list[Path]) -> Scores:
-    """Follow one path in each row of the environment."""
+def _score_batch(
+    environment: CableEnvironment, act: Act, paths: list[Path], steps: int
+) -> dict[str, Any]:
+    """Follow one path in each row of the environment; all of `Scores` but what counts."""
     observation = environment.reset(paths)
-    steps = environment.settings.path.steps
-    found: dict[str, list[Any]] = {name: [] for name in Scores.__dataclass_fields__}
+    names = [name for name in Scores.__dataclass_fields__ if name != "counted"]
+    found: dict[str, list[Any]] = {name: [] for name in names}
     for _ in range(steps):
         result = environment.step(act(observation))
         observation = result.observation
@@ -122,11 +138,10 @@ def _score_batch(environment: CableEnvironment, act: Act, paths: list[Path]) -> 
         found["tilt"].append(tilt)
         found["tension"].append(result.reached.tension)
         found["failed"].append(result.failed)
-    stacked: dict[str, Any] = {
+    return {
         name: None if values[0] is None else np.stack(values, axis=1)
         for name, values in found.items()
     }
-    return Scores(**stacked)
 
 
 def _wanted(environment: CableEnvironment, target: Array, rotation: Array) -> tuple[Array, Array]:

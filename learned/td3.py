@@ -17,6 +17,7 @@ from learned.relabelling import RelabellingBuffer
 from learned.vector_environment import CableVecEnv
 
 ACTIVATIONS = {"relu": torch.nn.ReLU, "silu": torch.nn.SiLU}
+QUIET = 0.01  # by which the last layer of a quiet start is smaller
 NOISE_CLIP = 2.5  # of the noise on target actions, over its standard deviation
 BUFFER_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 BUFFER_EXTRAS = ("positions", "inconsistencies", "failed")
@@ -28,12 +29,11 @@ class StagedTd3(TD3):
     rates: Td3Settings
 
     def _update_learning_rate(self, optimizers: Any) -> None:
-        """Set both rates; they fall linearly."""
+        """Set both rates; they fall linearly, and the actor waits for the critics."""
         left = max(0.0, self._current_progress_remaining)  # the last step may go beyond the end
         share = self.rates.rate_end + (1.0 - self.rates.rate_end) * left
-        for optimizer, rate in zip(
-            optimizers, (self.rates.actor_rate, self.rates.critic_rate), strict=True
-        ):
+        actor = 0.0 if self._n_updates < self.rates.critic_first else self.rates.actor_rate
+        for optimizer, rate in zip(optimizers, (actor, self.rates.critic_rate), strict=True):
             for group in optimizer.param_groups:
                 group["lr"] = rate * share
         self.logger.record("train/rate_share", share)
@@ -70,11 +70,23 @@ def build_model(stage: Stage, environment: CableVecEnv, seed: int) -> StagedTd3:
         target_policy_noise=settings.target_noise,
         target_noise_clip=NOISE_CLIP * settings.target_noise,
         action_noise=noise, policy_kwargs=_networks(stage, target, span), seed=seed, device="cpu",
+        stats_window_size=max(100, settings.environments),  # all episodes that end in one step
         replay_buffer_class=RelabellingBuffer if buffer else None,
         replay_buffer_kwargs=buffer or None,
     )  # fmt: skip
     model.rates = settings
+    if settings.quiet_start:
+        _quieten(model)
     return model
+
+
+def _quieten(model: StagedTd3) -> None:
+    """Let the actor start with actions near zero."""
+    last = [module for module in model.actor.mu if isinstance(module, torch.nn.Linear)][-1]
+    with torch.no_grad():
+        last.weight.mul_(QUIET)
+        last.bias.zero_()
+    model.actor_target.load_state_dict(model.actor.state_dict())
 
 
 def _networks(stage: Stage, target: slice | None, span: float) -> dict[str, Any]:
@@ -150,6 +162,19 @@ def restore_state(model: StagedTd3, state: dict[str, Any]) -> None:
     np.random.set_state(state["numpy"])  # noqa: NPY002
     random.setstate(state["python"])
     torch.set_rng_state(state["torch"])
+
+
+def take_networks(model: StagedTd3, state: dict[str, Any]) -> list[Any]:
+    """Start from the networks of another training, its targets included.
+
+    Optimisers start anew: their moments belong to other data and other learning rates.
+
+    Returns:
+        Names and values of what was taken.
+    """
+    networks = state["parameters"]["policy"]
+    model.policy.load_state_dict(networks)
+    return [x for name, value in networks.items() for x in (name, value.numpy())]
 
 
 def layers_of(model: StagedTd3) -> list[tuple[Any, Any]]:

@@ -1,14 +1,12 @@
 """Training of one stage: checkpoints, resuming, a learning curve and the exported policy.
 
-A folder holds all of it: ``settings.json``, ``curve.csv``, ``checkpoint.pt``, TensorBoard's events
-and, at the end, ``policy.onnx``. A training that was killed goes on from its checkpoint as if it
-had not been, bit by bit.
+A folder holds all of it: ``settings.json``, ``curve.csv``, ``episodes.csv``, ``checkpoint.pt``,
+TensorBoard's events and, at the end, ``policy.onnx``. A training that was killed goes on from its
+checkpoint as if it had not been, bit by bit.
 """
 
 from __future__ import annotations
 
-import csv
-import hashlib
 import json
 import time
 from collections.abc import Callable
@@ -19,20 +17,18 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField, MissingFile
+from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.report_page import commit_of_code
 from carosac_toolkit.robot import Robot
+from learned.curve import CURVE, EPISODES, Episode, measured, write_curve, write_episodes
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.episodes import Path as TargetPath
 from learned.policy_file import PolicyDescription, write_policy
 from learned.presets import Stage
 from learned.scores import score
+from learned.training_record import UNKNOWN, TrainingRecord, check_settings, check_start, digest
 
-SETTINGS, CURVE, CHECKPOINT, POLICY = "settings.json", "curve.csv", "checkpoint.pt", "policy.onnx"
-COLUMNS = (
-    "steps", "updates", "cpu_seconds", "reward", "median_error_m", "median_of_means_m",
-    "p95_error_m", "rmse_m", "inconsistency_m",
-)  # fmt: skip
+CHECKPOINT, POLICY = "checkpoint.pt", "policy.onnx"
 TEST_SEED = 2_000_003  # of the paths on which the learning curve is measured
 TEST_PATHS = 64
 TEST_STEPS = 40  # of a path of set-points
@@ -68,7 +64,7 @@ class Job:
         start = None if self.start is None else f"{self.start.parent.name}/{self.start.name}"
         return {
             "preset": self.preset, "stage": self.stage_name, "robot": self.robot.name,
-            "robot_digest": digest(self.robot),
+            "robot_digest": digest(getattr(self.robot, f.name) for f in fields(self.robot)),
             "seed": self.seed, "start": start,
             "environment": asdict(self.stage.environment), "td3": asdict(self.stage.td3),
         }  # fmt: skip
@@ -89,7 +85,8 @@ def train(
         The exported policy, or None if stopped before the end.
 
     Raises:
-        InvalidField: The folder holds a training with other settings.
+        InvalidField: The folder holds a training with other settings, or the checkpoint to start
+            from is one of another robot, preset or seed.
         MissingFile: There is no checkpoint to start from.
     """
     import torch
@@ -97,6 +94,8 @@ def train(
     torch.set_num_threads(1)  # small networks: a second thread costs more than it gives
     run = _Run(job, folder, report)
     run.begin()
+    if run.done and (folder / POLICY).is_file():
+        return folder / POLICY  # as the code that trained it wrote it
     if not run.go(stop_after):
         return None
     return run.export()
@@ -121,7 +120,7 @@ class _Run:
         self.paths: list[TargetPath] = []
         self.fresh: dict[str, Any] = {}  # state of the test: the same disturbances each time
         self.rows: list[dict[str, float]] = []
-        self.rewards: list[float] = []
+        self.episodes: list[Episode] = []
         self.before = 0.0  # CPU seconds of earlier processes
         self.began = time.process_time()
 
@@ -130,24 +129,39 @@ class _Run:
         """CPU seconds of the training, its evaluations included [s]."""
         return self.before + time.process_time() - self.began
 
+    @property
+    def done(self) -> bool:
+        """Whether all steps are made."""
+        return bool(self.model.num_timesteps >= self.job.stage.td3.steps)
+
     def begin(self) -> None:
         """Take up what is in the folder, or begin."""
         from stable_baselines3.common.logger import configure
 
+        settings = json.loads(json.dumps(self.job.settings()))
+        known = check_settings(settings, self.folder)
+        checkpoint, earlier = self.folder / CHECKPOINT, None
+        if self.job.start is not None and not checkpoint.exists():
+            earlier = check_start(settings, self.job.start)
         self.folder.mkdir(parents=True, exist_ok=True)
-        check_settings(self.job, self.folder)
         self.model.set_logger(configure(str(self.folder), ["tensorboard"]))
         self.test.reset()
         self.fresh = self.test.state()
         self.paths = self.test.first_paths(TEST_PATHS)
-        total = self.job.stage.td3.steps
-        _, self.callback = self.model._setup_learn(total)
+        _, self.callback = self.model._setup_learn(self.job.stage.td3.steps)
         self.callback.init_callback(self.model)
-        checkpoint = self.folder / CHECKPOINT
         if checkpoint.exists():
             self._restore(checkpoint)
-        elif self.job.start is not None:
-            self._start_from(self.job.start)
+            self.record = known or TrainingRecord(settings=settings, commits=(UNKNOWN,))
+            if not self.done:
+                self.record = self.record.resumed(commit_of_code() or UNKNOWN)
+        else:
+            started = None if earlier is None else self._start_from(earlier)
+            self.record = TrainingRecord(
+                settings=settings, commits=(commit_of_code() or UNKNOWN,), started_from=started
+            )
+        self.record.write(self.folder)
+        self._write_tables()
 
     def go(self, stop_after: int | None) -> bool:
         """Train to the end; False if stopped before."""
@@ -158,12 +172,12 @@ class _Run:
         saved = time.monotonic()
         every = max(REPORT_STEPS, td3.steps // REPORTS)
         assert model.env is not None and model.replay_buffer is not None
-        while model.num_timesteps < td3.steps:
+        while not self.done:
             model.collect_rollouts(
                 model.env, self.callback, each, model.replay_buffer,
                 model.action_noise, learning_starts=model.learning_starts,
             )  # fmt: skip
-            self._keep_rewards()
+            self._keep_episodes()
             if model.num_timesteps > model.learning_starts:
                 model.train(td3.gradient_steps, td3.batch_size)
             if model.num_timesteps // every > (model.num_timesteps - td3.environments) // every:
@@ -176,6 +190,7 @@ class _Run:
                 saved = time.monotonic()
         if not self.rows or self.rows[-1]["steps"] < model.num_timesteps:
             self._measure()
+        (self.folder / POLICY).unlink(missing_ok=True)  # if there is one, it is another training's
         self._save()
         return True
 
@@ -187,8 +202,8 @@ class _Run:
         description = PolicyDescription(
             preset=job.preset, robot=job.robot, observation=job.stage.environment.observation,
             action=job.stage.environment.action, period=job.stage.environment.path.period,
-            settings=job.settings(), seed=job.seed, steps=self.model.num_timesteps,
-            commit=commit_of_code() or "", scores={k: v for k, v in last.items() if np.isfinite(v)},
+            settings=self.record.data(), seed=job.seed, steps=self.model.num_timesteps,
+            commit=self.record.commit, scores={k: v for k, v in last.items() if np.isfinite(v)},
         )  # fmt: skip
         path = self.folder / POLICY
         write_policy(path, layers_of(self.model), job.stage.td3.activation, description)
@@ -199,29 +214,28 @@ class _Run:
         found, _ = self.model.predict(observation.astype(np.float32), deterministic=True)
         return found.astype(np.float64)
 
-    def _keep_rewards(self) -> None:
-        """Move the rewards of the episodes that ended to the curve."""
-        buffer = self.model.ep_info_buffer
+    def _keep_episodes(self) -> None:
+        """Take over the episodes that ended."""
+        buffer, steps = self.model.ep_info_buffer, self.model.num_timesteps
         assert buffer is not None
-        self.rewards += [float(info["r"]) for info in buffer]
+        self.episodes += [Episode(steps, float(one["r"]), int(one["l"])) for one in buffer]
         buffer.clear()
 
     def _measure(self) -> None:
         """Add a point to the learning curve."""
         self.test.restore(self.fresh)
         found = score(self.test, self.act, self.paths).data(self.job.robot)
+        before = self.rows[-1]["steps"] if self.rows else 0.0
+        rewards = [one.reward for one in self.episodes if one.steps > before]
         row = {
-            "steps": float(self.model.num_timesteps), "updates": float(self.model._n_updates),
+            "steps": float(self.model.num_timesteps),
+            "updates": float(self.model._n_updates),
             "cpu_seconds": self.spent,
-            "reward": float(np.mean(self.rewards)) if self.rewards else float("nan"),
-            "median_error_m": found["median_error_m"]["norm"],
-            "median_of_means_m": found["median_of_trajectory_means_m"],
-            "p95_error_m": found["p95_error_m"], "rmse_m": found["rmse_m"],
-            "inconsistency_m": found["inconsistency_m"],
-        }  # fmt: skip
-        self.rewards = []
+            "reward": float(np.mean(rewards)) if rewards else float("nan"),
+            **measured(found),
+        }
         self.rows.append(row)
-        write_curve(self.folder / CURVE, self.rows)
+        self._write_tables()
         for name, value in row.items():
             self.model.logger.record(f"curve/{name}", value)
         self.model.logger.dump(self.model.num_timesteps)
@@ -229,18 +243,25 @@ class _Run:
             share = self.model.num_timesteps / self.job.stage.td3.steps
             self.report(row, self.spent * max(1.0 / share - 1.0, 0.0))
 
+    def _write_tables(self) -> None:
+        """Write learning curve and episodes as they are now."""
+        write_curve(self.folder / CURVE, self.rows)
+        write_episodes(self.folder / EPISODES, self.episodes)
+
     def _save(self) -> None:
-        """Write the checkpoint, as a whole or not at all."""
+        """Write the checkpoint, as a whole or not at all, and the tables as they are in it."""
         import torch
 
         from learned.td3 import state_of
 
         state = state_of(self.model) | {
-            "rows": self.rows, "rewards": self.rewards, "cpu_seconds": self.spent
+            "rows": self.rows, "ended": [tuple(one) for one in self.episodes],
+            "cpu_seconds": self.spent,
         }  # fmt: skip
         part = self.folder / (CHECKPOINT + ".part")
         torch.save(state, part)
         part.replace(self.folder / CHECKPOINT)
+        self._write_tables()
 
     def _restore(self, checkpoint: Path) -> None:
         """Go on from a checkpoint."""
@@ -249,25 +270,24 @@ class _Run:
         from learned.td3 import restore_state
 
         state = torch.load(checkpoint, weights_only=False)
-        self.rows, self.rewards = state["rows"], state["rewards"]
+        if "ended" not in state:
+            allowed = "a checkpoint with its episodes, which older versions did not keep"
+            raise InvalidField("output", f"'{checkpoint}'", allowed)
+        self.rows = state["rows"]
+        self.episodes = [Episode(*one) for one in state["ended"]]
         self.before = state["cpu_seconds"]
         restore_state(self.model, state)
 
-    def _start_from(self, checkpoint: Path) -> None:
+    def _start_from(self, earlier: TrainingRecord) -> dict[str, Any]:
         """Take over the networks of an earlier stage; everything else starts anew."""
         import torch
 
-        if not checkpoint.is_file():
-            raise MissingFile(checkpoint, "train the earlier stage first")
-        state = torch.load(checkpoint, weights_only=False)
-        self.model.set_parameters(state["parameters"])
+        from learned.td3 import take_networks
 
-
-def digest(robot: Robot) -> str:
-    """What stands for all numbers of a robot."""
-    values = [getattr(robot, f.name) for f in fields(robot)]
-    parts = [x.tobytes() if isinstance(x, np.ndarray) else repr(x).encode() for x in values]
-    return hashlib.sha256(b"|".join(parts)).hexdigest()[:16]
+        assert self.job.start is not None
+        state = torch.load(self.job.start, weights_only=False)
+        networks = take_networks(self.model, state)
+        return earlier.as_start(self.job.settings()["start"], state["steps"], networks)
 
 
 def curve_settings(settings: EnvironmentSettings) -> EnvironmentSettings:
@@ -278,37 +298,3 @@ def curve_settings(settings: EnvironmentSettings) -> EnvironmentSettings:
     if settings.path.period is not None:
         return replace(settings, lost=None, path=replace(settings.path, pool=TEST_PATHS))
     return replace(settings, path=replace(settings.path, steps=TEST_STEPS, pool=TEST_PATHS))
-
-
-def check_settings(job: Job, folder: Path) -> None:
-    """Write the settings of a training, or make sure that they are those of the folder.
-
-    Raises:
-        InvalidField: They differ.
-    """
-    path = folder / SETTINGS
-    mine = json.loads(json.dumps(job.settings()))
-    if path.exists():
-        theirs = json.loads(path.read_text(encoding="utf-8"))
-        theirs.pop("commit", None)
-        if theirs != mine:
-            names = [name for name in mine if mine[name] != theirs.get(name)]
-            allowed = f"a folder of the same settings; {', '.join(names)} differ"
-            raise InvalidField("output", f"'{folder}'", allowed)
-        return
-    text = json.dumps(mine | {"commit": commit_of_code()}, indent=1)
-    path.write_text(text + "\n", encoding="utf-8")
-
-
-def write_curve(path: Path, rows: list[dict[str, float]]) -> None:
-    """Write the learning curve as CSV."""
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, COLUMNS)
-        writer.writeheader()
-        writer.writerows({name: f"{row[name]:.6g}" for name in COLUMNS} for row in rows)
-
-
-def read_curve(path: Path) -> list[dict[str, float]]:
-    """Read what `write_curve` wrote."""
-    with path.open(newline="", encoding="utf-8") as stream:
-        return [{name: float(row[name]) for name in COLUMNS} for row in csv.DictReader(stream)]

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
+from carosac_toolkit.physics import straight_line
+from carosac_toolkit.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -15,14 +17,13 @@ class Transition:
     """One step of B environments with n cables.
 
     Attributes:
+        robot: The nominal robot.
         target: Platform origin that was asked for in W [m], shape (B, 3).
         position_before: Platform origin before the step [m], shape (B, 3).
         position: Platform origin after it [m], shape (B, 3).
         length_before: Wound before the step [m], shape (B, n).
         length: Wound after it [m], shape (B, n).
         asked: Lengths that the action asks for [m], shape (B, n).
-        straight_position: Straight-line lengths at `position` [m], shape (B, n).
-        straight_target: Straight-line lengths at `target` [m], shape (B, n).
         inconsistency: What each length lacks to the one that inverse kinematics of the same model
             gives at `position` [m], shape (B, n); zero where the lengths agree with each other,
             NaN where a platform moves and nobody can say.
@@ -33,14 +34,13 @@ class Transition:
         failed: Steps without a solution, in which the platform stays where it was, shape (B,).
     """
 
+    robot: Robot
     target: Array
     position_before: Array
     position: Array
     length_before: Array
     length: Array
     asked: Array
-    straight_position: Array
-    straight_target: Array
     inconsistency: Array
     velocity: Array
     effort: Array
@@ -51,3 +51,13 @@ class Transition:
         """From the target, after the step [m], shape (B,)."""
         found: Array = np.linalg.norm(self.position - self.target, axis=1)
         return found
+
+    @property
+    def straight_position(self) -> Array:
+        """Straight-line lengths at `position` [m], shape (B, n)."""
+        return straight_line.straight_length(self.robot, self.position).length
+
+    @property
+    def straight_target(self) -> Array:
+        """Straight-line lengths at `target` [m], shape (B, n)."""
+        return straight_line.straight_length(self.robot, self.target).length

@@ -1,15 +1,17 @@
 """Evaluate a trained policy by the protocols of the CaRoSaC paper.
 
 no-sag: 1000 random splines on straight cables. settle: 20 splines up to 5 m/s on sagging cables of
-particles; each set-point settles. realtime: 20 minimum-snap paths up to 2.08 m/s on robots that
-sway. Beside each error stands whether the cables agree with each other: inconsistency, tilt, slack
-and tension. Writes pictures.
+particles; each set-point settles. realtime: 20 whole minimum-snap paths up to 2.08 m/s on robots
+that sway. Beside each error stands whether the cables agree with each other: inconsistency, tilt,
+slack and tension; with sag, catenary inverse kinematics on the same paths and plants, too. Writes
+pictures.
 
 Exit status 1 means that a path failed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,13 +24,24 @@ from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.number_checks import check_whole
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import load_robot
-from learned.evaluation import PATHS, evaluate, trajectory_errors
+from learned.evaluation import (
+    PATHS,
+    evaluate,
+    evaluate_inverse_kinematics,
+    rmse_ratio,
+    trajectory_errors,
+    trajectory_rmse,
+)
 from learned.policy_controller import check_robot, find_policy
 from learned.policy_file import Policy, PolicyDescription
 from learned.scores import Scores
 from learned.settings_data import environment_settings
 
 SAMPLES = 4  # paths that are drawn
+SOLVER, FEEDFORWARD = "catenary IK", "with feedforward"  # columns beside the policy
+BY_DEFINITION = (  # none, for inverse kinematics of set-points
+    "length_error_m", "inconsistency_m", "p95_inconsistency_m", "median_tilt_rad"
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +49,7 @@ class Options(CommonOptions):
     """Options of ``carosac evaluate``."""
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")]
-    """A bundled policy such as `carosac`, or an ONNX file that `carosac train` wrote."""
+    """A bundled policy such as `carosac-settle`, or an ONNX file that `carosac train` wrote."""
     protocol: str | None = None
     """`no-sag`, `settle` or `realtime`; by default the one in which the policy was trained."""
     trajectories: int | None = None
@@ -53,8 +66,8 @@ def run(options: Options) -> CommandResult:
     if options.robot is not None:
         check_robot(load_robot(options.robot), policy)
     description = policy.description
-    world = environment_settings(description.settings).world.replace("_", "-")
-    protocol: Any = options.protocol or world
+    trained = environment_settings(description.settings)
+    protocol: Any = options.protocol or trained.world.replace("_", "-")
     if protocol not in PATHS:
         raise InvalidField("--protocol", repr(protocol), f"one of {list(PATHS)}")
     count = PATHS[protocol] if options.trajectories is None else options.trajectories
@@ -63,14 +76,31 @@ def run(options: Options) -> CommandResult:
         f"{options.policy}: preset {description.preset}, robot {description.robot.name}, "
         f"{description.steps} steps, seed {description.seed}; {protocol}, {count} paths"
     )
-    scores = evaluate(policy, protocol, paths=count, seed=options.seed)
-    data = scores.data(description.robot)
+    robot = description.robot
+    arguments: dict[str, Any] = {"paths": count, "seed": options.seed}
+    scores = {"policy": evaluate(policy, protocol, **arguments)}
+    data = scores["policy"].data(robot) | {"protocol": protocol}
+    if protocol != "no-sag":
+        scores[SOLVER] = evaluate_inverse_kinematics(policy, protocol, **arguments)
+        data["inverse_kinematics"] = scores[SOLVER].data(robot)
+    if protocol == "settle":
+        for name in BY_DEFINITION:
+            del data["inverse_kinematics"][name]
+    if protocol == "realtime":
+        data["rmse_ratio"] = rmse_ratio(scores["policy"], scores[SOLVER])
+    if protocol == "realtime" and trained.action == "push" and trained.feedforward:
+        pushed = evaluate_inverse_kinematics(policy, protocol, feedforward=True, **arguments)
+        scores[FEEDFORWARD] = pushed
+        data["feedforward"] = pushed.data(robot) | {
+            "rmse_ratio": rmse_ratio(pushed, scores[SOLVER])
+        }
     print(_table(data))
     folder = options.output or _default_folder(description, protocol)
-    pictures = draw(scores, description.robot, folder)
+    data["pictures"] = draw(scores["policy"], robot, folder)
+    if protocol == "realtime":
+        data["pictures"] += draw_rmse(scores, folder)
     print(f"pictures: {folder}")
-    status = 1 if data["failures"] else 0
-    return CommandResult(data | {"protocol": protocol, "pictures": pictures}, status=status)
+    return CommandResult(data, status=1 if data["failures"] else 0)
 
 
 def _default_folder(description: PolicyDescription, protocol: str) -> Path:
@@ -80,29 +110,47 @@ def _default_folder(description: PolicyDescription, protocol: str) -> Path:
 
 
 def _table(data: dict[str, Any]) -> str:
-    """The numbers, one a line."""
-    median = data["median_error_m"]
-    axes = " / ".join(f"{1e3 * median[axis]:.1f}" for axis in "xyz")
-    rows: list[list[object]] = [
-        ["median |error| x / y / z", f"{axes} mm"],
-        ["median distance, all points", f"{1e3 * median['norm']:.1f} mm"],
-        ["median of the paths' means", f"{1e3 * data['median_of_trajectory_means_m']:.1f} mm"],
-        ["95 % of the distances below", f"{1e3 * data['p95_error_m']:.1f} mm"],
-        ["median |length - IK|", f"{1e3 * data['length_error_m']:.1f} mm"],
-        ["median tilt against rest", f"{np.degrees(data['median_tilt_rad']):.2f} degrees"],
-    ]
-    if np.isfinite(data["inconsistency_m"]):
-        inconsistency = f"{1e3 * data['inconsistency_m']:.1f} mm"
-        rows.append(["median inconsistency", inconsistency])
-    if "slack_share" in data:
-        low, high = data["tension_range_N"]
-        rows += [
-            ["points with a slack cable", f"{100 * data['slack_share']:.1f} %"],
-            ["points with one overloaded", f"{100 * data['overload_share']:.1f} %"],
-            ["tensions", f"{low:.0f} to {high:.0f} N"],
-        ]
-    rows.append(["paths that failed", str(data["failures"])])
-    return format_table(["what", "value"], rows)
+    """The numbers, one a line, beside those of inverse kinematics."""
+    columns = {"policy": data}
+    for name, key in ((SOLVER, "inverse_kinematics"), (FEEDFORWARD, "feedforward")):
+        if key in data:
+            columns[name] = data[key]
+    rows: list[list[object]] = []
+    for name, key, said in ROWS:
+        if key in data and not (isinstance(data[key], float) and np.isnan(data[key])):
+            rows.append(
+                [name, *(said(one[key]) if key in one else "-" for one in columns.values())]
+            )
+    return format_table(["what", *columns], rows)
+
+
+def _millimetres(value: float) -> str:
+    return f"{1e3 * value:.1f} mm"
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.1f} %"
+
+
+ROWS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
+    (
+        "median |error| x / y / z",
+        "median_error_m",
+        lambda error: " / ".join(f"{1e3 * error[axis]:.1f}" for axis in "xyz") + " mm",
+    ),
+    ("median distance, all points", "median_error_m", lambda error: _millimetres(error["norm"])),
+    ("median of the paths' means", "median_of_trajectory_means_m", _millimetres),
+    ("95 % of the distances below", "p95_error_m", _millimetres),
+    ("RMSE of the distance", "rmse_m", _millimetres),
+    (f"RMSE over that of {SOLVER}", "rmse_ratio", lambda ratio: f"{ratio:.2f}"),
+    ("median |length - IK|", "length_error_m", _millimetres),
+    ("median tilt against rest", "median_tilt_rad", lambda x: f"{np.degrees(x):.2f} degrees"),
+    ("median inconsistency", "inconsistency_m", _millimetres),
+    ("points with a slack cable", "slack_share", _percent),
+    ("points with one overloaded", "overload_share", _percent),
+    ("tensions", "tension_range_N", lambda ends: f"{ends[0]:.0f} to {ends[1]:.0f} N"),
+    ("paths that failed", "failures", str),
+)
 
 
 def draw(scores: Scores, robot: Robot, folder: Path) -> list[Path]:
@@ -116,7 +164,21 @@ def draw(scores: Scores, robot: Robot, folder: Path) -> list[Path]:
     distance, length = trajectory_errors(scores)
     files = [folder / name for name in ("histograms.png", "violins.png", "paths.png")]
     error_histograms(distance[sound], length[sound], files[0])
-    error_violins(scores.error[sound].reshape(-1, 3), files[1])
-    shown = np.flatnonzero(sound)[:SAMPLES]
-    sample_paths(scores.target[shown], scores.position[shown], robot, files[2])
+    error_violins(scores.error[sound][scores.counted[sound]], files[1])
+    shown = np.flatnonzero(sound)[:SAMPLES, None]
+    last = scores.counted.sum(axis=1)[shown] - 1
+    steps = np.minimum(np.arange(scores.counted.shape[1]), last)  # what does not count is not drawn
+    sample_paths(scores.target[shown, steps], scores.position[shown, steps], robot, files[2])
     return files
+
+
+def draw_rmse(scores: dict[str, Scores], folder: Path) -> list[Path]:
+    """How the RMSE of a path scatters, over paths on which nothing failed."""
+    from learned.pictures.accuracy import rmse_gaussians
+
+    sound = ~np.any([one.failed.any(axis=1) for one in scores.values()], axis=0)
+    if not sound.any():
+        return []
+    groups = {name: trajectory_rmse(one)[sound] for name, one in scores.items()}
+    rmse_gaussians(groups, folder / "rmse.png")
+    return [folder / "rmse.png"]

@@ -1,8 +1,8 @@
 """Train a controller with TD3: all stages of a preset, one after the other.
 
-Each stage goes to a folder of its own, with settings, learning curve, checkpoint and the policy as
-an ONNX file. Interrupted or killed, the same command goes on from the last checkpoint as if nothing
-had happened. TensorBoard shows the folder while it grows.
+Each stage goes to a folder of its own, with settings, learning curve, episodes, checkpoint and the
+policy as an ONNX file. Interrupted or killed, the same command goes on from the last checkpoint as
+if nothing had happened. TensorBoard shows the folder while it grows.
 
 The policy runs on any driver as the controller td3: carosac compare --controllers td3
 --set controller.td3.policy=FILE
@@ -22,8 +22,9 @@ from carosac_toolkit.number_checks import check_whole
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.text_tables import terminal_width, wrapped
+from learned.curve import CURVE, read_curve
 from learned.presets import Preset, Stage, find_preset
-from learned.training import CHECKPOINT, CURVE, Job, read_curve, train
+from learned.training import CHECKPOINT, Job, train
 
 RANDOM_SHARE = 0.2  # of shortened trainings, at most, is random
 
@@ -94,36 +95,32 @@ def shortened(stage: Stage, steps: int) -> Stage:
 
 def _train(job: Job, folder: Path) -> dict[str, Any]:
     """Train a stage and draw its curve."""
-    from learned.pictures.training import Curve, learning_curves
+    from learned.pictures.training import curve_of, learning_curves
 
     print(f"\n{job.stage_name}: {job.stage.td3.steps} steps to {folder}")
     print("     steps  updates  CPU [s]  median [mm]  of means [mm]  p95 [mm]  incons. [mm]  left")
     policy = train(job, folder, report=_report)
     assert policy is not None
     rows = read_curve(folder / CURVE)
-    told = [row for row in rows if row["reward"] == row["reward"]]
-    curve = Curve(
-        steps=[row["steps"] for row in told], reward=[row["reward"] for row in told],
-        evaluated_steps=[row["steps"] for row in rows],
-        median_error=[row["median_error_m"] for row in rows], name=f"seed {job.seed}",
-    )  # fmt: skip
-    if len(told) > 1:
+    curve = curve_of(folder, f"seed {job.seed}")
+    if curve is not None:
         learning_curves([curve], folder / "curve.png")
     print(f"policy: {policy}")
     return {"policy": policy, "folder": folder, **rows[-1]}
 
 
 def _report(row: dict[str, float], left: float) -> None:
-    """Print a point of the learning curve."""
+    """Print a point of the learning curve; its errors are those before a path fails."""
     millimetres = [
         1e3 * row[name]
         for name in ("median_error_m", "median_of_means_m", "p95_error_m", "inconsistency_m")
     ]
     minutes, seconds = divmod(round(left), 60)
+    failed = f"  {row['failed_paths']:.0f} paths failed" if row["failed_paths"] else ""
     print(
         f"{row['steps']:10.0f} {row['updates']:8.0f} {row['cpu_seconds']:8.0f} "
         f"{millimetres[0]:12.1f} {millimetres[1]:14.1f} {millimetres[2]:9.1f} "
-        f"{millimetres[3]:13.1f}  {minutes:2d}:{seconds:02d}",
+        f"{millimetres[3]:13.1f}  {minutes:2d}:{seconds:02d}{failed}",
         flush=True,
     )
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from carosac_toolkit.arrays import Array, batch
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.pictures.drawing import COLORS, MEASURED, new_figure, put_legend
+from learned.curve import CURVE, EPISODES, read_curve, read_episodes
 from learned.pictures.files import save
 
 if TYPE_CHECKING:
@@ -28,7 +29,8 @@ class Curve(TypedDict):
 
     Attributes:
         steps: Environment steps at the end of each episode, shape (E,).
-        reward: Sum of rewards of an episode, a mean over some [-], shape (E,).
+        reward: Sum of rewards of each episode [-], shape (E,).
+        averaged: Whether each of the rewards is a mean, of the episodes since the one before.
         evaluated_steps: Environment steps at each evaluation, shape (K,).
         median_error: Median position error at each evaluation [m], shape (K,).
         name: For the legend; without it, the number of the training.
@@ -36,9 +38,37 @@ class Curve(TypedDict):
 
     steps: ArrayLike
     reward: ArrayLike
+    averaged: NotRequired[bool]
     evaluated_steps: NotRequired[ArrayLike]
     median_error: NotRequired[ArrayLike]
     name: NotRequired[str]
+
+
+def curve_of(folder: Path, name: str) -> Curve | None:
+    """The learning curve of a training, as its picture wants it.
+
+    Args:
+        folder: Of the training. Where older code left no file of episodes, their means between
+            evaluations stand for them.
+        name: For the legend.
+
+    Returns:
+        The curve; None before the second episode or mean.
+    """
+    rows, ended = read_curve(folder / CURVE), folder / EPISODES
+    if ended.is_file():
+        points = [(float(one.steps), one.reward) for one in read_episodes(ended)]
+    else:
+        points = [(row["steps"], row["reward"]) for row in rows if np.isfinite(row["reward"])]
+    if len(points) < 2:
+        return None
+    steps, reward = np.array(points).T
+    curve = Curve(steps=steps, reward=reward, averaged=not ended.is_file(), name=name)
+    scored = [row for row in rows if np.isfinite(row["median_error_m"])]  # not all paths failed
+    if scored:
+        curve["evaluated_steps"] = [row["steps"] for row in scored]
+        curve["median_error"] = [row["median_error_m"] for row in scored]
+    return curve
 
 
 def reward_terms(terms: Mapping[str, tuple[str, ArrayLike, ArrayLike]], path: str | Path) -> Figure:
@@ -76,6 +106,8 @@ def learning_curves(
 ) -> Figure:
     """Draw the reward of each episode, raw and smoothed, and the error at each evaluation.
 
+    Rewards that are means are joined as they are.
+
     Args:
         curves: One per seed.
         path: Picture file.
@@ -90,7 +122,7 @@ def learning_curves(
         _draw_reward(panels[0], curve, COLORS[k % len(COLORS)], _name(curve, k))
         if "median_error" in curve:
             _draw_errors(panels[1], curve, COLORS[k % len(COLORS)])
-    panels[0].set_ylabel("mean reward of an episode [-]")
+    panels[0].set_ylabel("reward of an episode [-]")
     if evaluated:
         _finish_errors(panels[1], marks or {})
     for axes in panels:
@@ -99,35 +131,58 @@ def learning_curves(
     panels[-1].set_xlabel("environment steps [-]")
     panels[-1].xaxis.set_major_formatter(_thousands)
     figure.align_ylabels(panels)
-    figure.suptitle(
-        f"Learning curves; pale: each episode; line: mean over {100 * SMOOTHED:.0f} % of them"
-    )
+    figure.suptitle("Learning curves; " + ";\n".join(_legend(curves)))
     put_legend(figure, panels[0])
     return save(figure, path)
 
 
-def smoothed(values: Array, share: float = SMOOTHED) -> Array:
+def smoothed(steps: Array, values: Array, share: float = SMOOTHED) -> tuple[Array, Array]:
     """Moving mean over a centred window; at the ends over what of the window there is.
 
     Args:
+        steps: Not falling, shape (E,); episodes that end together share one point.
         values: Shape (E,).
-        share: Width of the window over the number of values.
+        share: Width of the window over the number of values; it holds all that end together.
 
     Returns:
-        Shape (E,).
+        Each of the steps once, and the mean there, both of shape (S,).
     """
-    at, half = np.arange(len(values)), int(share * len(values) / 2)
-    first, end = np.maximum(at - half, 0), np.minimum(at + half + 1, len(values))
+    when, first, count = np.unique(steps, return_index=True, return_counts=True)
+    half, end = int(share * len(values) / 2), first + count
+    low = np.maximum(np.minimum(first, (first + end - 1) // 2 - half), 0)
+    high = np.minimum(np.maximum(end, (first + end) // 2 + half + 1), len(values))
     total = np.concatenate([[0.0], np.cumsum(values)])
-    mean: Array = (total[end] - total[first]) / (end - first)
-    return mean
+    mean: Array = (total[high] - total[low]) / (high - low)
+    return when, mean
 
 
 def _draw_reward(axes: Any, curve: Curve, color: str, label: str) -> None:
     """Draw the reward of one training."""
     steps, reward = _pair("steps", curve["steps"], "reward", curve["reward"])
-    axes.plot(steps, reward, color=color, lw=0.5, alpha=0.22, zorder=1, rasterized=True)
-    axes.plot(steps, smoothed(reward), color=color, lw=1.8, label=label, zorder=2)
+    if curve.get("averaged", False):
+        axes.plot(steps, reward, color=color, lw=1.5, marker="o", ms=3.5, label=label, zorder=2)
+        return
+    axes.plot(
+        steps, reward, color=color, ls="none", marker=".", ms=3.5, mew=0.0, alpha=0.3, zorder=1,
+        rasterized=True,
+    )  # fmt: skip
+    when, mean = smoothed(steps, reward)
+    alone = "o" if len(when) == 1 else ""
+    axes.plot(when, mean, color=color, lw=1.8, marker=alone, ms=3.5, label=label, zorder=2)
+
+
+def _legend(curves: Sequence[Curve]) -> list[str]:
+    """What the marks of the rewards are."""
+    averaged = {curve.get("averaged", False) for curve in curves}
+    said = []
+    if False in averaged:
+        share = f"{100 * SMOOTHED:.0f} %"
+        said.append(
+            f"pale: each episode; line: moving mean of {share}, or of all that end together"
+        )
+    if True in averaged:
+        said.append("dots on a line: mean of the episodes since the dot before")
+    return said
 
 
 def _draw_errors(axes: Any, curve: Curve, color: str) -> None:

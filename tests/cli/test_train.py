@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import pytest
 
 from carosac_toolkit.cli.main import main
+from learned.commands.train import _report
+from learned.curve import COLUMNS
 
 
 @pytest.fixture(scope="module")
@@ -24,16 +27,41 @@ def test_both_stages_leave_a_policy_and_a_curve(trained):
     assert list(data["stages"]) == ["no_sag", "sag"]
     for name in data["stages"]:
         files = {path.name for path in (trained / "out" / name).iterdir()}
-        assert {"settings.json", "curve.csv", "checkpoint.pt", "policy.onnx"} <= files
+        assert {
+            "settings.json",
+            "curve.csv",
+            "episodes.csv",
+            "checkpoint.pt",
+            "policy.onnx",
+        } <= files
     settings = json.loads((trained / "out" / "sag" / "settings.json").read_text())
     assert settings["environment"]["world"] == "settle"
     assert settings["td3"]["steps"] == 1200
+    assert settings["started_from"]["checkpoint"] == "no_sag/checkpoint.pt"
+    assert settings["started_from"]["steps"] >= 1200
 
 
 def test_the_same_command_again_has_nothing_to_do(trained, capsys):
     before = (trained / "out" / "no_sag" / "curve.csv").read_text()
     assert main(["train", "--steps", "1200", "--output", str(trained / "out")]) == 0
     assert (trained / "out" / "no_sag" / "curve.csv").read_text() == before
+
+
+def test_a_later_stage_of_another_seed_is_refused(trained, tmp_path, capsys):
+    shutil.copytree(trained / "out" / "no_sag", tmp_path / "no_sag")
+    words = ["train", "--steps", "1200", "--stage", "sag", "--output", str(tmp_path)]
+    assert main([*words, "--seed", "1"]) == 2
+    assert "seed differ" in capsys.readouterr().err
+    assert not (tmp_path / "sag").exists()
+
+
+def test_paths_that_fail_are_told_in_the_table(capsys):
+    row = dict.fromkeys(COLUMNS, 0.0)
+    _report(row, 1.0)
+    _report(row | {"failed_paths": 7.0}, 1.0)
+    fine, bad = capsys.readouterr().out.splitlines()
+    assert "failed" not in fine
+    assert bad == fine + "  7 paths failed"
 
 
 def test_a_folder_of_another_training_is_refused(trained, capsys):

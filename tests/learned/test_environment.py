@@ -18,7 +18,7 @@ SHORT = PathSettings(steps=4)
 NO_SAG = EnvironmentSettings(path=SHORT)
 SETTLE = EnvironmentSettings(world="settle", path=SHORT, reward=RewardSettings(terms=PAPER_SAG))
 REALTIME = EnvironmentSettings(
-    world="realtime", action="displacement", path=PathSettings(steps=4, period=0.05),
+    world="realtime", action="push", path=PathSettings(steps=4, period=0.05),
     observation=("error", "velocity", "tilt", "target_velocity", "preview", "last_action"),
     preview=(2, 5), reward=RewardSettings(terms=("tracking", "effort")),
 )  # fmt: skip
@@ -30,8 +30,8 @@ def made(settings, size=3, seed=0, robot=None):
 
 
 def reaching(environment):
-    """Actions whose lengths are those of rest at the targets, or no displacement."""
-    if environment.settings.action == "displacement":
+    """Actions whose lengths are those of rest at the targets, or no push."""
+    if environment.settings.action == "push":
         return np.zeros((environment.size, environment.action_size))
     state = environment.state()
     target = np.stack(
@@ -250,7 +250,7 @@ def test_a_step_before_the_reset_is_refused():
         ({"preview": (2,)}, r"preview: got \(2,\)"),
         ({"observation": ("target", "preview")}, r"preview: got \(\)"),
         ({"observation": ("preview",), "preview": (0,)}, r"preview\[0\]: got 0"),
-        ({"reach": 0.0}, "reach: got 0.0 m"),
+        ({"reach": 0.0}, "reach: got 0.0 m/s"),
     ],
 )
 def test_settings_that_do_not_fit_are_refused(changes, message):
@@ -259,7 +259,8 @@ def test_settings_that_do_not_fit_are_refused(changes, message):
 
 
 def test_a_platform_that_is_lost_begins_anew_and_is_no_failure():
-    environment = made(replace(REALTIME, lost=0.05))
+    long = PathSettings(steps=40, period=0.05)
+    environment = made(replace(REALTIME, lost=0.05, path=long))
     environment.reset()
     ended = 0
     for _ in range(10):

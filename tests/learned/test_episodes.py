@@ -36,22 +36,27 @@ def test_set_points_go_from_the_start_to_the_end_of_the_curve_and_stand_still():
 
         def sample(self, times):
             place = np.stack([times, 2.0 * times, 0.0 * times], axis=1)
-            return type("Sampled", (), {"position": place, "velocity": np.ones_like(place)})
+            one = np.ones_like(place)
+            values = {"position": place, "velocity": one, "acceleration": 2.0 * one}
+            return type("Sampled", (), values)
 
     path = sampled(Line(), PathSettings(steps=8))
     np.testing.assert_allclose(path.position[:, 0], 0.5 * np.arange(9))
     np.testing.assert_array_equal(path.velocity, 0.0)
+    np.testing.assert_array_equal(path.acceleration, 0.0)
     timed = sampled(Line(), PathSettings(steps=8, period=0.25))
     np.testing.assert_allclose(timed.position[:, 0], 0.25 * np.arange(9))
     np.testing.assert_array_equal(timed.velocity, 1.0)
+    np.testing.assert_array_equal(timed.acceleration, 2.0)
 
 
 def test_after_its_end_a_path_rests_on_its_last_target():
     path = drawn(PathSettings(period=0.05, steps=10))
-    position, velocity = path.rows(10)
-    beyond, still = path.rows(14)
+    position, velocity, acceleration = path.rows(10)
+    beyond, *still = path.rows(14)
     np.testing.assert_array_equal(position, path.position[10])
     np.testing.assert_array_equal(velocity, path.velocity[10])
+    np.testing.assert_array_equal(acceleration, path.acceleration[10])
     np.testing.assert_array_equal(beyond, path.position[10])
     np.testing.assert_array_equal(still, 0.0)
 

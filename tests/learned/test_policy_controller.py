@@ -14,6 +14,7 @@ from carosac_toolkit.values import Belief
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.episodes import PathSettings, sampled
 from learned.policy_controller import (
+    DEFAULTS,
     PolicyController,
     PolicySettings,
     find_policy,
@@ -27,7 +28,7 @@ REALTIME = EnvironmentSettings(
     world="realtime",
     observation=("error", "velocity", "tilt", "turn", "target_velocity", "preview", "last_action"),
     preview=(2, 5),
-    action="displacement",
+    action="push",
     reward=RewardSettings(terms=("tracking",)),
     path=PathSettings(kind="minimum_snap", speed=(1.0, 1.0), period=0.05, steps=20),
 )
@@ -113,6 +114,56 @@ def test_other_robots_are_refused_by_what_differs(tmp_path):
         PolicyController(ct.load_robot("cogiro"), policy, PolicySettings())
 
 
+@pytest.mark.parametrize(
+    "name", ["winch_lag", "speed_max", "acceleration_max", "axial_damping", "drag", "angular_drag"]
+)
+def test_winches_and_damping_matter_in_motion_alone(tmp_path, name):
+    robot = ct.load_robot("carosac")
+    other = replace(robot, **{name: 1.1 * getattr(robot, name)})
+    size = CableEnvironment(robot, REALTIME).observation_size
+    moving = random_policy(tmp_path / "m.onnx", robot, REALTIME, (size, 3))
+    with pytest.raises(InvalidField, match=f"trained for; {name} differ"):
+        PolicyController(other, moving, PolicySettings())
+    still = EnvironmentSettings(observation=("target",))
+    PolicyController(
+        other, random_policy(tmp_path / "s.onnx", robot, still, (3, 4)), PolicySettings()
+    )
+
+
+@pytest.mark.parametrize("name", ["tension_min", "tension_max"])
+def test_tension_limits_matter_to_all_policies(tmp_path, name):
+    robot = ct.load_robot("carosac")
+    other = replace(robot, **{name: 1.1 * getattr(robot, name)})
+    settings = EnvironmentSettings(observation=("target",))
+    policy = random_policy(tmp_path / "s.onnx", robot, settings, (3, 4))
+    with pytest.raises(InvalidField, match=f"trained for; {name} differ"):
+        PolicyController(other, policy, PolicySettings())
+
+
+@pytest.mark.parametrize("settings", [EnvironmentSettings(observation=("target",)), REALTIME])
+def test_targets_outside_the_workspace_box_are_refused(tmp_path, settings):
+    robot = ct.load_robot("carosac")
+    environment = CableEnvironment(robot, settings)
+    sizes = (environment.observation_size, environment.action_size)
+    policy = random_policy(tmp_path / "p.onnx", robot, settings, sizes)
+    controller = PolicyController(robot, policy, PolicySettings())
+    start = robot.home_position
+    belief = Belief(time=np.zeros(1), position=start[None], rotation=robot.home_rotation[None],
+                    twist=np.zeros((1, 6)))  # fmt: skip
+    controller.reset(belief)
+    top = float(robot.workspace_max[2])
+    for height, inside in ((top, True), (top + 0.01, True), (top + 0.1, False)):
+        path = trajectories.line((*start[:2], height - 1.0), (*start[:2], height),
+                                 speed_max=1.0, acceleration_max=2.0)  # fmt: skip
+        window = path.window(path.duration, controller.horizon, controller.period)
+        if inside:
+            controller.command(belief, window)
+            continue
+        message = rf"reference\.position\[0\]: got \[.* {height:.1f}.*\] m; .*workspace box"
+        with pytest.raises(InvalidField, match=message):
+            controller.command(belief, window)
+
+
 def test_an_observation_of_another_size_is_refused(tmp_path):
     robot = ct.load_robot("carosac")
     settings = EnvironmentSettings(observation=("target",))
@@ -138,6 +189,10 @@ def test_what_the_belief_lacks_is_said(tmp_path):
 
 def test_policies_go_by_name_or_path(tmp_path):
     robot = ct.load_robot("carosac")
+    assert policy_of(robot) == "carosac-settle"
+    assert set(DEFAULTS.values()) <= set(list_policies())
+    for name, default in DEFAULTS.items():
+        assert Policy.load(find_policy(default)).description.robot.name == name
     for name in list_policies():
         assert Policy.load(find_policy(name)).description.robot.name in name
     with pytest.raises(InvalidField, match=r"policy: got 'carosak'; allowed: one of"):

@@ -1,7 +1,7 @@
 import json
 import subprocess
 import sys
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,7 +11,9 @@ import pytest
 from carosac_toolkit.errors import CarosacError, InvalidField, MissingFile
 from carosac_toolkit.robot_differences import differing
 from carosac_toolkit.robot_file import list_robots, load_robot
+from learned.environment import EnvironmentSettings
 from learned.policy_file import Policy, PolicyDescription, write_policy
+from learned.probe import make_probe
 from tests.robots import simple_robot
 
 onnx = pytest.importorskip("onnx")
@@ -40,7 +42,7 @@ def described(**changes):
         observation=("lengths", "position", "target"),
         action="absolute lengths",
         period=None,
-        settings={"learning_rate": 3e-4, "layers": (400, 300), "noise": {"sigma": 0.1}},
+        settings={"environment": asdict(EnvironmentSettings()), "layers": (400, 300), "rate": 3e-4},
         seed=3,
         steps=1000,
         commit="0123abc",
@@ -98,10 +100,28 @@ def test_actions_stay_within_one_however_large_the_observation(file):
 def test_a_description_comes_back_as_it_was_written(file):
     written, found = described(), Policy.load(file).description
     for field in fields(PolicyDescription):
-        if field.name != "robot":
+        if field.name not in ("robot", "probe"):
             assert getattr(found, field.name) == getattr(written, field.name), field.name
     assert found.settings["layers"] == [400, 300]  # as JSON holds it, before and after
     assert isinstance(found.observation, tuple)
+
+
+def test_a_policy_keeps_the_probe_of_where_it_was_written_first(file, tmp_path):
+    probe = make_probe(simple_robot(), EnvironmentSettings())
+    description = Policy.load(file).description
+    assert described().probe is None
+    assert description.probe == probe
+    moved = {"observation": probe["observation"], "length": np.add(probe["length"], 0.01).tolist()}
+    again = replace(description, probe=moved)  # as another version would have found it
+    write_policy(tmp_path / "again.onnx", perceptron()[1], "relu", again)
+    with pytest.raises(InvalidField, match=r"another version: lengths differ by up to 10 mm"):
+        Policy.load(tmp_path / "again.onnx")
+
+
+def test_a_policy_without_settings_of_an_environment_is_not_written(tmp_path):
+    with pytest.raises(InvalidField, match=r"settings\.environment: got None"):
+        write_policy(tmp_path / "p.onnx", perceptron()[1], "relu", described(settings={}))
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", list_robots())
@@ -172,6 +192,9 @@ def test_a_cut_file_is_refused(file):
         ({"schema": None}, "without our metadata"),
         ({"schema": "carosac-policy/2"}, "schema carosac-policy/2; .*carosac-policy/1"),
         ({"robot": None, "seed": None}, "without robot, seed"),
+        ({"probe": None}, "without probe; .*train it again with `carosac train`"),
+        ({"probe": "null"}, r"policy\.probe: got None"),
+        ({"probe": "[]"}, "probe: got .*a mapping"),
         ({"settings": "{"}, "damaged metadata"),
         ({"robot": '{"name": "carosac"}'}, r"robot differs in \['acceleration_max'"),
         ({"robot": "[1]"}, "robot differs in"),

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics import straight_line
 from learned import rewards
 from learned.rewards import PAPER_NO_SAG, PAPER_SAG, Reward, RewardSettings
-from tests.learned.transitions import transition
+from tests.learned.transitions import STRAIGHT, transition
+from tests.robots import simple_robot
 
 SPAN = 4.0 * np.sqrt(3.0)  # of the paper's cube
 
@@ -59,15 +61,29 @@ def test_distance_is_counted_over_the_largest_one_in_the_workspace():
 
 
 def test_sag_and_deviation_are_means_of_magnitudes_over_the_cables():
-    lengths = [[7.4, 6.6, 7.0, 7.0], [7.2, 7.2, 7.2, 7.2]]  # both 0.2 m from 7 m in the mean
+    more = [[0.4, -0.4, 0.0, 0.0], [0.2, 0.2, 0.2, 0.2]]  # both 0.2 m off in the mean
+    lengths = STRAIGHT + more
     sag = terms(("sag",), length=lengths)["sag"]
     np.testing.assert_allclose(sag, -0.7 * tanh(0.04 + 0.09) - 0.035, rtol=1e-13)
     deviation = terms(("deviation",), asked=lengths)["deviation"]
     np.testing.assert_allclose(deviation, -(tanh(0.2) ** 4) / 5, rtol=1e-13)
 
 
+def test_straight_lengths_are_those_of_where_the_platform_is_and_shall_be():
+    goal = [[0.5, -1.0, 2.0], [0.1, 0.2, 3.0]]
+    at_goal = straight_line.inverse_kinematics(simple_robot(), np.array(goal))
+    reached = transition(position=goal, length=at_goal)
+    np.testing.assert_array_equal(reached.straight_position, at_goal)
+    np.testing.assert_array_equal(reached.straight_target, STRAIGHT)
+    taut = -0.7 * tanh(0.09) - 0.035
+    np.testing.assert_allclose(terms(("sag",), position=goal, length=at_goal)["sag"], taut)
+    asked = terms(("deviation",), target=goal, asked=at_goal)["deviation"]
+    np.testing.assert_array_equal(asked, 0.0)
+
+
 def test_the_ratio_takes_the_norm_over_the_cables_and_floors_the_distance_at_a_centimetre():
-    asked = [[7.3, 7.0, 7.0, 7.4], [7.003, 7.0, 7.0, 7.004]]  # norms 0.5 m and 5 mm
+    changes = [[0.3, 0.0, 0.0, 0.4], [0.003, 0.0, 0.0, 0.004]]  # norms 0.5 m and 5 mm
+    asked = STRAIGHT + np.array(changes)
     before = [[0.25, 0.0, 0.0], [0.001, 0.0, 0.0]]  # the second one within a centimetre
     found = terms(("action_ratio",), asked=asked, position_before=before)["action_ratio"]
     expected = [-(tanh(0.5 / 0.25) ** 15) / 10, -(tanh(0.005 / 0.01) ** 15) / 10]
@@ -76,7 +92,7 @@ def test_the_ratio_takes_the_norm_over_the_cables_and_floors_the_distance_at_a_c
 
 def test_the_ratio_looks_at_the_distance_before_the_step_and_at_what_was_asked():
     """Where the step ends, and what the winches wound, is no part of it."""
-    asked = np.full((2, 4), 7.1)
+    asked = STRAIGHT + 0.1
     near = terms(("action_ratio",), asked=asked, position_before=[[0.1, 0, 0]] * 2)
     far = terms(("action_ratio",), asked=asked, position=[[0.1, 0, 0]] * 2, length=asked + 1.0,
                 position_before=[[0.1, 0, 0]] * 2)  # fmt: skip
@@ -116,11 +132,24 @@ def test_fit_counts_inconsistency_like_distance_times_its_weight():
 
 
 def test_tracking_counts_velocity_over_a_time_like_distance():
-    settings = RewardSettings(terms=("tracking",), velocity=0.1)
+    settings = RewardSettings(terms=("tracking",), velocity=0.1, tracking_scale=0.2)
     velocity, away = [[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]]
     found = terms((), settings=settings, velocity=velocity, position=away)["tracking"]
     assert found[0] == pytest.approx(found[1], rel=1e-14)  # 5 m/s over 0.1 s, and 0.5 m
-    assert found[0] == pytest.approx(-log(1 + 0.5 / 0.04) / log(1 + SPAN / 0.04), rel=1e-14)
+    expected = -log(1 + (0.5 / 0.2) ** 2) / log(1 + (SPAN / 0.2) ** 2)
+    assert found[0] == pytest.approx(expected, rel=1e-14)
+
+
+def test_tracking_is_flat_at_the_target_a_square_near_it_and_minus_one_across_the_workspace():
+    misfit = np.concatenate([[0.0], np.geomspace(1e-4, SPAN, 200)])
+    found = rewards.tracking_reward(misfit, 0.1, SPAN)
+    assert found[0] == 0.0
+    assert found[-1] == pytest.approx(-1.0, abs=1e-15)
+    assert (np.diff(found) < 0.0).all()
+    near = rewards.tracking_reward(np.array([1e-4, 2e-4]), 0.1, SPAN)
+    assert near[1] == pytest.approx(4.0 * near[0], rel=1e-4)
+    far = rewards.tracking_reward(np.array([1.0, 2.0, 4.0]), 1e-5, SPAN)
+    assert far[0] - far[1] == pytest.approx(far[1] - far[2], rel=1e-4)
 
 
 def test_effort_costs_its_square():
@@ -131,7 +160,7 @@ def test_effort_costs_its_square():
 
 
 def test_a_reward_is_the_sum_of_its_terms():
-    step = transition(position=[[0.3, 0.1, 0.0], [0.0, 0.01, 0.02]], asked=np.full((2, 4), 7.2))
+    step = transition(position=[[0.3, 0.1, 0.0], [0.0, 0.01, 0.02]], asked=STRAIGHT + 0.2)
     reward = Reward(RewardSettings(terms=PAPER_SAG), SPAN)
     parts = reward.terms(step)
     assert tuple(parts) == PAPER_SAG
@@ -144,6 +173,7 @@ def test_a_reward_is_the_sum_of_its_terms():
         ({"terms": ("step", "gaol")}, r"terms\[1\]: got 'gaol'; allowed: one of \["),
         ({"goal_radius": 0.0}, "goal_radius: got 0.0; allowed: goal_radius > 0"),
         ({"fit_scale": float("nan")}, "fit_scale: got nan"),
+        ({"tracking_scale": 0.0}, "tracking_scale: got 0.0; allowed: tracking_scale > 0"),
         ({"effort": -1.0}, "effort: got -1.0; allowed: effort >= 0"),
     ],
 )

@@ -3,9 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics import statics, straight_line
 from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import PathSettings
+from learned.episodes import Path, PathSettings
 from learned.scores import Scores, score
 from tests.robots import simple_robot
 
@@ -81,7 +82,7 @@ def made_up(**changes):
     still = Scores(
         target=np.zeros((2, 4, 3)), position=position, length_error=np.zeros((2, 4, 4)),
         inconsistency=np.zeros((2, 4)), length=np.full((2, 4, 4), 7.0), tilt=np.zeros((2, 4)),
-        tension=None, failed=np.zeros((2, 4), dtype=bool),
+        tension=None, failed=np.zeros((2, 4), dtype=bool), counted=np.ones((2, 4), dtype=bool),
     )  # fmt: skip
     return replace(still, **changes)
 
@@ -116,12 +117,68 @@ def test_paths_that_fail_at_once_count_as_failures_alone():
     assert data["failures"] == 1
 
 
+def test_failing_after_the_end_of_a_path_is_no_failure():
+    environment = made("settle", size=2)
+    paths = paths_of(environment, 2)
+    good = solver(environment)
+
+    def act(observation):
+        act.calls += 1
+        return np.full((2, 4), -1.8) if act.calls > 3 else good(observation)
+
+    for steps, failures in ((5, 2), (3, 0)):
+        act.calls = 0
+        mixed = [cut(paths[0], steps), paths[1]]
+        failed = score(environment, act, mixed).failed
+        assert failed.any(axis=1).tolist() == [failures == 2, True]
+
+
 def test_scores_of_nothing_but_failures_are_no_numbers():
     tension = np.full((2, 4, 4), 50.0)
     data = made_up(failed=np.ones((2, 4), dtype=bool), tension=tension).data(simple_robot())
     assert data["failures"] == 2
     for name in ("median_of_trajectory_means_m", "p95_error_m", "slack_share"):
         assert np.isnan(data[name]), name
+
+
+def cut(path, steps):
+    """The start of a path."""
+    return Path(**{name: getattr(path, name)[: steps + 1] for name in Path.__dataclass_fields__})
+
+
+def test_each_path_counts_to_its_own_end():
+    environment = made(size=2)
+    paths = paths_of(environment, 4)
+    mixed = [paths[0], cut(paths[1], 2), cut(paths[2], 4), cut(paths[3], 1)]
+    found = score(environment, solver(environment, 0.1), mixed)
+    np.testing.assert_array_equal(found.counted.sum(axis=1), [5, 2, 4, 1])
+    assert (np.diff(found.counted.astype(int), axis=1) <= 0).all()  # what counts comes first
+    for k, path in enumerate(mixed):
+        alone = score(made(size=1), solver(environment, 0.1), [path])
+        steps = len(path.position) - 1
+        assert alone.position.shape[1] == steps
+        np.testing.assert_array_equal(found.position[k, :steps], alone.position[0])
+        assert (found.target[k, steps:] == path.position[-1]).all()
+    norms = np.linalg.norm(found.error[found.counted], axis=1)
+    assert found.data(environment.robot)["rmse_m"] == pytest.approx(np.sqrt((norms**2).mean()))
+
+
+def test_only_the_longest_path_is_followed_to_the_end():
+    environment = made(size=2)
+    short = [cut(path, 3) for path in paths_of(environment, 4)]
+    found = score(environment, solver(environment), short)
+    assert found.target.shape == (4, 3, 3)
+    assert found.counted.all()
+
+
+def test_a_path_longer_than_an_episode_is_refused():
+    environment = made(size=1)
+    (path,) = paths_of(environment, 1)
+    longer = Path(**{
+        name: np.concatenate([getattr(path, name)] * 2) for name in Path.__dataclass_fields__
+    })  # fmt: skip
+    with pytest.raises(InvalidField, match=r"paths\[1\]: got 11 steps; allowed: 5, those of an"):
+        score(environment, solver(environment), [path, longer])
 
 
 def test_slack_and_overload_are_shares_of_steps_in_which_any_cable_is():

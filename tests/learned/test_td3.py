@@ -50,6 +50,23 @@ def test_actor_and_critic_have_rates_of_their_own_that_fall_linearly():
         assert rates == pytest.approx([3e-4 * share, 3e-3 * share])
 
 
+def test_a_quiet_start_does_next_to_nothing_and_the_actor_waits_for_the_critics():
+    model = built("paper", quiet_start=True, critic_first=50, random_steps=0)
+    seen = np.random.default_rng(0).uniform(-1.0, 1.0, (20, model.observation_space.shape[0]))
+    before = model.predict(seen.astype(np.float32), deterministic=True)[0]
+    loud = built("paper").predict(seen.astype(np.float32), deterministic=True)[0]
+    assert np.abs(before).max() < 0.02
+    assert np.abs(before).max() < 0.1 * np.abs(loud).max()
+    model.learn(200)  # 4 environments: 50 updates
+    np.testing.assert_array_equal(
+        model.predict(seen.astype(np.float32), deterministic=True)[0], before
+    )
+    model.learn(240, reset_num_timesteps=False)
+    assert (
+        np.abs(model.predict(seen.astype(np.float32), deterministic=True)[0] - before).max() > 1e-4
+    )
+
+
 def test_noise_decays_with_the_steps():
     model = built("paper")
     model.learn(100)

@@ -12,12 +12,14 @@ import torch
 from carosac_toolkit.errors import InvalidField, MissingFile
 from carosac_toolkit.robot_file import load_robot
 from learned import training
+from learned.curve import CURVE, EPISODES, read_curve, read_episodes
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.episodes import PathSettings
 from learned.policy_file import Policy
 from learned.presets import PRESETS, Stage, Td3Settings
 from learned.rewards import RewardSettings
-from learned.training import Job, read_curve, train
+from learned.training import Job, train
+from learned.training_record import SETTINGS, read_record
 from tests.robots import simple_robot
 
 TINY = Td3Settings(
@@ -38,7 +40,7 @@ STAGES = {
     ),
     "realtime": Stage(
         environment=EnvironmentSettings(
-            world="realtime", action="displacement", path=replace(SHORT, period=0.05),
+            world="realtime", action="push", path=replace(SHORT, period=0.05),
             observation=("error", "velocity", "tilt"), reward=RewardSettings(terms=("tracking",)),
         ),
         td3=TINY,
@@ -74,17 +76,18 @@ def flat(value, name=""):
 
 
 def assert_same_state(first, second):
-    """Networks, optimizers, replay, noise and learning curve, but for the time they took."""
+    """Networks, optimizers, replay, noise and both tables, but for the time they took."""
     for name in ("parameters", "buffer", "noise", "last_observation", "numpy"):
         one, other = flat(checkpoint(first)[name]), flat(checkpoint(second)[name])
         assert set(one) == set(other)
         for key in one:
             np.testing.assert_array_equal(one[key], other[key], f"{name}{key}")
-    rows = [read_curve(folder / training.CURVE) for folder in (first, second)]
+    rows = [read_curve(folder / CURVE) for folder in (first, second)]
     assert len(rows[0]) == len(rows[1]) == 4
     for one, other in zip(*rows, strict=True):
         for key in set(one) - {"cpu_seconds"}:
             np.testing.assert_equal(one[key], other[key], key)
+    assert (first / EPISODES).read_bytes() == (second / EPISODES).read_bytes()
 
 
 @pytest.mark.parametrize("kind", STAGES)
@@ -123,6 +126,69 @@ def test_the_exported_policy_acts_as_the_actor(tmp_path, kind):
     assert policy.description.steps == run.model.num_timesteps
 
 
+@pytest.mark.parametrize("kind", STAGES)
+def test_every_step_is_of_one_episode(tmp_path, kind):
+    """Lengths of those that ended add up to all steps but those of episodes that go on."""
+    train(job(kind), tmp_path)
+    ended = read_episodes(tmp_path / EPISODES)
+    total = TINY.steps - sum(one.length for one in ended)
+    assert 0 <= total < TINY.environments * SHORT.steps
+    assert all(0 < one.length <= SHORT.steps for one in ended)
+    assert [one.steps for one in ended] == sorted(one.steps for one in ended)
+    rows = read_curve(tmp_path / CURVE)
+    for before, row in zip([{"steps": 0.0}, *rows], rows, strict=False):
+        rewards = [one.reward for one in ended if before["steps"] < one.steps <= row["steps"]]
+        assert len(rewards) == 0 or row["reward"] == pytest.approx(np.mean(rewards), rel=1e-4)
+        assert np.isnan(row["reward"]) == (len(rewards) == 0)
+
+
+def test_no_episode_is_lost_where_many_end_in_one_step(tmp_path):
+    many = replace(FIT, environments=150, steps=9000, random_steps=8999, buffer_size=9000)
+    stage = replace(STAGES["metric"], td3=many)
+    train(job(stage=stage), tmp_path)
+    ended = read_episodes(tmp_path / EPISODES)
+    assert sorted({one.steps for one in ended}) == [4500, 9000]
+    assert len(ended) == 300
+
+
+def test_the_tables_go_back_to_the_checkpoint_when_a_killed_training_goes_on(tmp_path):
+    """A process that got beyond its checkpoint before it was killed leaves newer tables."""
+    train(job(), tmp_path, stop_after=200)
+    saved = [(tmp_path / name).read_bytes() for name in (CURVE, EPISODES)]
+    lost = training._Run(job(), tmp_path, None)
+    lost.begin()
+    lost._save = lambda: None
+    lost.go(None)
+    assert len(read_curve(tmp_path / CURVE)) == 4
+    training._Run(job(), tmp_path, None).begin()
+    assert [(tmp_path / name).read_bytes() for name in (CURVE, EPISODES)] == saved
+
+
+def settling(**changes):
+    """A stage in cables that sag, whose lengths may have no equilibrium."""
+    environment = replace(STAGES["metric"].environment, world="settle")
+    return job(stage_name="sag", stage=Stage(environment=environment, td3=FIT), **changes)
+
+
+def test_paths_that_fail_are_counted_beside_the_errors_that_leave_them_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(training, "TEST_PATHS", 4)
+    run = training._Run(settling(), tmp_path, None)
+    run.begin()
+    actor, contradictions = run.act, iter([[1.0, -1.0, -1.0, 1.0], [-1.0, 1.0, 1.0, -1.0]])
+    run._measure()
+    for lengths in contradictions:  # in two of four worlds: there is no stable equilibrium
+
+        def contradict(observation, lengths=lengths):
+            return np.vstack([actor(observation)[:2], [lengths, lengths]])
+
+        run.act = contradict
+        run._measure()
+    rows = read_curve(tmp_path / CURVE)
+    assert [row["failed_paths"] for row in rows] == [0.0, 2.0, 2.0]
+    errors = [row["median_error_m"] for row in rows]
+    assert errors[0] != errors[1] == errors[2]  # whatever the failing ones would have reached
+
+
 def test_a_folder_with_other_settings_is_refused(tmp_path):
     train(job(), tmp_path, stop_after=100)
     with pytest.raises(InvalidField, match="a folder of the same settings; seed differ"):
@@ -133,21 +199,83 @@ def test_a_folder_with_other_settings_is_refused(tmp_path):
     assert train(job(), tmp_path, stop_after=100) is None  # the same ones go on
 
 
-def test_a_stage_starts_from_the_networks_before_it(tmp_path):
+def test_a_stage_starts_from_the_networks_before_it_and_from_nothing_else(tmp_path):
     train(job(), tmp_path / "first", stop_after=160)
-    start = tmp_path / "first" / training.CHECKPOINT
-    settle = replace(STAGES["metric"].environment, world="settle")
-    following = job(stage_name="sag", start=start, seed=3,
-                    stage=Stage(environment=settle, td3=replace(FIT, random_steps=0)))  # fmt: skip
+    following = settling(start=tmp_path / "first" / training.CHECKPOINT)
     run = training._Run(following, tmp_path / "second", None)
     run.begin()
-    before = flat(checkpoint(tmp_path / "first")["parameters"]["policy"])
-    for key, value in flat(dict(run.model.policy.state_dict())).items():
-        np.testing.assert_array_equal(value, before[key])
-    assert run.model.num_timesteps == 0
-    gone = replace(following, start=tmp_path / "nowhere.pt")
+    before = checkpoint(tmp_path / "first")["parameters"]
+    networks = flat(dict(run.model.policy.state_dict()))
+    for key, value in flat(before["policy"]).items():  # targets too
+        np.testing.assert_array_equal(value, networks[key])
+    assert before["actor.optimizer"]["state"]  # the earlier stage has moments
+    for part in (run.model.actor, run.model.critic):
+        assert not part.optimizer.state_dict()["state"]
+    assert run.model.num_timesteps == 0 and run.model.replay_buffer.size() == 0
+    started = read_record(tmp_path / "second").started_from
+    assert started["checkpoint"] == "first/checkpoint.pt"
+    assert (started["steps"], started["of_steps"]) == (160, TINY.steps)
+    assert started["commits"] == list(read_record(tmp_path / "first").commits)
+    assert started["robot_digest"] == job().settings()["robot_digest"]
+    policy = Policy.load(train(following, tmp_path / "second"))
+    assert policy.description.settings["started_from"] == started
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"seed": 3}, "seed"),
+        ({"preset": "other"}, "preset"),
+        ({"robot": simple_robot(mass=30.0)}, "robot_digest"),
+        ({"stage": replace(STAGES["metric"], td3=replace(FIT, activation="relu"))}, "activation"),
+        ({"stage": STAGES["value"]}, "observation, activation, critic, critics"),
+    ],
+)
+def test_a_stage_refuses_a_foreign_start_and_leaves_no_folder(tmp_path, changes, named):
+    train(job(), tmp_path / "first", stop_after=40)
+    foreign = job(start=tmp_path / "first" / training.CHECKPOINT, **changes)
+    with pytest.raises(InvalidField, match=f"start: got .*first.*; {named} differ"):
+        train(foreign, tmp_path / "second")
+    assert not (tmp_path / "second").exists()
+
+
+def test_a_start_that_is_not_there_or_does_not_say_what_it_is_is_refused(tmp_path):
+    start = tmp_path / "first" / training.CHECKPOINT
     with pytest.raises(MissingFile, match="train the earlier stage first"):
-        train(gone, tmp_path / "third")
+        train(job(start=start), tmp_path / "second")
+    train(job(), tmp_path / "first", stop_after=40)
+    (tmp_path / "first" / SETTINGS).unlink()
+    with pytest.raises(MissingFile, match=r"settings\.json: no such file"):
+        train(job(start=start), tmp_path / "second")
+
+
+def test_a_policy_carries_the_commits_that_trained_it_and_no_later_one(tmp_path, monkeypatch):
+    def at(commit):
+        monkeypatch.setattr(training, "commit_of_code", lambda: commit)
+
+    at("aaaaaaa")
+    train(job(), tmp_path, stop_after=40)
+    train(job(), tmp_path, stop_after=80)  # the same code goes on
+    assert read_record(tmp_path).commits == ("aaaaaaa",)
+    at("bbbbbbb")
+    path = train(job(), tmp_path)
+    written = path.read_bytes()
+    assert Policy.load(path).description.commit == "aaaaaaa, bbbbbbb"
+    at("ccccccc")
+    assert train(job(), tmp_path) == path  # nothing is left to do
+    assert path.read_bytes() == written
+    path.unlink()
+    train(job(), tmp_path)  # what is missing is written again
+    assert Policy.load(path).description.commit == "aaaaaaa, bbbbbbb"
+    assert read_record(tmp_path).commits == ("aaaaaaa", "bbbbbbb")
+
+
+def test_a_training_without_a_checkpoint_begins_anew_with_the_code_of_now(tmp_path, monkeypatch):
+    monkeypatch.setattr(training, "commit_of_code", lambda: "aaaaaaa")
+    training._Run(job(), tmp_path, None).begin()  # killed before its first checkpoint
+    monkeypatch.setattr(training, "commit_of_code", lambda: None)
+    train(job(), tmp_path, stop_after=40)
+    assert read_record(tmp_path).commits == ("unknown",)
 
 
 def test_a_short_training_brings_the_error_down(tmp_path, monkeypatch):
@@ -165,7 +293,7 @@ def test_a_short_training_brings_the_error_down(tmp_path, monkeypatch):
                  stage=Stage(environment=environment, td3=short))  # fmt: skip
     seen = []
     path = train(wanted, tmp_path, report=lambda row, left: seen.append((row, left)))
-    rows = read_curve(tmp_path / training.CURVE)
+    rows = read_curve(tmp_path / CURVE)
     assert [row["steps"] for row in rows] == [4096.0, 8192.0, 12288.0]
     assert rows[0]["updates"] == 0.0 and rows[-1]["updates"] == 7 * 2 * 4096 / 32
     assert rows[0]["median_error_m"] > 3.0 * rows[-1]["median_error_m"]

@@ -7,16 +7,19 @@ from typing import Any
 
 import numpy as np
 
+from carosac_toolkit.physics import straight_line
 from learned.transition import Transition
+from tests.robots import simple_robot
+
+ORIGIN = np.zeros((2, 3))
+STRAIGHT = straight_line.inverse_kinematics(simple_robot(), ORIGIN)  # [m] at the targets
 
 
 def transition(**changes: Any) -> Transition:
-    """Two steps in which nothing happens, but for the changes."""
-    length = np.full((2, 4), 7.0)
+    """Two steps in which nothing happens, but for the changes; straight cables all the time."""
     still = Transition(
-        target=np.zeros((2, 3)), position_before=np.zeros((2, 3)), position=np.zeros((2, 3)),
-        length_before=length, length=length, asked=length, straight_position=length,
-        straight_target=length, inconsistency=np.zeros((2, 4)), velocity=np.zeros((2, 3)),
-        effort=np.zeros(2), failed=np.zeros(2, dtype=bool),
+        robot=simple_robot(), target=ORIGIN, position_before=ORIGIN, position=ORIGIN,
+        length_before=STRAIGHT, length=STRAIGHT, asked=STRAIGHT, inconsistency=np.zeros((2, 4)),
+        velocity=np.zeros((2, 3)), effort=np.zeros(2), failed=np.zeros(2, dtype=bool),
     )  # fmt: skip
     return replace(still, **{name: np.asarray(value) for name, value in changes.items()})

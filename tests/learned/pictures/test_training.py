@@ -5,7 +5,8 @@ from matplotlib.image import imread
 
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.pictures.drawing import COLORS
-from learned.pictures.training import learning_curves, reward_terms, smoothed
+from learned.curve import COLUMNS, Episode, write_curve, write_episodes
+from learned.pictures.training import curve_of, learning_curves, reward_terms, smoothed
 
 
 def curve(seed=0, **more):
@@ -38,17 +39,28 @@ def test_terms_fill_their_rows(tmp_path, count, columns):
 
 
 def test_smoothing_keeps_lines_and_takes_noise_away():
-    noise = np.random.default_rng(0).standard_normal(5000)
-    assert smoothed(np.full(100, 3.0)) == pytest.approx(np.full(100, 3.0))
+    noise, at = np.random.default_rng(0).standard_normal(5000), np.arange(5000.0)
+    steps, flat = smoothed(at[:100], np.full(100, 3.0))
+    np.testing.assert_array_equal(steps, at[:100])
+    assert flat == pytest.approx(np.full(100, 3.0))
     straight = np.linspace(0.0, 1.0, 1000)
-    assert smoothed(straight, 0.1)[50:-50] == pytest.approx(straight[50:-50])  # no delay
+    assert smoothed(at[:1000], straight, 0.1)[1][50:-50] == pytest.approx(straight[50:-50])
     half = int(0.04 * len(noise) / 2)
-    inside = smoothed(noise, 0.04)[half:-half]
+    inside = smoothed(at, noise, 0.04)[1][half:-half]
     assert inside.std() == pytest.approx(1.0 / np.sqrt(2 * half + 1), rel=0.3)
-    at = 2500
-    window = noise[at - half : at + half + 1]
-    assert smoothed(noise, 0.04)[at] == pytest.approx(window.mean())
-    assert smoothed(noise[:3]) == pytest.approx(noise[:3])  # too few to smooth
+    window = noise[2500 - half : 2500 + half + 1]
+    assert smoothed(at, noise, 0.04)[1][2500] == pytest.approx(window.mean())
+    assert smoothed(at[:3], noise[:3])[1] == pytest.approx(noise[:3])  # too few to smooth
+
+
+@pytest.mark.parametrize("share", [0.001, 0.2])
+def test_episodes_that_end_together_are_one_point_of_the_smoothed_line(share):
+    """Whatever their order among each other is, in a window that holds all of them."""
+    steps = np.repeat([100.0, 200.0, 300.0, 400.0, 500.0], 20)
+    values = np.repeat([1.0, 2.0, 3.0, 4.0, 5.0], 20) + np.tile(np.linspace(-1.0, 1.0, 20), 5)
+    when, mean = smoothed(steps, values, share)
+    np.testing.assert_array_equal(when, [100.0, 200.0, 300.0, 400.0, 500.0])
+    assert mean == pytest.approx([1.0, 2.0, 3.0, 4.0, 5.0], abs=0.03)
 
 
 def test_curves_show_raw_and_smoothed_rewards_in_the_colour_of_their_seed(tmp_path):
@@ -75,6 +87,51 @@ def test_errors_are_in_millimetres_beside_what_they_are_compared_with(tmp_path):
     assert axes.get_yscale() == "log" and "[mm]" in axes.get_ylabel()
     little = learning_curves([evaluated(last=0.3)], tmp_path / "curves.png").axes[1]
     assert little.get_yscale() == "linear" and little.get_ylim()[0] == 0.0
+
+
+def trained(folder, errors=(0.3, 0.2, 0.1)):
+    """What a training leaves: three evaluations and seven episodes."""
+    rows = [dict.fromkeys(COLUMNS, 0.0) for _ in errors]
+    for k, (row, error) in enumerate(zip(rows, errors, strict=True)):
+        row |= {"steps": 100.0 * (k + 1), "reward": -5.0 + k, "median_error_m": error}
+    write_curve(folder / "curve.csv", rows)
+    write_episodes(folder / "episodes.csv", [Episode(40 * k, -1.0 / k, 40) for k in range(1, 8)])
+    return folder
+
+
+def test_the_curve_of_a_training_has_each_of_its_episodes(tmp_path):
+    found = curve_of(trained(tmp_path), "seed 0")
+    np.testing.assert_array_equal(found["steps"], 40.0 * np.arange(1, 8))
+    np.testing.assert_allclose(found["reward"], -1.0 / np.arange(1, 8), rtol=1e-5)
+    figure = learning_curves([found], tmp_path / "curves.png")
+    reward, error = figure.axes
+    raw, smooth = reward.lines
+    assert raw.get_linestyle() == "None" and len(raw.get_xdata()) == 7
+    assert smooth.get_linestyle() == "-"
+    assert "pale: each episode; line: moving mean of 4 %" in figure.get_suptitle()
+    assert "dot before" not in figure.get_suptitle()
+    np.testing.assert_allclose(error.lines[0].get_xydata().T, [[100, 200, 300], [300, 200, 100]])
+
+
+def test_an_older_training_has_means_alone_and_the_picture_says_so(tmp_path):
+    (trained(tmp_path) / "episodes.csv").unlink()
+    found = curve_of(tmp_path, "seed 0")
+    figure = learning_curves([found], tmp_path / "curves.png")
+    (means,) = figure.axes[0].lines
+    np.testing.assert_array_equal(means.get_xydata().T, [[100, 200, 300], [-5, -4, -3]])
+    said = "mean of the episodes since the dot before"
+    assert said in figure.get_suptitle() and "each episode" not in figure.get_suptitle()
+    both = learning_curves([found, curve()], tmp_path / "curves.png").get_suptitle()
+    assert said in both and "each episode" in both
+
+
+def test_an_evaluation_in_which_all_paths_failed_has_no_error_to_draw(tmp_path):
+    found = curve_of(trained(tmp_path, (np.nan, 0.2, 0.1)), "seed 0")
+    assert found["evaluated_steps"] == [200.0, 300.0]
+    lost = curve_of(trained(tmp_path, (np.nan, np.nan)), "seed 0")
+    assert len(learning_curves([lost], tmp_path / "curves.png").axes) == 1
+    write_episodes(tmp_path / "episodes.csv", [Episode(40, -1.0, 40)])
+    assert curve_of(tmp_path, "seed 0") is None  # too little to draw
 
 
 def test_without_evaluations_there_is_one_panel(tmp_path):

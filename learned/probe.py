@@ -1,0 +1,103 @@
+"""What fixed looks and actions come to: shows whether a policy is driven as it was trained.
+
+What numbers of an observation and of an action mean is computed from the robot and the settings,
+with constants of the code that a policy does not keep. A policy keeps a probe instead: what came
+out where it was trained.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics import straight_line
+from carosac_toolkit.robot import Robot
+from learned.environment import EnvironmentSettings, empty_look, make_actions
+from learned.observation import Look, Scales, observe
+
+SEED = 5
+LOOKS = 6  # the first one rests at home
+INNER = 0.5  # share of the workspace box in which they lie
+CLOSE = {"observation": 1e-3, "length": 1e-4}  # [-] and [m]: what counts as the same
+KEPT = 7  # digits behind the point
+
+
+def make_probe(robot: Robot, settings: EnvironmentSettings) -> dict[str, list[list[float]]]:
+    """Observations and lengths [m] that fixed looks and actions come to, by name, a row for each.
+
+    Args:
+        robot: The nominal robot.
+        settings: Of the environment of the policy.
+    """
+    scales = Scales.of(robot, settings.units)
+    actions = make_actions(robot, settings, scales)
+    rng = np.random.default_rng(SEED)
+    look = _looks(robot, len(settings.preview), actions.size, rng)
+    action = rng.uniform(-1.0, 1.0, (LOOKS, actions.size))
+    found = {
+        "observation": observe(settings.observation, look, scales),
+        "length": actions.lengths(actions.applied(action, look), look),
+    }
+    return {name: values.round(KEPT).tolist() for name, values in found.items()}
+
+
+def check_probe(kept: Any, robot: Robot, settings: EnvironmentSettings) -> None:
+    """Make sure that a policy sees and does what it saw and did where it was trained.
+
+    Args:
+        kept: Its probe.
+        robot: The robot that it was trained for.
+        settings: Of the environment that it was trained in.
+
+    Raises:
+        InvalidField: Another version trained it; says by how much it differs.
+    """
+    mine = make_probe(robot, settings)
+    allowed = "a policy of this version: train it again with `carosac train`"
+    try:
+        theirs = {name: np.array(kept[name], dtype=np.float64) for name in mine}
+    except (TypeError, KeyError, ValueError) as error:
+        raise InvalidField("policy.probe", repr(kept)[:40], allowed) from error
+    for name, values in mine.items():
+        if theirs[name].shape != np.shape(values):
+            raise InvalidField("policy", f"{name}s of another size", allowed)
+        apart = float(np.abs(theirs[name] - values).max())
+        if not apart <= CLOSE[name]:
+            said = f"{1e3 * apart:.2g} mm" if name == "length" else f"{apart:.2g}"
+            got = f"trained with another version: {name}s differ by up to {said}"
+            raise InvalidField("policy", got, allowed)
+
+
+def _looks(robot: Robot, previews: int, actions: int, rng: np.random.Generator) -> Look:
+    """One at rest at home, the others anyhow in the inner part of the workspace box."""
+    center = (robot.workspace_min + robot.workspace_max) / 2
+    half = INNER * (robot.workspace_max - robot.workspace_min) / 2
+    count = LOOKS - 1
+
+    def inside(*shape: int) -> Array:
+        return center + half * rng.uniform(-1.0, 1.0, (count, *shape, 3))
+
+    position = inside()
+    rotation = Rotation.from_rotvec(0.1 * rng.standard_normal((count, 3))).as_matrix()
+    anyhow = Look(
+        position=position,
+        rotation=rotation,
+        twist=0.3 * rng.standard_normal((count, 6)),
+        length=straight_line.straight_length(robot, position, rotation).length,
+        target=inside(),
+        target_velocity=inside() - center,  # across the inner part in a second
+        target_acceleration=inside() - center,
+        preview=inside(previews),
+        last_action=rng.uniform(-1.0, 1.0, (count, actions)),
+    )
+    rest = empty_look(robot, previews, actions)
+    both = {
+        name: np.concatenate([getattr(rest, name), getattr(anyhow, name)])
+        for name in Look.__dataclass_fields__
+    }
+    return replace(anyhow, **both)

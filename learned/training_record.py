@@ -1,0 +1,152 @@
+"""What a training is and was: its settings, the code that ran it, and what it started from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit.errors import InvalidField, MissingFile
+
+SETTINGS = "settings.json"
+UNKNOWN = "unknown"  # commit of code that is not under git
+HISTORY = ("commit", "commits", "started_from")  # beside the settings; the first in older files
+SHARED = (  # with the stage that a later one starts from
+    ("preset",), ("robot_digest",), ("seed",),
+    ("environment", "observation"), ("environment", "preview"), ("environment", "units"),
+    ("environment", "action"),
+    ("td3", "hidden"), ("td3", "activation"), ("td3", "critic"), ("td3", "critics"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingRecord:
+    """What ``settings.json`` holds.
+
+    Attributes:
+        settings: What was asked for, as JSON gives it back.
+        commits: Of the code that trained, in their order; another each time that a training went
+            on with other code.
+        started_from: Checkpoint of the earlier stage whose networks were taken over, its steps and
+            how many it was asked for, its commits, the digests of its robot and of the networks;
+            None: it began with nothing.
+    """
+
+    settings: dict[str, Any]
+    commits: tuple[str, ...]
+    started_from: dict[str, Any] | None = None
+
+    @property
+    def commit(self) -> str:
+        """All commits in one text."""
+        return ", ".join(self.commits)
+
+    def resumed(self, commit: str) -> TrainingRecord:
+        """The record of a training that goes on with the code of a commit."""
+        if commit == self.commits[-1]:
+            return self
+        return replace(self, commits=(*self.commits, commit))
+
+    def data(self) -> dict[str, Any]:
+        """All of it, as JSON holds it."""
+        history = {"commits": list(self.commits), "started_from": self.started_from}
+        return self.settings | history
+
+    def as_start(self, checkpoint: str, steps: int, networks: Iterable[Any]) -> dict[str, Any]:
+        """What a later stage keeps of this one when it starts from its networks.
+
+        Args:
+            checkpoint: Folder and name.
+            steps: That the networks were trained for.
+            networks: Names and values.
+        """
+        return {
+            "checkpoint": checkpoint, "steps": steps, "of_steps": self.settings["td3"]["steps"],
+            "commits": list(self.commits), "robot_digest": self.settings["robot_digest"],
+            "networks_digest": digest(networks),
+        }  # fmt: skip
+
+    def write(self, folder: Path) -> None:
+        """Write it to a folder, as a whole or not at all."""
+        from carosac_toolkit.cli.common import replacing
+
+        with replacing(folder / SETTINGS) as temporary:
+            temporary.write_text(json.dumps(self.data(), indent=1) + "\n", encoding="utf-8")
+
+
+def read_record(folder: Path) -> TrainingRecord | None:
+    """The record of a training; None where there is none."""
+    path = folder / SETTINGS
+    if not path.is_file():
+        return None
+    found = json.loads(path.read_text(encoding="utf-8"))
+    history = {name: found.pop(name, None) for name in HISTORY}
+    commits = history["commits"] or [history["commit"] or UNKNOWN]
+    return TrainingRecord(
+        settings=found, commits=tuple(commits), started_from=history["started_from"]
+    )
+
+
+def check_settings(settings: dict[str, Any], folder: Path) -> TrainingRecord | None:
+    """Make sure that a folder holds a training of the same settings, or none.
+
+    Returns:
+        Its record, if it holds one.
+
+    Raises:
+        InvalidField: They differ.
+    """
+    known = read_record(folder)
+    if known is not None and known.settings != settings:
+        both = settings | known.settings
+        names = [name for name in both if settings.get(name) != known.settings.get(name)]
+        allowed = f"a folder of the same settings; {', '.join(names)} differ"
+        raise InvalidField("output", f"'{folder}'", allowed)
+    return known
+
+
+def check_start(settings: dict[str, Any], checkpoint: Path) -> TrainingRecord:
+    """Make sure that a stage may start from the networks of an earlier one.
+
+    Args:
+        settings: Of the later stage.
+        checkpoint: Of the earlier one, in its folder.
+
+    Returns:
+        The record of the earlier one.
+
+    Raises:
+        MissingFile: There is no checkpoint, or no settings beside it.
+        InvalidField: It was trained for another robot, with another preset or seed, or its networks
+            see, mean or are something else.
+    """
+    if not checkpoint.is_file():
+        raise MissingFile(checkpoint, "train the earlier stage first")
+    earlier = read_record(checkpoint.parent)
+    if earlier is None:
+        reason = "the settings of the earlier stage must be beside its checkpoint"
+        raise MissingFile(checkpoint.parent / SETTINGS, reason)
+    names = [keys[-1] for keys in SHARED if _at(settings, keys) != _at(earlier.settings, keys)]
+    if names:
+        allowed = f"a checkpoint of the same robot, preset, seed and networks; {', '.join(names)} "
+        raise InvalidField("start", f"'{checkpoint}'", allowed + "differ")
+    return earlier
+
+
+def digest(values: Iterable[Any]) -> str:
+    """What stands for all of some numbers and texts."""
+    parts = [x.tobytes() if isinstance(x, np.ndarray) else repr(x).encode() for x in values]
+    return hashlib.sha256(b"|".join(parts)).hexdigest()[:16]
+
+
+def _at(settings: dict[str, Any], keys: Iterable[str]) -> Any:
+    """A nested setting; None where there is none."""
+    found: Any = settings
+    for key in keys:
+        found = found.get(key) if isinstance(found, dict) else None
+    return found

@@ -1,0 +1,58 @@
+import json
+
+import numpy as np
+import pytest
+
+from carosac_toolkit.errors import InvalidField
+from learned.training_record import (
+    SETTINGS,
+    TrainingRecord,
+    check_settings,
+    digest,
+    read_record,
+)
+
+ASKED = {"preset": "tiny", "seed": 0, "td3": {"steps": 100, "hidden": [8, 8]}}
+
+
+def test_a_record_is_read_as_it_was_written(tmp_path):
+    assert read_record(tmp_path) is None
+    record = TrainingRecord(
+        settings=ASKED, commits=("aaa", "bbb with changes"), started_from={"steps": 3}
+    )
+    record.write(tmp_path)
+    assert read_record(tmp_path) == record
+    assert record.commit == "aaa, bbb with changes"
+
+
+@pytest.mark.parametrize(("kept", "read"), [("17f0196", "17f0196"), (None, "unknown")])
+def test_an_older_record_has_one_commit(tmp_path, kept, read):
+    (tmp_path / SETTINGS).write_text(json.dumps(ASKED | {"commit": kept}))
+    assert read_record(tmp_path) == TrainingRecord(settings=ASKED, commits=(read,))
+
+
+def test_commits_are_those_of_each_time_that_the_code_was_another(tmp_path):
+    record = TrainingRecord(settings=ASKED, commits=("aaa",))
+    for commit in ("aaa", "bbb", "bbb", "aaa"):
+        record = record.resumed(commit)
+    assert record.commits == ("aaa", "bbb", "aaa")
+
+
+def test_the_history_of_a_training_is_none_of_its_settings(tmp_path):
+    assert check_settings(ASKED, tmp_path) is None
+    record = TrainingRecord(settings=ASKED, commits=("aaa",), started_from={"steps": 3})
+    record.write(tmp_path)
+    assert check_settings(ASKED, tmp_path) == record
+    with pytest.raises(InvalidField, match=r"output: .*; seed differ"):
+        check_settings(ASKED | {"seed": 1}, tmp_path)
+    less = {name: value for name, value in ASKED.items() if name != "td3"}
+    with pytest.raises(InvalidField, match=r"output: .*; td3 differ"):
+        check_settings(less, tmp_path)
+
+
+def test_a_digest_changes_with_every_number():
+    values = np.arange(6.0)
+    changed = values.copy()
+    changed[4] = np.nextafter(4.0, 5.0)
+    assert digest(["a", values]) == digest(["a", values.copy()])
+    assert len({digest(one) for one in (["a", values], ["b", values], ["a", changed])}) == 3
