@@ -165,7 +165,7 @@ _FIT_SAG = replace(_FIT, steps=300_000, random_steps=0, exploration=ExplorationS
     start=0.02, end=0.002))  # fmt: skip
 _FIT_REWARD = RewardSettings(terms=("fit",))
 _DAMP = Td3Settings(
-    steps=300_000, environments=64, gradient_steps=8, random_steps=0, discount=0.98,
+    steps=100_000, environments=64, gradient_steps=8, random_steps=0, discount=0.98,
     actor_rate=5e-4, critic_rate=1e-3, rate_end=0.05, hidden=(128, 128), activation="silu",
     target_noise=0.05, exploration=ExplorationSettings(start=0.1, end=0.02), critic_first=1000,
     quiet_start=True,

@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from carosac_toolkit.errors import InvalidField, MissingFile
+from learned.observation import Units
 
 SETTINGS = "settings.json"
 UNKNOWN = "unknown"  # commit of code that is not under git
@@ -145,8 +146,10 @@ def digest(values: Iterable[Any]) -> str:
 
 
 def _at(settings: dict[str, Any], keys: Iterable[str]) -> Any:
-    """A nested setting; None where there is none."""
+    """A nested setting; None where there is none, but for units, which have defaults."""
     found: Any = settings
     for key in keys:
         found = found.get(key) if isinstance(found, dict) else None
+        if key == "units" and isinstance(found, dict):
+            found = asdict(Units()) | found  # a unit that came later changes nothing
     return found
