@@ -26,13 +26,14 @@ from benchmarks.controllers import (
 from benchmarks.results import table
 from carosac_toolkit import registry
 from carosac_toolkit.errors import CarosacError
-from learned.policy_file import Policy
+from learned.policy_file import Policy, PolicyDescription
 
 TITLE = "Learned control beside model predictive control and input shaping"
 BASELINES = ("kinematic_solver", "input_shaping", "mpc")
 TD3 = ("td3", "learned.policy_controller:PolicyController")  # as installed, or by its class
 OUTER = "fast, outer 10 %"
 PATHS = (*MOVES, SMOOTH)
+UNTRAINED = 1000  # environment steps up to which a policy of `residual` has not learned yet
 LIMIT_RATIO = 0.6  # tracking, of the kinematic solver
 LIMIT_LATENCY = 0.2  # [ms]
 MS, MM = 1e3, 1e3
@@ -80,9 +81,15 @@ def entries(policies: Sequence[Path], robots: Sequence[str]) -> list[Entry]:
         if about.robot.name not in robots:
             print(f"left out: {path}: for {about.robot.name}", flush=True)
             continue
-        found.append(Entry(name=f"td3 ({about.preset}, seed {about.seed})", robot=about.robot.name,
+        found.append(Entry(name=named(about), robot=about.robot.name,
                            controller=td3(), policy=str(path)))  # fmt: skip
     return sorted(found, key=lambda e: robots.index(e.robot))
+
+
+def named(about: PolicyDescription) -> str:
+    """Preset, seed and steps, or that nothing was learned."""
+    learned = f"{about.steps} steps" if about.steps > UNTRAINED else "untrained"
+    return f"td3 ({about.preset}, seed {about.seed}, {learned})"
 
 
 def drive(policies: Sequence[Path], seeds: int, robots: Sequence[str], processes: int) -> str:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from baselines.mpc.observer import SLACK
 
-TAUT = 15  # beliefs in a row with all cables taut, before a new plan begins
-STUCK = 50  # beliefs in a row that disagree while the winches rest: then the lengths are wrong
+TAUT = 0.3  # [s] with all cables taut, before a new plan begins
+STUCK = 1.0  # [s] of disagreement while the winches rest: then the lengths are wrong
 
 
 class Agreement:
-    """Counts beliefs that agree.
+    """Counts beliefs that agree, one a period.
 
     On slack cables a platform flies, and a plan for taut ones would drive it on. Such a plan is
     given up, and none is made before all cables have been taut for some time.
@@ -18,20 +18,27 @@ class Agreement:
         usable: Whether to plan from the last belief.
     """
 
-    def __init__(self, gate: float) -> None:
-        """Take the distance beyond which a plan is given up [m]."""
+    def __init__(self, gate: float, period: float) -> None:
+        """Start over.
+
+        Args:
+            gate: Distance beyond which a plan is given up [m].
+            period: Between two beliefs [s].
+        """
         self._gate = gate
+        self._taut = max(1, round(TAUT / period))  # beliefs in a row
+        self._stuck = max(1, round(STUCK / period))
         self.reset()
 
     def reset(self) -> None:
         """Start over."""
         self.usable = True
-        self._near, self._far = TAUT, 0
+        self._near, self._far = self._taut, 0
 
     @property
     def stuck(self) -> bool:
         """Whether it has disagreed for long with winches at rest."""
-        return self._far >= STUCK
+        return self._far >= self._stuck
 
     def within(self, resting: bool) -> float:
         """Distance up to which something is learned from a belief [m]."""
@@ -48,4 +55,4 @@ class Agreement:
         near = distance <= self.within(True)
         self._near = self._near + 1 if near else 0
         self._far = self._far + 1 if resting and still and not near else 0
-        self.usable = self._near >= TAUT if resting else distance <= self._gate
+        self.usable = self._near >= self._taut if resting else distance <= self._gate

@@ -53,7 +53,7 @@ class Mpc:
         self._winches = WinchReference(robot, period=self.period, jerk_max=settings.jerk_max)
         self._targets = Targets(robot, self._planner.grid)
         self._rest = Rest(robot)
-        self._agreement = Agreement(settings.belief_gate)
+        self._agreement = Agreement(settings.belief_gate, settings.period)
         self.horizon = self.period * float(np.ceil(settings.lookahead / self.period - 1e-9))
         self.record = MpcRecord()
         self._ready = False
