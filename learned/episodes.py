@@ -16,6 +16,7 @@ from carosac_toolkit.robot import Robot
 from carosac_toolkit.trajectories import Trajectory, random_minimum_snap, random_spline
 
 ATTEMPTS = 100  # to draw a feasible path
+SCATTER = "scatter"
 
 Feasible = Callable[[Array], NDArray[np.bool_]]
 
@@ -26,7 +27,8 @@ class PathSettings:
 
     Attributes:
         kind: ``spline``: a cubic spline through six random points of the box; ``minimum_snap``:
-            the smoothest curve through them, from rest to rest.
+            the smoothest curve through them, from rest to rest; ``scatter``: no curve, but points
+            anywhere in the box, denser towards its faces, as Chebyshev nodes are.
         speed: Least and largest peak speed that is drawn [m/s].
         acceleration_max: [m/s^2].
         steps: Of an episode.
@@ -35,7 +37,7 @@ class PathSettings:
         pool: How many different paths there are; each episode follows one of them.
     """
 
-    kind: Literal["spline", "minimum_snap"] = "spline"
+    kind: Literal["spline", "minimum_snap", "scatter"] = "spline"
     speed: tuple[float, float] = (0.5, 5.0)
     acceleration_max: float = 20.0
     steps: int = 200
@@ -44,8 +46,10 @@ class PathSettings:
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
-        if self.kind not in _DRAWS:
-            raise InvalidField("kind", repr(self.kind), f"one of {sorted(_DRAWS)}")
+        if self.kind not in (*_DRAWS, SCATTER):
+            raise InvalidField("kind", repr(self.kind), f"one of {sorted((*_DRAWS, SCATTER))}")
+        if self.kind == SCATTER and self.period is not None:
+            raise InvalidField("kind", repr(self.kind), "a curve, where there is a period")
         if not 0.0 < self.speed[0] <= self.speed[1] < np.inf:
             raise InvalidField("speed", f"{self.speed} m/s", "0 < least <= largest, finite")
         check_positive("acceleration_max", self.acceleration_max, "m/s^2")
@@ -111,6 +115,8 @@ def draw_path(
     Raises:
         CarosacError: No feasible path was found in 100 attempts.
     """
+    if settings.kind == SCATTER:
+        return _scattered(robot, settings, rng, feasible)
     for _ in range(ATTEMPTS):
         try:
             path = sampled(_draw(robot, settings, rng), settings)
@@ -121,6 +127,26 @@ def draw_path(
     raise CarosacError(
         f"{robot.name}: none of {ATTEMPTS} random paths in its workspace box is feasible; "
         "`carosac check` shows why"
+    )
+
+
+def _scattered(
+    robot: Robot, settings: PathSettings, rng: np.random.Generator, feasible: Feasible | None
+) -> Path:
+    """Feasible points with the density of Chebyshev nodes along each axis."""
+    center = (robot.workspace_max + robot.workspace_min) / 2
+    half = (robot.workspace_max - robot.workspace_min) / 2
+    count = settings.steps + 1
+    found = np.zeros((0, 3))
+    for _ in range(ATTEMPTS):
+        points = center + half * np.cos(np.pi * rng.uniform(size=(count, 3)))
+        found = np.concatenate([found, points if feasible is None else points[feasible(points)]])
+        if len(found) >= count:
+            still = np.zeros((count, 3))
+            return Path(position=found[:count], velocity=still, acceleration=still)
+    raise CarosacError(
+        f"{robot.name}: too few of {ATTEMPTS * count} random points in its workspace box are "
+        "feasible; `carosac check` shows why"
     )
 
 

@@ -207,7 +207,7 @@ PRESETS = {
                         world="settle",
                         observation=("target",),
                         reward=_FIT_REWARD,
-                        path=PathSettings(steps=30),
+                        path=PathSettings(kind="scatter", steps=30),
                     ),
                     td3=_FIT_SAG,
                 ),

@@ -101,3 +101,24 @@ def test_a_pool_draws_each_path_once_and_the_same_for_the_same_seed():
     assert np.abs(first.position - second.position).max() > 0.1
     foreign = PathPool(simple_robot(), settings, 5).path(0)
     assert np.abs(foreign.position - first.position).max() > 0.1
+
+
+def test_scattered_points_are_feasible_and_dense_at_the_faces_of_the_box():
+    robot = simple_robot()
+    settings = PathSettings(kind="scatter", steps=2000)
+    middle = (robot.workspace_max + robot.workspace_min) / 2
+    half = (robot.workspace_max - robot.workspace_min) / 2
+    path = drawn(settings)
+    unit = np.abs((path.position - middle) / half)
+    assert unit.max() <= 1.0
+    inner = (unit < 0.5).mean()  # of the density of Chebyshev nodes, a third
+    assert inner == pytest.approx(1.0 / 3.0, abs=0.03)
+    np.testing.assert_array_equal(path.velocity, 0.0)
+    half_box = draw_path(robot, settings, np.random.default_rng(0), lambda p: p[:, 0] > middle[0])
+    assert (half_box.position[:, 0] > middle[0]).all()
+    assert len(half_box.position) == 2001
+
+
+def test_scattered_points_have_no_time():
+    with pytest.raises(InvalidField, match="kind: got 'scatter'"):
+        PathSettings(kind="scatter", period=0.05)
