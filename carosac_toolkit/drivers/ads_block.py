@@ -165,6 +165,7 @@ def to_host(n: int) -> Block:
         Field("time", "LREAL", "when length was measured, by the clock of the PLC [s]"),
         Field("length", "LREAL", "position [unit]", n),
         Field("rate", "LREAL", "velocity [unit/s]", n),
+        Field("set_length", "LREAL", "set position that the drives hold or follow [unit]", n),
         Field("tension", "LREAL", "at the platform [N]", n),
         Field("drive_status", "ULINT", "0 off, 1 holding, 2 moving, 3 tripped", n),
         Field("sequence_end", "UDINT", "as sequence: the data are of one cycle"),
