@@ -125,9 +125,10 @@ def read_text(value: object) -> str:
 
 def read_port(value: object) -> int:
     """Read a port number."""
-    if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= LAST_PORT:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or int(value) != value or not 1 <= value <= LAST_PORT:  # type: ignore[operator, call-overload]
         raise InvalidQuantity(value, PORT)
-    return value
+    return int(value)  # type: ignore[call-overload, no-any-return]
 
 
 def read_sign(value: object) -> float:
