@@ -12,6 +12,7 @@ Exit status 1 means that it missed more than one cycle in ten.
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 import threading
@@ -29,6 +30,7 @@ from carosac_toolkit.plc.machine_blocks import Injection
 from carosac_toolkit.plc.settings import PlcSettings
 from carosac_toolkit.robot_file import load_robot
 
+_PRIORITY = 5  # of SCHED_FIFO, 1 to 99
 _MISSED = 0.1  # share of late cycles above which it was no PLC
 
 
@@ -58,6 +60,8 @@ class Options(CommonOptions):
     """Whether the tensions are measured."""
     encoder_check: bool = True
     """Whether the PLC itself stops where a position jumps."""
+    priority: bool = False
+    """Run before all ordinary processes, as a PLC does; on Linux, and with the right to it."""
     duration: float | None = None
     """How long to run in s; by default until Ctrl-C or SIGTERM."""
     control: bool = False
@@ -77,6 +81,8 @@ def run(options: Options) -> CommandResult:
     )  # fmt: skip
     emulator = Emulator(plant, nominal, settings, seed=options.seed, ip=options.ip)
     with_signals(emulator)
+    if options.priority:
+        take_priority()
     if options.control:
         threading.Thread(target=_listen, args=(emulator,), daemon=True).start()
     ads = emulator.hardware.ads
@@ -96,6 +102,14 @@ def with_signals(emulator: Emulator) -> None:
     """End the cycle at Ctrl-C and SIGTERM."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: emulator.stop())
+
+
+def take_priority() -> None:
+    """Have the scheduler of Linux put this process before all others; say where it will not."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+    except (AttributeError, OSError) as error:
+        print(f"carosac plc: warning: no priority: {error}", file=sys.stderr)
 
 
 def summary(found: dict[str, Any]) -> str:
