@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, MutableSequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -14,12 +15,24 @@ from carosac_toolkit.arrays import Array
 from carosac_toolkit.consistency import Innovations
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.protocols import Controller, Driver, Estimator, Supervisor, TruthSource
-from carosac_toolkit.trajectories import Trajectory
 from carosac_toolkit.values import Belief, Command, LimitHit, Measurement, Reference, State
 
 
 class BadPlugin(CarosacError):
     """A controller or estimator that returned something the loop cannot use."""
+
+
+class Path(Protocol):
+    """What a run follows: a `carosac_toolkit.trajectories.Trajectory`, or what somebody steers."""
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        ...
+
+    def window(self, time: float, horizon: float, period: float) -> Reference:
+        """What to follow from `time` [s] after the start on; times do not go back."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,7 +103,7 @@ class Log:
 
 
 def run(
-    driver: Driver, estimator: Estimator, controller: Controller, trajectory: Trajectory, *,
+    driver: Driver, estimator: Estimator, controller: Controller, trajectory: Path, *,
     duration: float | None = None, watch: Callable[[Step], None] | None = None,
     keep: int | None = None,
 ) -> Log:  # fmt: skip
@@ -136,7 +149,7 @@ def run(
 
 
 def _cycles(
-    driver: Driver, estimator: Estimator, controller: Controller, trajectory: Trajectory,
+    driver: Driver, estimator: Estimator, controller: Controller, trajectory: Path,
     count: int, steps: MutableSequence[Step], watch: Callable[[Step], None] | None,
 ) -> bool:  # fmt: skip
     """Run `count` cycles; False where the driver ended earlier."""
@@ -198,7 +211,7 @@ def _kept(keep: int) -> int:
 
 
 def _reference(
-    trajectory: Trajectory, controller: Controller, now: float, start: float
+    trajectory: Path, controller: Controller, now: float, start: float
 ) -> Reference:
     """Window of the trajectory `now` seconds after its start, by the driver's clock."""
     window = trajectory.window(now, controller.horizon, controller.period)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -14,12 +13,13 @@ from carosac_toolkit.drivers.drive_state import DriveState, Fault
 from carosac_toolkit.drivers.guard_checks import FREE, Finding
 from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.filled_settings import filled
 from carosac_toolkit.physics import statics
 from carosac_toolkit.protocols import replays
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import State
 
-HANDED_ON = ("period", "suite", "start_position", "wind_force", "wind_time")
+HANDED_ON = ("motion", "period", "suite", "start_position", "wind_force", "wind_time")
 
 
 def build_inner(robot: Robot, settings: GuardSettings, seed: int) -> tuple[Any, bool]:
@@ -39,7 +39,7 @@ def build_inner(robot: Robot, settings: GuardSettings, seed: int) -> tuple[Any, 
     if "real_time" in known:
         real_time = bool(settings.real_time)
         wanted["real_time"] = real_time
-    chosen = _filled(kind(), {**wanted, **settings.inner}, "inner")
+    chosen = filled("inner", kind(), {**wanted, **settings.inner})
     return plugin.build(robot, chosen, seed=seed), real_time
 
 
@@ -75,16 +75,3 @@ def homing_lengths(robot: Robot, position: State) -> Array:
         where = np.round(position.position[0], 4).tolist()
         raise InvalidField("position", f"{where} m", "a pose at which the platform can rest")
     return np.array(found.unstrained_length[0])
-
-
-def _filled(settings: Any, values: Mapping[str, Any], where: str) -> Any:
-    """Settings with some fields replaced; fields that are settings themselves are filled too."""
-    known = {field.name for field in fields(settings)}
-    chosen: dict[str, Any] = {}
-    for name, value in values.items():
-        if name not in known:
-            raise InvalidField(f"{where}.{name}", repr(value), f"one of {sorted(known)}")
-        old = getattr(settings, name)
-        nested = is_dataclass(old) and isinstance(value, Mapping)
-        chosen[name] = _filled(old, value, f"{where}.{name}") if nested else value
-    return replace(settings, **chosen)

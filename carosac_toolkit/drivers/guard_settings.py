@@ -8,7 +8,7 @@ from typing import Any
 
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.limits import LimitSettings
-from carosac_toolkit.number_checks import check_positive
+from carosac_toolkit.number_checks import check_positive, check_whole
 
 Point = tuple[float, float, float]
 _METRES = (
@@ -29,8 +29,10 @@ class GuardSettings:
         suite: Sensor suite of a driver that has a choice.
         start_position: Where a simulated robot is set down, and the pose by which `enable_at_once`
             homes, in W [m]; None is the home position.
-        enable_at_once: Home and enable in `connect`; else a run is dry until `home` and `enable`
-            are called: commands are limited and recorded, and not sent.
+        motion: Whether anything may move; else a run is dry: commands are limited and journaled,
+            and not sent.
+        enable_at_once: Home and enable in `connect`, where motion is allowed; else it is up to
+            calls of `home` and `enable`.
         real_time: Whether the driver's time is that of the wall; a simulator then waits for it.
             None: True for drivers that have no such setting, which are real, else False.
         wind_force: Of the wind, for a driver that has some [N].
@@ -51,11 +53,13 @@ class GuardSettings:
         workspace_margin: How far the platform may leave the workspace box [m].
         rest_max: Largest change of the lengths over the samples that count as standing still [m].
         stale_time: How long measurements may stay the same [s].
-        hang_time: How long a controller may keep the guard waiting while the winches move [s];
-            they slow down as soon as it has missed a command.
+        hang_time: How long a controller may keep the guard waiting while the winches move [s]
+            before that is a fault; they slow down from the third period on.
         hang_time_at_rest: The same while they stand still, such as in the first cycle [s].
         stop_time_max: When a stop is given up [s].
         overrun_share: Largest share of missed cycles within a second.
+        warm_up: Cycles after `enable` in which the winches hold whatever is asked, in real time:
+            the first ones are slow, as programs load what they need.
         persist: Cycles that following error, closure, tension or workspace must last to count.
         homing_samples: Samples of which the mean is homed.
     """
@@ -65,7 +69,8 @@ class GuardSettings:
     period: float = 0.01
     suite: str = "lengths"
     start_position: Point | None = None
-    enable_at_once: bool = False
+    motion: bool = False
+    enable_at_once: bool = True
     real_time: bool | None = None
     wind_force: float = 0.0
     wind_time: float = 2.0
@@ -80,10 +85,11 @@ class GuardSettings:
     workspace_margin: float = 0.3
     rest_max: float = 0.003
     stale_time: float = 0.06
-    hang_time: float = 0.1
+    hang_time: float = 0.25
     hang_time_at_rest: float = 10.0
     stop_time_max: float = 5.0
     overrun_share: float = 0.5
+    warm_up: int = 5
     persist: int = 3
     homing_samples: int = 10
 
@@ -94,9 +100,8 @@ class GuardSettings:
         for name in _SECONDS:
             check_positive(name, getattr(self, name), "s")
         for name in ("persist", "homing_samples"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise InvalidField(name, repr(value), "a whole number, 1 or more")
+            check_whole(name, getattr(self, name), 1)
+        check_whole("warm_up", self.warm_up, 0)
         if not 0.0 < self.overrun_share <= 1.0:
             raise InvalidField("overrun_share", f"{self.overrun_share}", "0 < share <= 1")
         if not isinstance(self.inner, Mapping):

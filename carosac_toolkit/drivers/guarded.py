@@ -53,8 +53,9 @@ class GuardedDriver:
         inner: The driver behind the guard.
         fault: What was latched first, or None.
         journal: Hears of everything; set it before `connect`.
-        overruns: Cycles since `connect` that came too late, where time is that of the wall.
+        overruns: Cycles since `connect` whose command took longer than a period, in real time.
         refused: What would have been a fault in a dry run, counted by text.
+        ending: Why `end` was called, or None.
         on_hang: Called by the watchdog once it has stopped the winches of a hanging controller.
     """
 
@@ -99,7 +100,9 @@ class GuardedDriver:
         self._watchdog: Watchdog | None = None
         self._live = self._sent = self._ended = self._dry = False
         self._was_homed = self._homed_lost = False
+        self._warming = 0
         self.overruns = 0
+        self.ending: str | None = None
         self.refused: dict[str, int] = {}
         self.finding: Finding | None = None
         self.began = time.monotonic()
@@ -122,7 +125,7 @@ class GuardedDriver:
     # --- Lifecycle -------------------------------------------------------------------------------
 
     def connect(self) -> None:
-        """Connect the driver behind; read only, or homed and enabled with `enable_at_once`.
+        """Connect the driver behind; homed and enabled at once where the settings say so.
 
         Raises:
             IllegalTransition: It is connected.
@@ -137,7 +140,7 @@ class GuardedDriver:
             self.began = time.monotonic()
             try:
                 self.measure()
-                if self.settings.enable_at_once:
+                if self.settings.enable_at_once and self.settings.motion:
                     self.home(self._start())
                     self.enable()
             except BaseException:
@@ -164,7 +167,7 @@ class GuardedDriver:
             lengths = homing_lengths(self._robot, position)
             standing = self._standing_still()
             if hasattr(self.inner, "home"):
-                self._call(self.inner.home, replace(position, unstrained_length=lengths[None]))
+                self.inner.home(replace(position, unstrained_length=lengths[None]))
             else:
                 self._offset = self._offset + (lengths - standing)
             self._checks = Checks(self._robot, self.settings)
@@ -178,21 +181,25 @@ class GuardedDriver:
 
         Raises:
             IllegalTransition: Not homed.
-            NotReady: The lengths change, or a check finds something.
+            NotReady: The settings forbid motion, the lengths change, or a check finds something.
+            CarosacError: What the driver behind says.
             InvalidField: The winches stand outside their limits.
         """
         with self._lock:
             self._allow("enable")
+            if not self.settings.motion:
+                raise NotReady("enable: this guard is read only; set motion=True on purpose")
             standing = self._standing_still()
             if self.finding is not None:
                 raise NotReady(f"enable: {self.finding.fault}: {self.finding.text}")
             self._limiter.reset(standing[None])
             if hasattr(self.inner, "enable"):
-                self._call(self.inner.enable)
+                self.inner.enable()
             self._bend = np.zeros(self._robot.n)
             self._stop, self._ended, self._dry = None, False, False
             self._checks.standing(standing)
             self._live = True
+            self._warming = self.settings.warm_up if self._real_time else 0
             self.began = time.monotonic()
             self._go(DriveState.ENABLED)
 
@@ -213,7 +220,7 @@ class GuardedDriver:
             self._allow("reset_fault")
             self._run_down()
             if hasattr(self.inner, "reset_fault"):
-                self._call(self.inner.reset_fault)
+                self.inner.reset_fault()
             latched = self.fault
             self._checks = Checks(self._robot, self.settings)
             self._standing_still()
@@ -254,8 +261,9 @@ class GuardedDriver:
         """Check, limit and send a command.
 
         Returns:
-            What was really sent, with every limit hit: ``not_enabled`` where nothing was, ``stop``
-            or the name of the fault where the winches brake instead.
+            What was really sent, with every limit hit: ``not_enabled`` where nothing was,
+            ``warm_up`` in the first cycles, ``stop`` or the name of the fault where the winches
+            brake instead.
 
         Raises:
             InvalidField: Another shape.
@@ -271,9 +279,10 @@ class GuardedDriver:
                 first = self._state is DriveState.ENABLED
                 standing = self._limiter.motion.length if first else measurement.unstrained_length
                 found = self._checks.command(command, standing[0], first=first)
-                if found is None:
+                if found is not None:
+                    self.latch(found)
+                elif self._warming == 0:
                     return self._follow(command, measurement)
-                self.latch(found)
             if self._live:
                 return self._brake(command)
             return self._dry_run(command, measurement)
@@ -294,10 +303,14 @@ class GuardedDriver:
                 raise InvalidField("duration", f"{duration} s", f"the guard's period, {period} s")
             if self._live and not self._sent:
                 self._brake(None)
+            if self._warming > 0:
+                self._warming -= 1
+            else:
+                self._count_late()
             alive = self._pass_period()
-            self._count_late()
             self.began = time.monotonic()
-            return alive and not self._ended and self._state is not DriveState.FAULT
+            over = self._ended or self.ending is not None or self._state is DriveState.FAULT
+            return alive and not over
 
     def stop(self, reason: str) -> None:
         """Bring all cables to rest along their path, wait for it, and disable; ends the run."""
@@ -305,7 +318,7 @@ class GuardedDriver:
             if self._state is DriveState.DISCONNECTED:
                 return
             if not self._ended:
-                self._event("stop", reason)
+                self._event("stop", self.ending or reason)
             self._run_down()
             self._ended = True
             self._quietly(self.inner.stop, reason)
@@ -320,6 +333,10 @@ class GuardedDriver:
                 self._go(DriveState.DISCONNECTED)
         if watchdog is not None:
             watchdog.end()
+
+    def end(self, reason: str) -> None:
+        """Have `wait` say False, so that the loop stops; safe in a signal handler."""
+        self.ending = reason
 
     def truth(self) -> State | None:
         """The truth, where the driver behind knows it."""
@@ -371,7 +388,8 @@ class GuardedDriver:
             if self._state not in (DriveState.ENABLED, DriveState.FOLLOWING):
                 return
             settings = self.settings
-            slowing = self._stop is not None or self.moving
+            following = self._state is DriveState.FOLLOWING
+            slowing = following and (self._stop is not None or self.moving)
             if waited > (settings.hang_time if slowing else settings.hang_time_at_rest):
                 text = f"the controller gave no command for {waited:.3f} s"
                 self.latch(Finding(fault=Fault.CONTROLLER, text=text))
@@ -460,7 +478,8 @@ class GuardedDriver:
             self._stop = CoordinatedStop(self._limiter, self._bend)
         sent = self._stop.step(np.asarray(now))
         if asked is not None:
-            why = "stop" if self.fault is None else str(self.fault.fault)
+            why = "warm_up" if self._warming > 0 else "stop"
+            why = why if self.fault is None else str(self.fault.fault)
             sent = replace(sent, limited=(*sent.limited, *_changed(why, asked, sent)))
         return self._send(sent, asked)
 
@@ -514,8 +533,8 @@ class GuardedDriver:
         return bool(self._call(self.inner.wait, self.settings.period))
 
     def _count_late(self) -> None:
-        """Count cycles that took longer than they may; too many within a second are a fault."""
-        late = self._real_time and time.monotonic() - self.began > 1.5 * self.settings.period
+        """Count cycles that took longer than a period; too many within a second are a fault."""
+        late = self._real_time and time.monotonic() - self.began > self.settings.period
         self.overruns += late
         self._late.append(late)
         full = len(self._late) == self._late.maxlen

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields
 from functools import lru_cache
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from carosac_toolkit import registry, trajectories
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.filled_settings import filled
 from carosac_toolkit.loop import BadPlugin, Log, run
 from carosac_toolkit.perturbations import draw_plant, find_condition
 from carosac_toolkit.protocols import TruthSource, replays
@@ -225,19 +226,6 @@ def _build(
 def plugin_name(name: str) -> str:
     """The plug-in that a name stands for: ``ks_ekf`` for its variant ``ks_ekf@tight``."""
     return name.partition("@")[0]
-
-
-def filled(where: str, settings: Any, values: Mapping[str, Any]) -> Any:
-    """Settings with some fields replaced; fields that are settings themselves are filled too."""
-    known = {field.name for field in fields(settings)}
-    chosen: dict[str, Any] = {}
-    for name, value in values.items():
-        if name not in known:
-            raise InvalidField(f"{where}.{name}", repr(value), f"one of {sorted(known)}")
-        inner = getattr(settings, name)
-        nested = is_dataclass(inner) and isinstance(value, Mapping)
-        chosen[name] = filled(f"{where}.{name}", inner, value) if nested else value
-    return replace(settings, **chosen)
 
 
 def robot_digest(name: str) -> str:
