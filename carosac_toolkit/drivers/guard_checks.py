@@ -53,6 +53,16 @@ class Checks:
         self.position: Array | None = None
         self.tension: Array | None = None
 
+    def prepare(self) -> None:
+        """Load what the checks compute with, which may take seconds, before time counts."""
+        robot = self._robot
+        position, rotation = robot.home_position[None], robot.home_rotation[None]
+        lengths = straight_line.inverse_kinematics(robot, position, rotation)
+        straight_line.forward_kinematics(robot, lengths)
+        statics.inverse_kinematics(robot, position, rotation if robot.n >= FREE else None)
+        if robot.n <= FREE:
+            statics.forward_kinematics(robot, lengths)
+
     def standing(self, length: Array | None) -> None:
         """The winches now stand there and are told to, lengths [m] of shape (n,); None: untold."""
         self._expected = None if length is None else length.copy()

@@ -39,6 +39,7 @@ from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Belief, Command, LimitHit, Measurement, State
 
 SETTLE = 4.0  # winch lags after the last command of a stop until the winches count as at rest
+GONE = 1.0  # silence of the driver behind that is a fault also where nothing moves [s]
 MEMORY = 0.1  # time constant of the mean acceleration that a stop goes on with [s]
 LIVE_ONLY = (Fault.TENSION, Fault.FOLLOWING_ERROR)  # no fault of a robot that nobody drives
 
@@ -100,7 +101,7 @@ class GuardedDriver:
         self._watchdog: Watchdog | None = None
         self._live = self._sent = self._ended = self._dry = False
         self._was_homed = self._homed_lost = False
-        self._warming = 0
+        self._warming, self._gone = 0, 0.0
         self.overruns = 0
         self.ending: str | None = None
         self.refused: dict[str, int] = {}
@@ -135,6 +136,7 @@ class GuardedDriver:
             self._allow("connect")
             self._forget()
             self.fault = None
+            self._checks.prepare()
             self.inner.connect()
             self._go(DriveState.CONNECTED)
             self.began = time.monotonic()
@@ -221,13 +223,16 @@ class GuardedDriver:
             self._run_down()
             if hasattr(self.inner, "reset_fault"):
                 self.inner.reset_fault()
-            latched = self.fault
+            latched, self.fault = self.fault, None
             self._checks = Checks(self._robot, self.settings)
-            self._standing_still()
-            if self.finding is not None:
-                raise NotReady(f"reset_fault: {self.finding.fault}: {self.finding.text}")
+            try:
+                self._standing_still()
+                if self.finding is not None:
+                    raise NotReady(f"{self.finding.fault}: {self.finding.text}")
+            except CarosacError as error:
+                self.fault = latched
+                raise NotReady(f"reset_fault: {error}; {latched} stays") from error
             homed = self._homed and (latched is None or latched.fault not in UNHOMED)
-            self.fault = None
             self._go(DriveState.HOMED if homed else DriveState.CONNECTED)
 
     # --- The cycle -------------------------------------------------------------------------------
@@ -253,7 +258,9 @@ class GuardedDriver:
             if found is None:
                 found = self._checks.measured(measurement, homed=self._homed)
             self.finding = found
-            if found is not None and (self._live or found.fault not in LIVE_ONLY):
+            lost = found is not None and found.fault is Fault.LOST_CONNECTION
+            self._gone = self._gone + self.settings.period if lost else 0.0
+            if found is not None and (self._live or self._counts_at_rest(found)):
                 self.latch(found)
             return measurement
 
@@ -423,6 +430,12 @@ class GuardedDriver:
             self._state = state
             self._event(str(state), text)
 
+    def _counts_at_rest(self, found: Finding) -> bool:
+        """Whether a finding is a fault where nobody drives the winches."""
+        if found.fault is Fault.LOST_CONNECTION:
+            return self._gone > GONE
+        return found.fault not in LIVE_ONLY
+
     def _allow(self, step: str) -> None:
         """Refuse a step that is not legal here."""
         if self._state not in ALLOWED[step]:
@@ -453,6 +466,8 @@ class GuardedDriver:
         for _ in range(self.settings.homing_samples):
             lengths.append(self.measure().unstrained_length[0])
             self._pass_period()
+            if self.fault is not None:
+                raise NotReady(str(self.fault))
         moved = float(np.ptp(lengths, axis=0).max())
         if moved > self.settings.rest_max:
             allowed = f"allowed: {self.settings.rest_max:g} m"
