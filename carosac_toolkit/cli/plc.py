@@ -31,6 +31,7 @@ from carosac_toolkit.plc.settings import PlcSettings
 from carosac_toolkit.robot_file import load_robot
 
 _PRIORITY = 5  # of SCHED_FIFO, 1 to 99
+_SWITCH = 0.5e-3  # [s] after which a thread lets the others run
 _MISSED = 0.1  # share of late cycles above which it was no PLC
 
 
@@ -81,6 +82,7 @@ def run(options: Options) -> CommandResult:
     )  # fmt: skip
     emulator = Emulator(plant, nominal, settings, seed=options.seed, ip=options.ip)
     with_signals(emulator)
+    sys.setswitchinterval(_SWITCH)
     if options.priority:
         take_priority()
     if options.control:

@@ -47,7 +47,8 @@ class AdsSettings:
         period: Time between two commands [s].
         io_period: Time between two exchanges of data [s]; a new command is sent at once.
         timeout: After which a call is given up [s]; None: as the robot file says.
-        lost_after: Silence of the PLC after which the connection counts as lost [s].
+        lost_after: Silence of the PLC after which the connection counts as lost, and standstill of
+            its heartbeat or clock after which its data are stale [s].
         suite: ``lengths``, or ``lengths+imu`` where the robot file names an IMU.
         start_position: Where an emulated PLC sets its robot down at `connect`, in W [m]; no real
             one is moved. None: it stays where it is.
@@ -206,13 +207,13 @@ class AdsDriver:
             CarosacError: Its cause is still there.
         """
         link = self._connected()
-        if self.status() == DriveState.FAULT and self.fault is Fault.LOST_CONNECTION:
-            raise CarosacError(f"{self.name}: {self.fault_text}")
         if not self._settings.motion:
             raise CarosacError(f"{self.name}: read only; set motion=True to reset the PLC")
         if link.counters.restarts != self._restarts:
             self._restarts = link.counters.restarts
             self._homed = False
+        if self.fault in (Fault.LOST_CONNECTION, Fault.STALE_DATA):
+            raise CarosacError(f"{self.name}: {self.fault_text}")
         self._enabled = False
         self._wait_for_rest()
         self._asked(Request.RESET)
@@ -252,7 +253,7 @@ class AdsDriver:
         link = self.link
         if link is None or link.reading is None:
             return DriveState.DISCONNECTED
-        if self.fault is Fault.LOST_CONNECTION:
+        if self.fault in (Fault.LOST_CONNECTION, Fault.STALE_DATA):
             return DriveState.FAULT
         said = state_of(link.reading.values["state"])
         return DriveState.HOMED if said is DriveState.CONNECTED and self._homed else said
@@ -267,6 +268,8 @@ class AdsDriver:
             return Fault.LOST_CONNECTION
         if link.counters.restarts != self._restarts:
             return Fault.LOST_CONNECTION
+        if time.monotonic() - link.reading.advanced > self._settings.lost_after:
+            return Fault.STALE_DATA
         return fault_of(link.reading.values["fault"])
 
     @property
@@ -399,6 +402,8 @@ class AdsDriver:
         answer = self._connected().request(request, _ANSWER)
         if answer is Answer.DONE:
             return
+        if answer is Answer.NONE and request is Request.ENABLE:
+            self._connected().request(Request.DISABLE)  # whenever it listens again
         raise CarosacError(
             f"{self.name}: the PLC refused to {request.name.lower()}: {_WHY[answer]}; it is "
             f"{self.status()}, and obeys session {self._reading().values['owner']}"

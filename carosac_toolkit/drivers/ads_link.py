@@ -35,13 +35,16 @@ class Reading:
     Attributes:
         values: By name, as in `ads_block.to_host`.
         received: When, by `time.monotonic` [s].
-        measured: When its lengths were measured, by the same clock [s].
+        measured: When its lengths were measured, by the same clock [s]; stays the same where the
+            heartbeat or the clock of the PLC does.
+        advanced: When that was last seen to advance, by the same clock [s].
         truth: What an emulated PLC knows of its robot, or None.
     """
 
     values: dict[str, Any]
     received: float
     measured: float
+    advanced: float
     truth: dict[str, Any] | None = None
 
 
@@ -58,6 +61,7 @@ class LinkCounters:
         missed: Cycles of the thread that came a whole period late.
         round_trip: Wall time of the newest cycle, read and write [s].
         round_trip_max: The longest one [s].
+        gap_max: Longest time from the end of one cycle to that of the next [s].
     """
 
     cycles: int = 0
@@ -68,6 +72,7 @@ class LinkCounters:
     missed: int = 0
     round_trip: float = 0.0
     round_trip_max: float = 0.0
+    gap_max: float = 0.0
 
 
 class AdsLink:
@@ -115,7 +120,7 @@ class AdsLink:
             "request": 0, "request_number": secrets.randbelow(2**31), "command": 0,
             "period": 0.0, "length": 0.0, "rate": 0.0,
         }  # fmt: skip
-        self._sequence = 0
+        self._sequence, self._failures, self._ended = 0, 0, 0.0
 
     def open(self, patience: float = 2.0) -> Reading:
         """Start the thread and wait for the first data.
@@ -186,13 +191,22 @@ class AdsLink:
             }  # fmt: skip
             self._fresh = True
             self._wake.notify()
+        answer = self._answer(number, patience)
+        if patience > 0.0:
+            with self._wake:  # a PLC that starts anew must not find it
+                if self._out["request_number"] == number:
+                    self._out = self._out | {"request": 0}
+        return answer
+
+    def _answer(self, number: int, patience: float) -> Answer:
+        """What the PLC answered to a request, `Answer.NONE` where it did not in time [s]."""
         end = time.monotonic() + patience
         with self._answered:
             while time.monotonic() < end:
                 reading = self.reading
                 if reading is not None and reading.values["answered"] == number:
                     return Answer(reading.values["answer"])
-                self._answered.wait(end - time.monotonic())
+                self._answered.wait(max(0.0, end - time.monotonic()))
         return Answer.NONE
 
     def wait_for_data(self, received: float, patience: float) -> bool:
@@ -249,7 +263,11 @@ class AdsLink:
             self.error, self._failures = None, 0
             counters = self.counters
             counters.cycles += 1
-            counters.round_trip = time.monotonic() - began
+            now = time.monotonic()
+            if counters.cycles > 1:
+                counters.gap_max = max(counters.gap_max, now - self._ended)
+            self._ended = now
+            counters.round_trip = now - began
             counters.round_trip_max = max(counters.round_trip_max, counters.round_trip)
         with self._answered:
             self._answered.notify_all()
@@ -276,13 +294,16 @@ class AdsLink:
         if last is not None and values["time"] < last.values["time"]:
             self.counters.restarts += 1
             self._offset.clear()
-        self._offset.add(received, values["time"])
+        alive = last is None or all(values[x] != last.values[x] for x in ("sequence", "time"))
+        if alive:
+            self._offset.add(received, values["time"])
         known = None
         if "truth" in self._handles:
             known = self._truth.unpack(self._fetch("truth", self._truth.size))
         self.reading = Reading(
-            values=values, received=received, measured=self._offset.here(values["time"]),
-            truth=known,
+            values=values, received=received, truth=known,
+            measured=self._offset.here(values["time"]) if last is None or alive else last.measured,
+            advanced=received if last is None or alive else last.advanced,
         )  # fmt: skip
 
     def _fetch(self, name: str, size: int) -> bytes:
@@ -331,7 +352,7 @@ class AdsLink:
         """Count a failure; after some in a row the connection is given up."""
         self.error = why
         self.counters.errors += 1
-        self._failures = getattr(self, "_failures", 0) + 1
+        self._failures = self._failures + 1
         if self._failures >= _REOPEN:
             self._disconnect()
 

@@ -172,7 +172,7 @@ class Machine:
         if not mine and self._host.session and (session, host["sequence"]) != self._foreign:
             self._foreign = (session, host["sequence"])
             self.counters.foreign += 1
-        if host["request_number"] != self._numbers.get(session, 0):
+        if host["request"] and host["request_number"] != self._numbers.get(session, 0):
             self._numbers[session] = host["request_number"]
             self._answer = (host["request_number"], self._request(host, mine))
         if session == self._host.session:

@@ -169,8 +169,10 @@ def test_what_freezes_shows_in_the_time_of_the_measurement(plc, driver, what, ki
         client.inject(Injection(kind))
         time.sleep(0.1)
         first = driver.measure()
-        time.sleep(0.1)
+        until(lambda: driver.fault is Fault.STALE_DATA)
         second = driver.measure()
+        assert driver.link.age < SETTINGS.lost_after  # it answers
+        assert not driver.wait(0.01)
         client.inject(Injection.CLEAR)
     assert second.time > first.time
     frozen = second.length_rate.time == first.length_rate.time
@@ -279,7 +281,7 @@ def test_a_slow_network_delays_and_loses_nothing(plc, driver):
     with plc.client() as client:
         client.inject(Injection.NETWORK, value=0.01, second=0.01)
         before = client.diagnosis()
-        asked, measured = follow(driver, 0.5, frequency=1.0)
+        asked, measured = follow(driver, 0.5)
         after = client.diagnosis()
         client.inject(Injection.CLEAR)
     assert driver.state is DriveState.FOLLOWING
