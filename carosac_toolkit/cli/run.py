@@ -24,6 +24,7 @@ import tyro
 
 from carosac_toolkit import registry, trajectories
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
+from carosac_toolkit.cli.plc import take_priority
 from carosac_toolkit.crash_safe import CrashSafeRecorder
 from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.drivers.guarded import GuardedDriver
@@ -43,6 +44,7 @@ from carosac_toolkit.studies.chosen_settings import check_types, chosen_settings
 
 REST = 1.0  # [s] before each part of the way, and after the last
 GUARD = "guard"
+SWITCH = 1e-3  # [s] after which a thread lets the others run
 Point = tuple[float, float, float]
 
 
@@ -76,6 +78,8 @@ class Options(CommonOptions):
     """How long the run lasts [s]; by default to the end of the trajectory."""
     rate: float = 100.0
     """Commands a second, for a controller whose period can be chosen."""
+    priority: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Run before all ordinary processes; on Linux, and with the right to it."""
     settings: Annotated[
         tuple[str, ...], tyro.conf.arg(name="set", metavar="SETTING"), tyro.conf.UseAppendAction
     ] = ()
@@ -99,26 +103,28 @@ def run(options: Options) -> CommandResult:
     guard.journal = recorder
     print(_what(options, recorder, float(controller.period)), flush=True)
     statistics = Statistics(guard)
-    error: Exception | None = None
+    sys.setswitchinterval(SWITCH)
+    if options.priority:
+        take_priority()
     try:
         with ending_of(guard, recorder.close) as ending, _steered(path, guard):
-            error = _run(options, guard, estimator, controller, path, statistics)
+            completed, error = _run(options, guard, estimator, controller, path, statistics)
     finally:
         recorder.close()
         statistics.end_line()
-    return _result(guard, statistics, recorder, ending, error)
+    return _result(guard, statistics, recorder, ending, completed, error)
 
 
 def _run(
     options: Options, guard: GuardedDriver, estimator: Any, controller: Any, path: Followed,
     statistics: Statistics,
-) -> Exception | None:  # fmt: skip
-    """Run the loop; what ended it, if it was an error after the connection stood."""
+) -> tuple[bool, Exception | None]:  # fmt: skip
+    """Run the loop; whether it came to its end, and an error after the connection stood."""
     duration = options.duration
     if duration is None:
         duration = path.duration + REST
     try:
-        run_loop(
+        log = run_loop(
             guard, estimator, controller, path, duration=duration, watch=statistics, keep=1
         )  # fmt: skip
     except Exception as error:
@@ -126,8 +132,8 @@ def _run(
             raise
         if not isinstance(error, CarosacError):
             traceback.print_exc()
-        return error
-    return None
+        return False, error
+    return log.completed, None
 
 
 def _plugin(kind: Any, name: str, robot: Robot, options: Options, chosen: dict[str, Any]) -> Any:
@@ -234,17 +240,19 @@ def _steered(path: Followed, guard: GuardedDriver) -> Any:
 
 def _result(
     guard: GuardedDriver, statistics: Statistics, recorder: CrashSafeRecorder, ending: Ending,
-    error: Exception | None,
+    completed: bool, error: Exception | None,
 ) -> CommandResult:  # fmt: skip
     """Say how it ended."""
     fault = guard.fault
-    reason = guard.ending or "end of the trajectory"
+    asked = guard.ending is not None and ending.signal is None
+    good = fault is None and error is None and (completed or asked)
+    reason = guard.ending or ("end of the trajectory" if completed else "the driver has stopped")
     if fault is not None:
         reason = f"fault: {fault}"
     elif error is not None:
         reason = f"{type(error).__name__}: {error}"
     data = {
-        "completed": fault is None and error is None and ending.signal is None,
+        "completed": good,
         "reason": reason,
         "fault": None if fault is None else str(fault.fault),
         "cable": None if fault is None else fault.cable,
@@ -255,6 +263,6 @@ def _result(
     }
     print(f"{reason}\n{statistics.cycles} cycles, {guard.overruns} late; limited: "
           f"{dict(statistics.limits) or 'none'}")  # fmt: skip
-    if fault is not None or error is not None:
-        return CommandResult(data, status=1)
-    return CommandResult(data, status=0 if ending.signal is None else 128 + ending.signal)
+    if ending.signal is not None and fault is None and error is None:
+        return CommandResult(data, status=128 + ending.signal)
+    return CommandResult(data, status=0 if good else 1)

@@ -316,6 +316,9 @@ class GuardedDriver:
                 self._count_late()
             alive = self._pass_period()
             self.began = time.monotonic()
+            found = None if alive or self._ended else inner_finding(self.inner)
+            if found is not None:
+                self.latch(found)
             over = self._ended or self.ending is not None or self._state is DriveState.FAULT
             return alive and not over
 
@@ -585,6 +588,9 @@ class GuardedDriver:
             if not self._sent:
                 self._brake(None)
             if not self._pass_period():
+                found = inner_finding(self.inner)
+                if found is not None:
+                    self.latch(found)
                 self._event("let_go", "the driver behind has stopped by itself")
                 return
             self.measure()
