@@ -15,6 +15,7 @@ class ClockOffset:
     def __init__(self, span: float = 10.0) -> None:
         """Nothing known yet; `span` is how long a difference counts [s]."""
         self._span = span
+        self._difference = 0.0
         self._least: deque[tuple[float, float]] = deque()  # received, difference; both grow
 
     def add(self, received: float, stamp: float) -> None:
@@ -25,11 +26,13 @@ class ClockOffset:
         self._least.append((received, difference))
         while self._least[0][0] < received - self._span:
             self._least.popleft()
+        self._difference = self._least[0][1]
 
     def clear(self) -> None:
         """Forget everything: the device started again."""
         self._least.clear()
+        self._difference = 0.0
 
     def here(self, stamp: float) -> float:
         """When it was by the clock of this host [s]."""
-        return stamp + (self._least[0][1] if self._least else 0.0)
+        return stamp + self._difference

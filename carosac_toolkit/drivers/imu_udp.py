@@ -88,7 +88,7 @@ class ImuListener:
         if not found:
             return None
         values = np.stack([sample for _, sample in found])[None]
-        stamps = np.array([[stamp - origin for stamp, _ in found]])
+        stamps = np.array([[self._offset.here(stamp) - origin for stamp, _ in found]])
         return Imu(time=stamps, angular_rate=values[..., :3], specific_force=values[..., 3:])
 
     def close(self) -> None:
@@ -124,4 +124,4 @@ class ImuListener:
         self._last, self._stamp = number, stamp
         self._offset.add(received, stamp)
         self.received += 1
-        self._samples.append((self._offset.here(stamp), values))
+        self._samples.append((stamp, values))

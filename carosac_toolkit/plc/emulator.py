@@ -20,6 +20,7 @@ from carosac_toolkit.plc.symbols import Symbols
 from carosac_toolkit.plc.world import World
 from carosac_toolkit.robot import Robot
 
+_WARM = 3  # cycles before anybody is heard: the first ones load kernels
 _CATCH_UP = 4  # cycles in a row without waiting; more are lost time, as where a PLC stands still
 
 
@@ -88,7 +89,8 @@ class Emulator:
         if self.hardware.imu is not None:
             self._imu = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._running = True
-        self._publish()
+        for _ in range(_WARM):
+            self.step()
         self.server = AmsServer(self._symbols, ip or self.hardware.ads.ip, port)
         self.server.start()
 

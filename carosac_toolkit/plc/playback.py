@@ -10,7 +10,8 @@ from carosac_toolkit.arrays import Array
 
 _BEHIND = 1.75  # commands by which the motion is behind the newest one as that arrives
 _KEPT = 8  # commands
-_STEER = 0.1  # share of a distance from `_BEHIND` that one command takes away
+_SMOOTH = 0.1  # share of a new distance from `_BEHIND` in the mean of the last ones
+_STEER, _WARP = 0.05, 0.02  # how much the clock hurries for such a distance, and at most
 _LOST = 3.0  # distance above which it is taken away at once
 _EXTRA = 1.5  # commands for which the motion goes on straight where none comes
 
@@ -24,8 +25,8 @@ class Playback:
     .. math:: s(u) = \tfrac12 (\tfrac12 - u)^2 L_{k-1} + (\tfrac34 - u^2) L_k
               + \tfrac12 (\tfrac12 + u)^2 L_{k+1}, \qquad |u| \le \tfrac12 .
 
-    Commands may come a little early or late; the motion goes by the clock of the PLC and follows
-    slowly. Lost commands are taken to lie on a straight line.
+    Commands may come a little early or late; the motion goes by the clock of the PLC, which hurries
+    or waits by 2 % at most. Lost commands are taken to lie on a straight line.
     """
 
     def __init__(self, position: Array) -> None:
@@ -34,6 +35,7 @@ class Playback:
         self._newest = 0  # number of the last point, from 0 at the start
         self._at = -_BEHIND
         self._period = 1.0
+        self._error: float | None = None
 
     def add(self, length: Array, gap: int, period: float) -> None:
         """Take a command [unit], shape (n,), that is `gap` after the last one; `period` in s."""
@@ -44,7 +46,10 @@ class Playback:
         self._newest += gap
         self._period = period
         error = self._newest - _BEHIND - self._at
-        self._at += error if abs(error) > _LOST else _STEER * error
+        if self._error is None or abs(error) > _LOST:
+            self._at += error
+            self._error = error = 0.0
+        self._error += _SMOOTH * (error - self._error)
 
     def advance(self, duration: float) -> tuple[Array, Array]:
         """Let time pass [s].
@@ -52,8 +57,9 @@ class Playback:
         Returns:
             Where to be then [unit], and how fast [unit/s], each of shape (n,).
         """
-        last = self._newest + _EXTRA - 1.0
-        self._at = min(self._at + duration / self._period, last)
+        last = self._newest + _EXTRA
+        hurry = 1.0 + float(np.clip(_STEER * (self._error or 0.0), -_WARP, _WARP))
+        self._at = min(self._at + hurry * duration / self._period, last)
         k = int(np.floor(self._at + 0.5))
         u = self._at - k
         before, here, after = (self._point(k + i) for i in (-1, 0, 1))

@@ -9,6 +9,7 @@ import numpy as np
 from carosac_toolkit.arrays import Array
 
 _BRAKE = 2.0  # deceleration of a tripped drive, by its brake, over the acceleration limit
+HEADROOM = 1.2  # of the drives over the acceleration limit, to come back to the motion asked for
 _MARGIN = 0.8  # share of the acceleration limit on which braking to a goal counts
 
 
@@ -70,7 +71,7 @@ class Winches:
         self._start: tuple[Array, Array] | None = None
 
     def follow(self, goal: Array, rate: Array, time_constant: float) -> None:
-        """One cycle towards a goal that moves, each winch within its own limits.
+        """One cycle towards a goal that moves, each winch within its own limits and `HEADROOM`.
 
         Args:
             goal: Where it is at the end of this cycle [unit], shape (n,).
@@ -87,7 +88,7 @@ class Winches:
         up = np.sqrt(2.0 * brake * np.maximum(limits.length_max - self.position, 0.0))
         down = np.sqrt(2.0 * brake * np.maximum(self.position - limits.length_min, 0.0))
         wanted = np.clip(wanted, -np.minimum(limits.speed, down), np.minimum(limits.speed, up))
-        most = limits.acceleration * cycle
+        most = HEADROOM * limits.acceleration * cycle
         still = (np.abs(error) < 1e-9) & (rate == 0.0) & (np.abs(self.speed) <= most)
         change = np.clip(wanted - self.speed, -most, most)
         change = np.where(still, -self.speed, change)

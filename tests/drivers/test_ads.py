@@ -12,6 +12,7 @@ from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.limits import Limiter
 from carosac_toolkit.physics import statics
 from carosac_toolkit.plc.machine_blocks import Injection
+from carosac_toolkit.plc.winches import HEADROOM
 from carosac_toolkit.values import Command
 from tests.plc_process import home_pose, own_address, plc_process
 
@@ -99,7 +100,7 @@ def test_winches_follow_and_no_limit_is_passed(plc, driver):
     assert found["over_acceleration"] == found["over_jerk"] == 0
     robot = plc.robot
     assert (found["speed_peak"] * 1e-3 <= robot.speed_max).all()
-    assert (found["acceleration_peak"] * 1e-3 <= robot.acceleration_max * (1 + 1e-9)).all()
+    assert (found["acceleration_peak"] * 1e-3 <= HEADROOM * robot.acceleration_max + 1e-9).all()
 
 
 def test_stop_is_a_ramp_of_all_winches_together(plc, driver):
