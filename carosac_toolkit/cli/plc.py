@@ -71,6 +71,8 @@ class Options(CommonOptions):
 
 def run(options: Options) -> CommandResult:
     """Run the PLC."""
+    if options.priority:  # before any thread: they inherit it
+        take_priority()
     nominal = load_robot(options.robot)
     condition = find_condition(options.condition)
     plant = draw_plant(nominal, condition, np.random.default_rng(options.seed))
@@ -83,8 +85,6 @@ def run(options: Options) -> CommandResult:
     emulator = Emulator(plant, nominal, settings, seed=options.seed, ip=options.ip)
     with_signals(emulator)
     sys.setswitchinterval(_SWITCH)
-    if options.priority:
-        take_priority()
     if options.control:
         threading.Thread(target=_listen, args=(emulator,), daemon=True).start()
     ads = emulator.hardware.ads

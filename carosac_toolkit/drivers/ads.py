@@ -129,9 +129,9 @@ class AdsDriver:
             address, self._robot.n, period=settings.io_period, writing=settings.motion,
             timeout=settings.timeout or address.timeout,
         )  # fmt: skip
-        reading = link.open()
+        link.open()
         try:
-            if settings.motion and settings.start_position is not None and reading.truth:
+            if settings.motion and settings.start_position is not None and link.emulated:
                 self._place(settings.start_position)
                 link.wait_for_data(time.monotonic() + 0.05, _ANSWER)
             if "imu" in settings.suite and self._named.imu is not None:
@@ -370,10 +370,16 @@ class AdsDriver:
 
     def truth(self) -> State | None:
         """The state of the robot of an emulated PLC at its newest cycle; None of a real one."""
-        known = self._reading().truth
+        link = self._connected()
+        if not link.emulated:
+            return None
+        if not link.wants_truth:
+            link.wants_truth = True
+            link.wait_for_data(time.monotonic() + self._settings.io_period, _ANSWER)
+        reading = self._reading()
+        known = reading.truth
         if known is None:
             return None
-        reading = self._reading()
         return State(
             time=np.array([reading.received - self._origin]),
             position=known["position"][None],

@@ -83,6 +83,7 @@ class AdsLink:
         session: By which the PLC knows this host.
         reading: The newest one, or None.
         error: The newest error in words, or None where the last cycle went well.
+        wants_truth: Whether the truth of an emulated PLC is read as well, which takes a call more.
         hold_heartbeat: For tests: the sequence stays the same while this is true.
     """
 
@@ -102,6 +103,7 @@ class AdsLink:
         self.session = secrets.randbelow(2**32 - 1) + 1
         self.reading: Reading | None = None
         self.error: str | None = None
+        self.wants_truth = False
         self.hold_heartbeat = False
         self._address, self._n, self._period, self._timeout = address, n, period, timeout
         self._writing = writing
@@ -151,6 +153,11 @@ class AdsLink:
         if self._thread is not None:
             self._thread.join(10.0 * self._timeout + 2.0)
             self._thread = None
+
+    @property
+    def emulated(self) -> bool:
+        """Whether the PLC is an emulated one, which knows the truth."""
+        return "truth" in self._handles
 
     @property
     def age(self) -> float:
@@ -298,7 +305,7 @@ class AdsLink:
         if alive:
             self._offset.add(received, values["time"])
         known = None
-        if "truth" in self._handles:
+        if self.wants_truth and self.emulated:
             known = self._truth.unpack(self._fetch("truth", self._truth.size))
         self.reading = Reading(
             values=values, received=received, truth=known,
