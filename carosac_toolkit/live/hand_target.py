@@ -113,11 +113,11 @@ class HandTarget:
         )  # fmt: skip
 
     def _next(self, here: _Here, target: Array, period: float) -> _Here:
-        """One period on: as fast as braking in time allows, within speed and acceleration."""
+        """One period on, within speed and acceleration; the last of the way without overshoot."""
         speed_max, acceleration_max = self._limits
         way = target - here.position
         far = float(np.linalg.norm(way))
-        pace = min(speed_max, np.sqrt(acceleration_max * far), far / (2.0 * SETTLE))
+        pace = min(speed_max, np.sqrt(0.5 * acceleration_max * far), far / (4.0 * SETTLE))
         wanted = way / far * pace if far > 0.0 else np.zeros(3)
         change = (wanted - here.velocity) / max(SETTLE, period)
         size = float(np.linalg.norm(change))
