@@ -203,8 +203,9 @@ class Emulator:
 
     def _stand(self) -> None:
         """The set points are where the winches stand."""
-        self.machine.place(self.world.inputs.length)
-        self.machine.reference = self.world.shift / self.hardware.unit
+        machine = self.machine
+        machine.place(self.world.inputs.length)
+        machine.reference = machine.winches.position - self.world.standing
 
     def _publish(self) -> None:
         """Write what clients read."""

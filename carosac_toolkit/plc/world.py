@@ -85,6 +85,12 @@ class World:
             self._read()
 
     @property
+    def standing(self) -> Array:
+        """Set positions, free of `shift` and noise, at which nothing moves [unit], shape (n,)."""
+        lengths = self.plant.read_lengths() + self._suite.encoder_bias
+        return self._hardware.number(lengths[0])
+
+    @property
     def inputs(self) -> Inputs:
         """What the sensors say now, in the units of the PLC."""
         lengths = self._lengths
