@@ -34,6 +34,7 @@ from carosac_toolkit.live.course import with_approach
 from carosac_toolkit.live.ending import Ending, ending_of
 from carosac_toolkit.live.hand_target import HELP, HandTarget
 from carosac_toolkit.live.keyboard import listening
+from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.live.statistics import Statistics
 from carosac_toolkit.loop import Path as Followed
 from carosac_toolkit.loop import run as run_loop
@@ -99,6 +100,7 @@ def run(options: Options) -> CommandResult:
     estimator = _plugin("estimators", options.estimator, robot, options, chosen)
     guard = _guard(robot, options, chosen["driver_settings"], float(controller.period))
     path = _path(robot, options)
+    rehearse(robot, estimator, controller, path, suite=options.suite)
     recorder = _recorder(options)
     guard.journal = recorder
     print(_what(options, recorder, float(controller.period)), flush=True)

@@ -54,7 +54,9 @@ def inner_finding(inner: Any) -> Finding | None:
     if said == DriveState.FAULT:
         fault = getattr(inner, "fault", None)
         known = fault if isinstance(fault, Fault) else Fault.UNKNOWN
-        return Finding(fault=known, text=str(getattr(inner, "fault_text", "the drives report it")))
+        told = str(getattr(inner, "fault_text", "")).removesuffix(known.meaning)
+        told = told.removeprefix(str(known)).strip(": ")
+        return Finding(fault=known, text=told or "the drives report it")
     return None
 
 
