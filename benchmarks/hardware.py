@@ -22,7 +22,7 @@ from carosac_toolkit.drivers.guarded_ads import GuardedAds, GuardedAdsSettings
 from carosac_toolkit.loop import Step, run
 from carosac_toolkit.plc.client import PlcClient
 from carosac_toolkit.trajectories.arcs import circle
-from carosac_toolkit.values import Command, State
+from carosac_toolkit.values import State
 
 SECONDS = 600.0
 FAST = 0.002  # [s], 500 Hz

@@ -132,7 +132,8 @@ class Hardware:
     @property
     def unit(self) -> Array:
         """Change of unstrained length per unit of the PLC, signed [m], shape (n,)."""
-        return np.array(self.sign) * np.array(self.scale)
+        found: Array = np.array(self.sign) * np.array(self.scale)
+        return found
 
     def length(self, number: Iterable[float]) -> Array:
         """Unstrained lengths [m], shape (n,), from the numbers of the PLC."""

@@ -125,17 +125,17 @@ def read_text(value: object) -> str:
 
 def read_port(value: object) -> int:
     """Read a port number."""
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or int(value) != value or not 1 <= value <= LAST_PORT:  # type: ignore[operator, call-overload]
+    number = float(value) if isinstance(value, int | float) else 0.0
+    if isinstance(value, bool) or number != round(number) or not 1 <= number <= LAST_PORT:
         raise InvalidQuantity(value, PORT)
-    return int(value)  # type: ignore[call-overload, no-any-return]
+    return round(number)
 
 
 def read_sign(value: object) -> float:
     """Read 1 or -1."""
-    if isinstance(value, bool) or value not in (1, -1, 1.0, -1.0):
+    if isinstance(value, bool) or value not in (1, -1):
         raise InvalidQuantity(value, SIGN)
-    return float(value)  # type: ignore[arg-type]
+    return float(str(value))
 
 
 def read_net_id(value: object) -> str:

@@ -25,10 +25,9 @@ _ADDRESSES = count(1)
 
 def robot_at(name: str, ip: str) -> str:
     """The file of a bundled robot with its PLC at an address; millimetres, two cables mirrored."""
-    cables = [
-        f"    {cable}: {{sign: {-1 if i % 2 else 1}, scale: 1 mm, offset: {25 if i % 2 else 0.5} m}}"
-        for i, cable in enumerate(ct.load_robot(name).cable_names)
-    ]
+    ways = ("{sign: 1, scale: 1 mm, offset: 0.5 m}", "{sign: -1, scale: 1 mm, offset: 25 m}")
+    names = ct.load_robot(name).cable_names
+    cables = [f"    {cable}: {ways[i % 2]}" for i, cable in enumerate(names)]
     ads = f"  ads: {{net_id: {ip}.1.1, ip: {ip}}}"
     return "\n".join([robot_text(name), "hardware:", ads, "  cables:", *cables, ""])
 

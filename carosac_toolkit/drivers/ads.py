@@ -431,9 +431,8 @@ class AdsDriver:
     def _lengths_of(self, position: State) -> Array:
         """Lengths of a pose of rest [m], shape (n,)."""
         if position.unstrained_length is not None:
-            return np.array(
-                frozen_array("unstrained_length", position.unstrained_length, (1, self._robot.n))
-            )[0]
+            given = position.unstrained_length
+            return np.array(frozen_array("unstrained_length", given, (1, self._robot.n)).ravel())
         rotation = position.rotation if self._robot.n >= _FREE else None
         found = statics.inverse_kinematics(self._robot, position.position, rotation)
         if len(position.position) != 1 or not found.converged[0]:

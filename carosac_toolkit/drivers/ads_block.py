@@ -92,7 +92,7 @@ class Block:
     def dtype(self) -> np.dtype[Any]:
         """The layout for numpy, without any gap."""
         parts = [(f.name, _TYPES[f.kind], (f.count,) if f.count else ()) for f in self.fields]
-        return np.dtype(parts)  # type: ignore[call-overload, no-any-return]
+        return np.dtype(parts)
 
     @property
     def size(self) -> int:

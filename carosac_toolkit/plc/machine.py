@@ -12,7 +12,7 @@ from carosac_toolkit.drivers.ads_block import LAYOUT, Answer, DriveStatus, Reque
 from carosac_toolkit.drivers.drive_state import DriveState, Fault
 from carosac_toolkit.plc.command_checks import CommandChecks, Counters
 from carosac_toolkit.plc.playback import Playback
-from carosac_toolkit.plc.winches import WinchLimits, Winches
+from carosac_toolkit.plc.winches import Winches, WinchLimits
 
 _ON = (DriveState.ENABLED, DriveState.FOLLOWING, DriveState.STOPPING)
 _SETTLE = 2.0  # periods in which a winch comes back to the motion asked for

@@ -56,7 +56,9 @@ class PlcSettings:
             not_negative=("shift", "wind_force"),
         )
         if self.watchdog < 2.0 * self.cycle:
-            raise InvalidField("watchdog", f"{self.watchdog} s", f">= {2.0 * self.cycle} s, 2 cycles")
+            raise InvalidField(
+                "watchdog", f"{self.watchdog} s", f">= {2.0 * self.cycle} s, 2 cycles"
+            )
 
 
 def limits_of(robot: Robot, hardware: Hardware, settings: PlcSettings) -> WinchLimits:

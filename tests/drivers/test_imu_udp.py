@@ -40,7 +40,8 @@ def test_a_line_comes_back_as_it_was_written():
 
 
 @pytest.mark.parametrize(
-    "line", ["", "imu 1 2 3", "gps 1 2 3 4 5 6 7 8", "imu x 1 2 3 4 5 6 7", "imu 1 1 nan 3 4 5 6 7 8"]
+    "line",
+    ["", "imu 1 2 3", "gps 1 2 3 4 5 6 7 8", "imu x 1 2 3 4 5 6 7", "imu 1 1 nan 3 4 5 6 7 8"],
 )
 def test_what_is_no_sample_is_none(line):
     assert parse_imu_line(line) is None

@@ -114,7 +114,7 @@ def test_commands_within_limits_give_motion_within_the_same_limits(rig, amplitud
     assert (winches.acceleration_peak <= HEADROOM * ROBOT.acceleration_max + 1e-9).all()
     # The motion is the commands some 1.5 periods later: compare with them a whole number later.
     asked = np.repeat(sent, 2, axis=0)
-    got = np.array(rig.positions[-len(asked):])
+    got = np.array(rig.positions[-len(asked) :])
     lag = [np.abs(got[k:] - asked[: len(asked) - k]).max() for k in range(8)]
     speed = float(np.abs(np.diff(sent, axis=0)).max() / PERIOD)
     assert min(lag) < speed * PERIOD + 1e-3
@@ -159,10 +159,10 @@ def test_a_host_that_falls_silent_is_heard_of_after_the_watchdog(rig):
 @pytest.mark.parametrize(
     ("length", "rate", "fault", "counter"),
     [
-        (START + [np.nan, 0, 0, 0], np.zeros(4), Fault.COMMAND, "not_finite"),
+        (START + np.array([np.nan, 0, 0, 0]), np.zeros(4), Fault.COMMAND, "not_finite"),
         (START, np.array([0, np.inf, 0, 0]), Fault.COMMAND, "not_finite"),
-        (START + [0, 0, 200.0, 0], np.zeros(4), Fault.COMMAND, "over_length"),
-        (START + [0, 0, 0, 0.5], np.zeros(4), Fault.COMMAND, "jumps"),
+        (START + np.array([0, 0, 200.0, 0]), np.zeros(4), Fault.COMMAND, "over_length"),
+        (START + np.array([0, 0, 0, 0.5]), np.zeros(4), Fault.COMMAND, "jumps"),
     ],
 )
 def test_a_first_command_that_cannot_be_is_not_followed(rig, length, rate, fault, counter):
@@ -177,7 +177,7 @@ def test_a_first_command_that_cannot_be_is_not_followed(rig, length, rate, fault
 def test_a_command_beyond_the_speed_limit_stops_the_winches_within_their_limits(rig):
     rig.ask(Request.ENABLE)
     rig.move(0.2)
-    rig.send(rig.host["length"] + [0.2, 0, 0, 0])  # 20 m/s
+    rig.send(rig.host["length"] + np.array([0.2, 0, 0, 0]))  # 20 m/s
     assert rig.machine.fault is Fault.OVER_LIMIT
     rig.cycles(200)
     assert rig.machine.counters.over_speed == 1
@@ -270,7 +270,7 @@ def test_a_winch_that_does_not_follow_is_a_fault(rig):
     rig.ask(Request.ENABLE)
     rig.move(0.1)
     for _ in range(60):
-        rig.offset = rig.offset + [0, 0, 0.006, 0]
+        rig.offset = rig.offset + np.array([0, 0, 0.006, 0])
         rig.cycles()
         if rig.machine.state is DriveState.FAULT:
             break
