@@ -18,6 +18,7 @@ import carosac_toolkit as ct
 from benchmarks.results import table, write_section
 from carosac_toolkit import registry
 from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
+from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.drivers.guarded_ads import GuardedAds, GuardedAdsSettings
 from carosac_toolkit.loop import Step, run
 from carosac_toolkit.plc.client import PlcClient
@@ -26,6 +27,7 @@ from carosac_toolkit.values import State
 
 SECONDS = 600.0
 FAST = 0.002  # [s], 500 Hz
+PATIENCE = 0.25  # [s] that host and PLC wait for each other: other programs run here
 FAST_SHARE = 0.05  # of the seconds, for 500 Hz
 COUNTS = ("over_length", "over_speed", "over_acceleration", "over_jerk", "not_finite", "lost",
           "watchdog", "commands")  # fmt: skip
@@ -40,7 +42,8 @@ class Plc:
     def __enter__(self) -> Plc:
         self._process = subprocess.Popen(
             [sys.executable, "-m", "carosac_toolkit.cli.main", "plc", "carosac", "--control",
-             "--priority", "--shift", "0.1", "--json", str(self._report)],
+             "--priority", "--shift", "0.1",
+             "--watchdog", str(PATIENCE), "--json", str(self._report)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
         assert self._process.stdout is not None
@@ -57,7 +60,7 @@ def quantiles(values: list[float] | np.ndarray) -> list[str]:
     return [f"{1e3 * x:.2f}" for x in found]
 
 
-def controlled(seconds: float) -> tuple[dict[str, list[float]], GuardedAds, float]:
+def controlled(seconds: float) -> tuple[dict[str, list[float]], GuardedDriver, float]:
     """A circle at 100 Hz with the kinematic solver; wall times per cycle [s]."""
     robot = ct.load_robot("carosac")
     controller = registry.load("controllers", "kinematic_solver")
@@ -66,10 +69,14 @@ def controlled(seconds: float) -> tuple[dict[str, list[float]], GuardedAds, floa
     center = 0.5 * (robot.workspace_min + robot.workspace_max)
     path = circle(center=center, radius=1.0, turns=max(1, round(seconds / 14.0)),
                   speed_max=0.5, acceleration_max=0.5)  # fmt: skip
-    start = tuple(float(x) for x in path.sample(np.zeros(1)).position[0])
+    x, y, z = (float(v) for v in path.sample(np.zeros(1)).position[0])
     driver = GuardedAds.build(
-        robot, GuardedAdsSettings(motion=True, period=0.01, start_position=start)
-    )
+        robot,
+        GuardedAdsSettings(
+            motion=True, period=0.01, start_position=(x, y, z), stale_time=PATIENCE,
+            hang_time=PATIENCE, inner={"lost_after": PATIENCE},
+        ),
+    )  # fmt: skip
     ticks: dict[str, list[float]] = {"tick": [], "round_trip": [], "error": []}
 
     def watch(step: Step) -> None:
@@ -95,11 +102,11 @@ def bare(seconds: float) -> tuple[list[float], list[float], AdsDriver]:
         home = State(time=np.zeros(1), position=robot.home_position[None], rotation=np.eye(3)[None])
         driver.home(home)
         driver.enable()
-        held = driver.link.reading.values["set_length"] if driver.link else np.zeros(robot.n)
+        link = driver.link
+        assert link is not None and link.reading is not None
+        held = link.reading.values["set_length"]
         ticks, trips = [], []
         for _ in range(round(seconds / FAST)):
-            link = driver.link
-            assert link is not None
             began = time.monotonic()
             link.send(held, np.zeros(robot.n), FAST)
             link.wait_for_data(began, 0.1)
@@ -132,13 +139,15 @@ def main() -> None:
         ["500 Hz: time between two commands", *quantiles(intervals)],
         ["500 Hz: command written, answer read", *quantiles(trips)],
     ]
+    gap = 1e3 * driver.inner.link_counters.gap_max
     fault = "none" if driver.fault is None else str(driver.fault)
     counts = ", ".join(f"{name.replace('_', ' ')} {seen[name]}" for name in COUNTS)
     error = 1e3 * float(np.sqrt(np.mean(np.square(ticks["error"]))))
     text = "\n".join([
         table(["[ms]", "p50", "p99", "p99.9", "largest"], rows), "",
-        f"100 Hz for {wall:.0f} s, {len(ticks['tick'])} commands of the kinematic solver on a circle "
-        f"of 1 m: {missed} ticks missed, fault: {fault}, tracking error {error:.1f} mm RMS. "
+        f"100 Hz for {wall:.0f} s, {len(ticks['tick'])} commands of the kinematic solver on a "
+        f"circle of 1 m: {missed} ticks missed, fault: {fault}, largest gap of "
+        f"the link {gap:.0f} ms, tracking error {error:.1f} mm RMS. "
         f"500 Hz: {len(trips)} cycles, {late} missed, {fast.overruns} overruns.", "",
         f"PLC ({plc['cycles']} cycles of 5 ms, {plc['overruns']} late, {plc['lost_time']:.2f} s "
         f"lost), after 100 Hz: {counts}; largest share of a limit commanded: speed "

@@ -17,7 +17,7 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array, frozen_array
 from carosac_toolkit.drivers.ads_block import Answer, DriveStatus, Request
-from carosac_toolkit.drivers.ads_link import AdsLink, Reading
+from carosac_toolkit.drivers.ads_link import AdsLink, LinkCounters, Reading
 from carosac_toolkit.drivers.drive_state import DriveState, Fault, fault_of, state_of
 from carosac_toolkit.drivers.imu_udp import ImuListener
 from carosac_toolkit.errors import CarosacError, InvalidField
@@ -59,7 +59,7 @@ class AdsSettings:
     period: float = 0.01
     io_period: float = 0.005
     timeout: float | None = None
-    lost_after: float = 0.05
+    lost_after: float = 0.1
     suite: str = "lengths"
     start_position: Point | None = None
     limits: LimitSettings = field(default_factory=lambda: LimitSettings(box=False))
@@ -83,7 +83,8 @@ class AdsDriver:
     that came; when the PLC measured them is the time of `length_rate`.
 
     Attributes:
-        link: The connection, with its counters; None before `connect`.
+        link: The connection; None before `connect` and after `close`.
+        link_counters: What happened on it, also after `close`.
         overruns: Ticks of the wall clock that were missed since `connect`.
     """
 
@@ -97,6 +98,7 @@ class AdsDriver:
         self._named = robot.hardware or Hardware.loopback(robot.n)
         self._hardware = self._named
         self.link: AdsLink | None = None
+        self.link_counters = LinkCounters()
         self._imu: ImuListener | None = None
         self._limiter = Limiter(robot, self._settings.limits, period=self._settings.period)
         self._homed = self._enabled = self._stopped = False
@@ -139,7 +141,7 @@ class AdsDriver:
         except BaseException:
             link.close()
             raise
-        self.link = link
+        self.link, self.link_counters = link, link.counters
         self._hardware = self._named
         self._homed = self._enabled = self._stopped = False
         self._restarts = link.counters.restarts

@@ -155,7 +155,7 @@ def to_host(n: int) -> Block:
         Field("sequence", "UDINT", "heartbeat: one more each PLC cycle"),
         Field("echo", "UDINT", "newest sequence seen from the session it obeys"),
         Field("owner", "UDINT", "session that it obeys; 0: nobody"),
-        Field("state", "UDINT", "1 connected, 3 enabled, 4 following, 5 stopping, 6 fault, 7 estop"),
+        Field("state", "UDINT", "1 off, 3 enabled, 4 following, 5 stopping, 6 fault, 7 estop"),
         Field("fault", "UDINT", "0 none, else the number of the fault"),
         Field("fault_axis", "UDINT", "0 none, else the cable, from 1"),
         Field("answered", "UDINT", "request_number of the newest request answered"),

@@ -141,7 +141,8 @@ class Machine:
             "fault_axis": self.fault_axis, "answered": self._answer[0], "answer": self._answer[1],
             "command_echo": self._host.command or 0, "has_tension": tension is not None,
             "time": self.time, "length": inputs.length, "rate": inputs.rate,
-            "tension": 0.0 if tension is None else tension, "set_length": self.winches.position, "drive_status": self._drives(),
+            "tension": 0.0 if tension is None else tension, "drive_status": self._drives(),
+            "set_length": self.winches.position,
         }  # fmt: skip
         self._frozen = found
         return found

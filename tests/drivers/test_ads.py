@@ -234,7 +234,7 @@ def test_no_plc_is_one_clear_message_and_leaves_no_thread(plc):
 
 
 def test_a_suite_needs_its_sensors(plc):
-    with pytest.raises(InvalidField, match="hardware.imu"):
+    with pytest.raises(InvalidField, match=r"hardware\.imu"):
         AdsDriver(plc.robot, AdsSettings(suite="lengths+imu")).connect()
 
 
