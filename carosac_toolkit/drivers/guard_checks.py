@@ -28,13 +28,13 @@ class Finding:
         fault: Its name.
         text: What was found and what is allowed.
         cable: Index of the cable, or None.
-        lasting: Whether it counts only once it has lasted.
+        lasting: How long it must last until it counts [s].
     """
 
     fault: Fault
     text: str
     cable: int | None = None
-    lasting: bool = False
+    lasting: float = 0.0
 
 
 class Checks:
@@ -160,7 +160,9 @@ class Checks:
         if error[i] <= allowed[i]:
             return None
         text = f"{error[i]:.3f} m from where the winch should be; allowed: {allowed[i]:.3f} m"
-        return Finding(fault=Fault.FOLLOWING_ERROR, text=text, cable=i, lasting=True)
+        return Finding(
+            fault=Fault.FOLLOWING_ERROR, text=text, cable=i, lasting=self._settings.lasting
+        )
 
     def _pose(self, measurement: Measurement) -> list[Finding | None]:
         """Closure, tensions and workspace."""
@@ -182,7 +184,7 @@ class Checks:
             return None
         text = f"{residual:.3f} m (rms) of the lengths fit no pose; allowed: "
         text += f"{self._settings.closure_max:g} m"
-        return Finding(fault=Fault.CLOSURE, text=text, lasting=True)
+        return Finding(fault=Fault.CLOSURE, text=text, lasting=self._settings.lasting)
 
     def _rest(self, lengths: Array) -> None:
         """Pose and tensions at rest; the straight-line position stays where there are none."""
@@ -207,7 +209,9 @@ class Checks:
         how = "measured" if measured else "estimated"
         low, high = robot.tension_min[i], robot.tension_max[i]
         text = f"{tension[i]:.1f} N {how}; allowed: {low:g} N to {high:g} N"
-        return Finding(fault=Fault.TENSION, text=text, cable=i, lasting=True)
+        slack = tension[i] < low
+        lasting = self._settings.slack_time if slack else self._settings.lasting
+        return Finding(fault=Fault.TENSION, text=text, cable=i, lasting=lasting)
 
     def _workspace(self) -> Finding | None:
         """The platform must stay in its box, but for a margin."""
@@ -220,14 +224,14 @@ class Checks:
             return None
         text = f"the platform is {far:.2f} m outside the workspace box; allowed: "
         text += f"{self._settings.workspace_margin:g} m"
-        return Finding(fault=Fault.CLOSURE, text=text, lasting=True)
+        return Finding(fault=Fault.CLOSURE, text=text, lasting=self._settings.lasting)
 
     def _ripe(self, findings: list[Finding]) -> Finding | None:
         """The first finding that counts; those that must last are counted."""
         kinds = {found.fault for found in findings}
         self._count = Counter({fault: self._count[fault] + 1 for fault in kinds})
         for found in findings:
-            if not found.lasting or self._count[found.fault] >= self._settings.persist:
+            if self._count[found.fault] * self._settings.period >= found.lasting - 1e-9:
                 return found
         return None
 

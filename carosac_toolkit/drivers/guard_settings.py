@@ -15,7 +15,15 @@ _METRES = (
     "first_max", "step_max", "range_margin", "jump_max", "following_max", "closure_max",
     "belief_max", "workspace_margin", "rest_max",
 )  # fmt: skip
-_SECONDS = ("period", "stale_time", "hang_time", "hang_time_at_rest", "stop_time_max")
+_SECONDS = (
+    "period",
+    "stale_time",
+    "hang_time",
+    "hang_time_at_rest",
+    "stop_time_max",
+    "lasting",
+    "slack_time",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +68,9 @@ class GuardSettings:
         overrun_share: Largest share of missed cycles within a second.
         warm_up: Cycles after `enable` in which the winches hold whatever is asked, in real time:
             the first ones are slow, as programs load what they need.
-        persist: Cycles that following error, closure, tension or workspace must last to count.
+        lasting: How long following error, closure, too much tension, or leaving the workspace must
+            last to count [s].
+        slack_time: How long a tension may be below its limit [s]; sway takes it there for moments.
         homing_samples: Samples of which the mean is homed.
     """
 
@@ -90,7 +100,8 @@ class GuardSettings:
     stop_time_max: float = 5.0
     overrun_share: float = 0.5
     warm_up: int = 5
-    persist: int = 3
+    lasting: float = 0.03
+    slack_time: float = 0.5
     homing_samples: int = 10
 
     def __post_init__(self) -> None:
@@ -99,8 +110,7 @@ class GuardSettings:
             check_positive(name, getattr(self, name), "m")
         for name in _SECONDS:
             check_positive(name, getattr(self, name), "s")
-        for name in ("persist", "homing_samples"):
-            check_whole(name, getattr(self, name), 1)
+        check_whole("homing_samples", self.homing_samples, 1)
         check_whole("warm_up", self.warm_up, 0)
         if not 0.0 < self.overrun_share <= 1.0:
             raise InvalidField("overrun_share", f"{self.overrun_share}", "0 < share <= 1")
