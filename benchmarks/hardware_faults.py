@@ -1,6 +1,6 @@
 """Each fault at random times while `carosac run` follows a circle on the emulated PLC.
 
-``python -m benchmarks.hardware_faults [times] [fault ...]``; 20 times each is what RESULTS.md shows.
+``python -m benchmarks.hardware_faults [times] [fault ...]``; 20 times each makes RESULTS.md.
 Host and PLC are processes of their own, and are really killed and frozen. What the winches do is
 seen from the PLC's side, through a connection of its own.
 """
@@ -46,6 +46,7 @@ TIMES = 20
 PATIENCE = 12.0  # [s] for anything to happen
 MOVING = 0.1  # [m/s] from which on a fault may come
 STATED = 1.0  # [s] from the fault to rest: 0.2 s to notice, 0.5 s from 2.5 m/s, and the machine
+LEAST_ROWS = 50
 OVER = ("over_length", "over_speed", "over_acceleration", "over_jerk", "not_finite", "jumps")
 NOTHING, RAISES, HANGS, NAN, FAR, DIVERGES = range(6)
 WHAT = Value(c_int, NOTHING)  # what controller and estimator do wrong, from the parent process
@@ -144,8 +145,8 @@ def host(trial: Trial) -> int:
         speed=0.8, acceleration=0.8, recording=trial.folder / "run.jsonl",
     )  # fmt: skip
     result = run_command.run(options)
-    (trial.folder / "result.json").write_text(json.dumps({"fault": result.data["fault"],
-                                                          "reason": result.data["reason"]}))  # fmt: skip
+    said = {key: result.data[key] for key in ("fault", "reason")}
+    (trial.folder / "result.json").write_text(json.dumps(said))
     return result.status
 
 
@@ -295,37 +296,33 @@ def watch(trial: Trial, name: str, inject: Callable[[Trial], Any]) -> None:
 def judge(trial: Trial, name: str, allowed: str) -> None:
     """What is said of it, and whether any limit was passed."""
     frozen = name in ("host frozen", "host killed -9")
-    if not frozen and name != "controller hangs":
-        until(lambda: ended(trial.host), "the host did not end")
-    if frozen or name == "controller hangs":
-        time.sleep(0.3)
     if frozen:
-        trial.said = str(list(Fault)[state(trial)[1]])
-    elif name == "controller hangs":
-        time.sleep(0.5)
-        os.kill(trial.host, signal.SIGKILL)
         time.sleep(0.1)
-    if name != "PLC killed":
-        found = trial.client.diagnosis()
-        trial.over = sum(int(found[key]) for key in OVER)
+        trial.said = str(list(Fault)[state(trial)[1]])
+    else:
+        until(lambda: ended(trial.host), "the host did not end")
     result = trial.folder / "result.json"
     if result.exists():
         trial.said = json.loads(result.read_text())["fault"] or "none"
+    if name != "PLC killed":
+        found = trial.client.diagnosis()
+        trial.over = sum(int(found[key]) for key in OVER)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        recorded = read_run(trial.folder / "run.jsonl")
-    if name == "controller hangs":
-        words = " ".join(str(event) for event in recorded.events)
-        trial.said = "controller" if "controller" in words else "-"
-    trial.rows = len(recorded.recording.time)
-    if trial.said not in allowed.split():
-        trial.problems.append(f"said {trial.said}, not {allowed}")
-    if trial.over:
-        trial.problems.append(f"{trial.over} commands over a limit")
-    if trial.rest is not None and trial.rest > STATED and name not in ("PLC killed",):
-        trial.problems.append(f"{trial.rest:.2f} s to rest")
-    if trial.rows < 50:
-        trial.problems.append(f"only {trial.rows} rows recorded")
+        warnings.simplefilter("ignore")  # where the process was killed, half a row may be left
+        trial.rows = len(read_run(trial.folder / "run.jsonl").recording.time)
+    trial.problems += problems(trial, name, allowed)
+
+
+def problems(trial: Trial, name: str, allowed: str) -> list[str]:
+    """What is not as it must be."""
+    rest = trial.rest or 0.0
+    checks = {
+        f"said {trial.said}, not {allowed}": trial.said not in allowed.split(),
+        f"{trial.over} commands over a limit": trial.over > 0,
+        f"{rest:.2f} s to rest": rest > STATED and name != "PLC killed",
+        f"only {trial.rows} rows recorded": trial.rows < LEAST_ROWS,
+    }
+    return [problem for problem, found in checks.items() if found]
 
 
 def main() -> None:

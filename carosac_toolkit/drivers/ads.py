@@ -10,70 +10,27 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array, frozen_array
 from carosac_toolkit.drivers.ads_block import Answer, DriveStatus, Request
 from carosac_toolkit.drivers.ads_link import AdsLink, LinkCounters, Reading
+from carosac_toolkit.drivers.ads_settings import AdsSettings, Point
 from carosac_toolkit.drivers.drive_state import DriveState, Fault, fault_of, state_of
+from carosac_toolkit.drivers.guard_inner import homing_lengths
 from carosac_toolkit.drivers.imu_udp import ImuListener
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.hardware import Hardware
-from carosac_toolkit.limits import Limiter, LimitSettings
-from carosac_toolkit.number_checks import check_fields, check_positive
-from carosac_toolkit.physics import statics
+from carosac_toolkit.limits import Limiter
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Command, LimitHit, Measurement, Stamped, State
 
-Point = tuple[float, float, float]
-
-_SUITES = ("lengths", "lengths+imu")
-_FREE = 6  # fewer cables do not hold the rotation of the platform
 _HOMING = 10  # readings of which the mean is homed
 _ANSWER = 1.0  # [s] in which the PLC must answer a request
 _AFTER_STOP = 1.0  # [s] beyond what braking from full speed takes
 _ON = (DriveState.ENABLED, DriveState.FOLLOWING)
-
-
-@dataclass(frozen=True, kw_only=True)
-class AdsSettings:
-    """Settings of `AdsDriver`; where the PLC is stands in the robot file, section ``hardware``.
-
-    Attributes:
-        motion: Whether anything may be written to the PLC; without it the driver only reads.
-        period: Time between two commands [s].
-        io_period: Time between two exchanges of data [s]; a new command is sent at once.
-        timeout: After which a call is given up [s]; None: as the robot file says.
-        lost_after: Silence of the PLC after which the connection counts as lost, and standstill of
-            its heartbeat or clock after which its data are stale [s].
-        suite: ``lengths``, or ``lengths+imu`` where the robot file names an IMU.
-        start_position: Where an emulated PLC sets its robot down at `connect`, in W [m]; no real
-            one is moved. None: it stays where it is.
-        limits: Of the commands.
-    """
-
-    motion: bool = False
-    period: float = 0.01
-    io_period: float = 0.005
-    timeout: float | None = None
-    lost_after: float = 0.1
-    suite: str = "lengths"
-    start_position: Point | None = None
-    limits: LimitSettings = field(default_factory=lambda: LimitSettings(box=False))
-
-    def __post_init__(self) -> None:
-        """Refuse a switch that is none, times that are not positive, an unknown suite."""
-        if not isinstance(self.motion, bool):
-            raise InvalidField("motion", repr(self.motion), "True or False")
-        check_fields(self, positive=("period", "io_period", "lost_after"))
-        if self.timeout is not None:
-            check_positive("timeout", self.timeout, "s")
-        if self.suite not in _SUITES:
-            allowed = f"one of {list(_SUITES)}; the PLC measures no poses"
-            raise InvalidField("suite", repr(self.suite), allowed)
 
 
 class AdsDriver:
@@ -162,7 +119,7 @@ class AdsDriver:
         link = self._connected()
         if self._enabled:
             raise CarosacError(f"{self.name}: home() while enabled; call disable() first")
-        lengths = self._lengths_of(position)
+        lengths = homing_lengths(self._robot, position)
         numbers = []
         for _ in range(_HOMING):
             if not link.wait_for_data(time.monotonic(), _ANSWER):
@@ -429,18 +386,6 @@ class AdsDriver:
                 return
             if not link.wait_for_data(time.monotonic(), _ANSWER):
                 return
-
-    def _lengths_of(self, position: State) -> Array:
-        """Lengths of a pose of rest [m], shape (n,)."""
-        if position.unstrained_length is not None:
-            given = position.unstrained_length
-            return np.array(frozen_array("unstrained_length", given, (1, self._robot.n)).ravel())
-        rotation = position.rotation if self._robot.n >= _FREE else None
-        found = statics.inverse_kinematics(self._robot, position.position, rotation)
-        if len(position.position) != 1 or not found.converged[0]:
-            where = np.round(position.position, 4).tolist()
-            raise InvalidField("position", f"{where} m", "one pose at which the platform can rest")
-        return np.array(found.unstrained_length[0])
 
     def _place(self, position: Point) -> None:
         """Have an emulated PLC set its robot down."""
