@@ -23,13 +23,14 @@ from carosac_toolkit.values import State
 _ADDRESSES = count(1)
 
 
-def robot_at(name: str, ip: str) -> str:
+def robot_at(name: str, ip: str, imu: int | None = None) -> str:
     """The file of a bundled robot with its PLC at an address; millimetres, two cables mirrored."""
     ways = ("{sign: 1, scale: 1 mm, offset: 0.5 m}", "{sign: -1, scale: 1 mm, offset: 25 m}")
     names = ct.load_robot(name).cable_names
     cables = [f"    {cable}: {ways[i % 2]}" for i, cable in enumerate(names)]
     ads = f"  ads: {{net_id: {ip}.1.1, ip: {ip}}}"
-    return "\n".join([robot_text(name), "hardware:", ads, "  cables:", *cables, ""])
+    sensor = [] if imu is None else [f"  imu: {{source: udp, port: {imu}, ip: {ip}}}"]
+    return "\n".join([robot_text(name), "hardware:", ads, "  cables:", *cables, *sensor, ""])
 
 
 def own_address() -> str:
@@ -48,11 +49,13 @@ class PlcProcess:
         process: The process.
     """
 
-    def __init__(self, *words: str, ip: str | None = None, name: str = "carosac") -> None:
+    def __init__(
+        self, *words: str, ip: str | None = None, name: str = "carosac", imu: int | None = None
+    ) -> None:
         self.ip = ip or own_address()
         self._folder = TemporaryDirectory()
         self.file = Path(self._folder.name) / "robot.yaml"
-        self.file.write_text(robot_at(name, self.ip))
+        self.file.write_text(robot_at(name, self.ip, imu))
         self.robot = ct.load_robot(self.file)
         self.process = subprocess.Popen(
             [sys.executable, "-m", "carosac_toolkit.cli.main", "plc", str(self.file), "--control",
@@ -89,9 +92,11 @@ class PlcProcess:
 
 
 @contextmanager
-def plc_process(*words: str, ip: str | None = None, name: str = "carosac") -> Iterator[PlcProcess]:
-    """A PLC for as long as the context lasts."""
-    plc = PlcProcess(*words, ip=ip, name=name)
+def plc_process(
+    *words: str, ip: str | None = None, name: str = "carosac", imu: int | None = None
+) -> Iterator[PlcProcess]:
+    """A PLC for as long as the context lasts; `imu` is the UDP port of its inertial sensor."""
+    plc = PlcProcess(*words, ip=ip, name=name, imu=imu)
     try:
         yield plc
     finally:

@@ -288,3 +288,22 @@ def test_a_slow_network_delays_and_loses_nothing(plc, driver):
     assert driver.state is DriveState.FOLLOWING
     assert after["over_acceleration"] == before["over_acceleration"]
     assert np.abs(measured - asked).max() < 0.1
+
+
+def test_inertial_samples_come_over_udp_in_the_time_of_the_driver():
+    with plc_process(imu=5005) as plc:
+        driver = AdsDriver(plc.robot, AdsSettings(suite="lengths+imu"))
+        driver.connect()
+        try:
+            driver.measure()
+            time.sleep(0.5)
+            measurement = driver.measure()
+        finally:
+            driver.close()
+    imu = measurement.imu
+    assert imu.time.shape[1] > 50  # 200 Hz for 0.5 s, less what a busy machine loses
+    assert (np.diff(imu.time[0]) > 0.0).all()
+    assert np.abs(measurement.time[0] - imu.time[0, -1]) < 0.2
+    # At rest, up to the tilt of the platform and the bias of the sensor: gravity along z.
+    assert imu.specific_force[0].mean(axis=0) == pytest.approx([0, 0, 9.81], abs=0.5)
+    assert not [t for t in threading.enumerate() if t.name == "imu-udp"]
