@@ -42,7 +42,7 @@ class Options(CommonOptions):
     robot: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ROBOT")] = "carosac"
     """A bundled robot (`carosac robots` lists them) or a path to a YAML file."""
     ip: str | None = None
-    """Address to listen on; by default that of the robot file, else 127.0.0.1."""
+    """Address to listen on; by default one of this machine only."""
     condition: str = "none"
     """What the simulated robot has that its file does not say, as in a study."""
     plant: str = "simulator"
@@ -88,7 +88,7 @@ def run(options: Options) -> CommandResult:
     if options.control:
         threading.Thread(target=_listen, args=(emulator,), daemon=True).start()
     ads = emulator.hardware.ads
-    print(f"carosac plc: ready: {nominal.name}, net id {ads.net_id}, {options.ip or ads.ip}:48898, "
+    print(f"carosac plc: ready: {nominal.name} at {emulator.ip}:48898, net id {emulator.ip}.1.1, "
           f"{ads.from_host}, {ads.to_host}", flush=True)  # fmt: skip
     try:
         emulator.run(options.duration)

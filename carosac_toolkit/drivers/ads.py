@@ -53,6 +53,9 @@ class AdsDriver:
         self._robot = robot
         self._settings = settings or AdsSettings()
         self._named = robot.hardware or Hardware.loopback(robot.n)
+        if self._settings.ip is not None:
+            ads = replace(self._named.ads, ip=self._settings.ip, net_id=f"{self._settings.ip}.1.1")
+            self._named = replace(self._named, ads=ads)
         self._hardware = self._named
         self.link: AdsLink | None = None
         self.link_counters = LinkCounters()

@@ -239,6 +239,9 @@ class AdsLink:
                     continue
                 self._cycle()
                 due = self._next(due)
+        except BaseException as error:
+            self.error = f"{type(error).__name__}: {error}"
+            raise
         finally:
             self._disconnect()
 

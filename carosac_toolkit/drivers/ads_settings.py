@@ -18,6 +18,8 @@ class AdsSettings:
     """Settings of `AdsDriver`; where the PLC is stands in the robot file, section ``hardware``.
 
     Attributes:
+        ip: Address of the PLC, such as 127.0.0.1 for an emulated one; its AMS net id is then the
+            same with .1.1. None: as the robot file says.
         motion: Whether anything may be written to the PLC; without it the driver only reads.
         period: Time between two commands [s].
         io_period: Time between two exchanges of data [s]; a new command is sent at once.
@@ -30,6 +32,7 @@ class AdsSettings:
         limits: Of the commands.
     """
 
+    ip: str | None = None
     motion: bool = False
     period: float = 0.01
     io_period: float = 0.005

@@ -10,7 +10,7 @@ import numpy as np
 
 from carosac_toolkit.drivers import ads_block
 from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.hardware import Hardware
+from carosac_toolkit.hardware import LOOPBACK, Hardware
 from carosac_toolkit.plc import machine_blocks
 from carosac_toolkit.plc.ams_server import TCP_PORT, AmsServer
 from carosac_toolkit.plc.machine import Machine
@@ -33,6 +33,7 @@ class Emulator:
     Attributes:
         machine: The program.
         server: What answers ADS.
+        ip: Where it listens.
         world: The robot.
         overruns: Cycles that came late.
         lost_time: [s].
@@ -49,7 +50,8 @@ class Emulator:
             nominal: What the PLC knows: limits and units.
             settings: Of both.
             seed: Of everything random.
-            ip: Where to listen; None: as the robot file says, else this machine only.
+            ip: Where to listen; None: this machine only, at the address of the robot file if that
+                is of this machine.
             port: TCP port; clients know only that of ADS.
 
         Raises:
@@ -91,7 +93,9 @@ class Emulator:
         self._running = True
         for _ in range(_WARM):
             self.step()
-        self.server = AmsServer(self._symbols, ip or self.hardware.ads.ip, port)
+        named = self.hardware.ads.ip
+        self.ip = ip or (named if named.startswith("127.") else LOOPBACK)
+        self.server = AmsServer(self._symbols, self.ip, port)
         self.server.start()
 
     def run(self, duration: float | None = None) -> None:

@@ -15,6 +15,7 @@ from carosac_toolkit.plc.playback import Playback
 from carosac_toolkit.plc.winches import Winches, WinchLimits
 
 _ON = (DriveState.ENABLED, DriveState.FOLLOWING, DriveState.STOPPING)
+_SESSIONS = 32  # whose newest request is remembered
 _SETTLE = 2.0  # periods in which a winch comes back to the motion asked for
 _JUMP = 3.0  # times the speed limit above which a position cannot have moved
 
@@ -174,7 +175,10 @@ class Machine:
             self._foreign = (session, host["sequence"])
             self.counters.foreign += 1
         if host["request"] and host["request_number"] != self._numbers.get(session, 0):
+            self._numbers.pop(session, None)
             self._numbers[session] = host["request_number"]
+            if len(self._numbers) > _SESSIONS:
+                del self._numbers[next(iter(self._numbers))]
             self._answer = (host["request_number"], self._request(host, mine))
         if session == self._host.session:
             self._command(host)

@@ -307,3 +307,12 @@ def test_inertial_samples_come_over_udp_in_the_time_of_the_driver():
     # At rest, up to the tilt of the platform and the bias of the sensor: gravity along z.
     assert imu.specific_force[0].mean(axis=0) == pytest.approx([0, 0, 9.81], abs=0.5)
     assert not [t for t in threading.enumerate() if t.name == "imu-udp"]
+
+
+def test_a_robot_with_a_plc_elsewhere_is_rehearsed_on_this_machine(plc):
+    ads = replace(plc.robot.hardware.ads, ip="192.0.2.1", net_id="192.0.2.1.1.1")
+    robot = replace(plc.robot, hardware=replace(plc.robot.hardware, ads=ads))
+    driver = AdsDriver(robot, AdsSettings(ip=plc.ip))
+    driver.connect()
+    assert driver.link.reading.values["cables"] == 4
+    driver.close()
