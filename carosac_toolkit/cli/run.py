@@ -42,6 +42,7 @@ from carosac_toolkit.protocols import replays
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.studies.chosen_settings import check_types, chosen_settings
+from carosac_toolkit.studies.run_case import own_settings
 
 REST = 1.0  # [s] before each part of the way, and after the last
 GUARD = "guard"
@@ -85,7 +86,8 @@ class Options(CommonOptions):
         tuple[str, ...], tyro.conf.arg(name="set", metavar="SETTING"), tyro.conf.UseAppendAction
     ] = ()
     """Setting of a plug-in: controller.NAME.FIELD=VALUE, estimator.NAME.FIELD=VALUE,
-    driver.FIELD=VALUE, or driver.guard.FIELD=VALUE for the guard; may be given several times."""
+    driver.FIELD=VALUE, or driver.guard.FIELD=VALUE for the guard around a driver that has none of
+    its own; may be given several times."""
     recording: OutputFile = None
     """Where the run is recorded, ending in .jsonl; by default a new file in carosac-results/run."""
 
@@ -169,15 +171,18 @@ def _guard(robot: Robot, options: Options, chosen: dict[str, Any], period: float
         raise InvalidField("--driver", repr(options.driver), allowed)
     guarded = isinstance(plugin, type) and issubclass(plugin, GuardedDriver)
     kind = plugin if guarded else GuardedDriver
-    named: dict[str, Any] = {} if guarded else {"driver": options.driver}
-    inner = dict(chosen)
-    asked = inner.pop(GUARD, {})
+    own = own_settings(options.driver, chosen)
+    asked = dict(own.pop(GUARD, {}))
+    if guarded:
+        asked |= own
+    else:
+        asked |= {"driver": options.driver, "inner": own}
     settings: GuardSettings = kind.Settings()
     check_types("driver.guard", settings, asked)
     home = options.home or tuple(float(x) for x in robot.home_position)
     wanted = {
-        **named, "period": period, "suite": options.suite, "motion": options.enable,
-        "start_position": home, "real_time": True, "inner": inner, **asked,
+        "period": period, "suite": options.suite, "motion": options.enable,
+        "start_position": home, "real_time": True, **asked,
     }  # fmt: skip
     made = filled("driver.guard", settings, wanted)
     guard: GuardedDriver = kind.build(robot, made, seed=options.seed)

@@ -16,7 +16,7 @@ from carosac_toolkit.physics.braking import Motion
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Belief, Command, Measurement
 
-DELAY = 0.03  # motion that lags and delays may explain [s]
+DELAY = 0.03  # motion that differing lags may explain [s], besides the age of a sample
 FREE = 6  # cables up to which lengths and weight say the tensions
 
 
@@ -137,11 +137,13 @@ class Checks:
         if last is None:
             return None
         change = (measurement.unstrained_length - last.unstrained_length)[0]
+        passed = max(_sampled(measurement) - _sampled(last), 0.0)
         if self._expected is not None and before is not None:
             change = change - (self._expected - before)
-            allowed = self._settings.jump_max + 0.5 * self._settings.period * np.abs(self._speed)
+            period = self._settings.period
+            uneven = abs(passed - period) + 0.5 * period  # samples come when they come
+            allowed = self._settings.jump_max + uneven * np.abs(self._speed)
         else:
-            passed = max(_sampled(measurement) - _sampled(last), 0.0)
             allowed = self._settings.jump_max + self._robot.speed_max * passed
         over = np.abs(change) - allowed
         i = int(np.argmax(over))
@@ -155,7 +157,8 @@ class Checks:
         if self._expected is None:
             return None
         error = np.abs(measurement.unstrained_length[0] - self._expected)
-        allowed = self._settings.following_max + DELAY * np.abs(self._speed)
+        age = max(float(measurement.time[0]) - _sampled(measurement), 0.0)
+        allowed = self._settings.following_max + (DELAY + age) * np.abs(self._speed)
         i = int(np.argmax(error - allowed))
         if error[i] <= allowed[i]:
             return None

@@ -54,7 +54,7 @@ class GuardSettings:
         jump_max: Largest change of a length between two samples, beyond what the winch can turn
             meanwhile or was asked for [m].
         following_max: Largest distance of a length from where it should be by now [m], besides
-            30 ms of motion.
+            the motion of 30 ms and of the age of the sample.
         closure_max: Largest root mean square of the lengths that no straight-line pose explains
             [m]. Sag and tilt take up to 12 mm of it on the bundled robots.
         belief_max: Largest distance of the believed position from that of the lengths [m].

@@ -44,6 +44,7 @@ class GuardedDriver:
     Attributes:
         inner: The driver behind the guard.
         settings: As they were given.
+        real_time: Whether the clock on the wall counts.
         journal: Hears of everything; set it before `connect`.
         finding: What the last measurement showed, latched or not.
         refused: What would have been a fault in a dry run, counted by text.
@@ -60,7 +61,7 @@ class GuardedDriver:
         """Guard a driver; `robot` says the limits, `real_time` whether a clock runs."""
         self.inner = inner
         self.settings = settings
-        self._robot, self._real_time = robot, real_time
+        self._robot, self.real_time = robot, real_time
         self._lock = threading.RLock()
         self._life = Lifecycle(self._event)
         self.journal: Journal = Silence()
@@ -85,7 +86,7 @@ class GuardedDriver:
         self._life.fault = None
         self._checks = Checks(self._robot, self.settings)
         self._out = Commander(self._robot, self.settings, self._send)
-        self._time = Punctuality(self.settings, real_time=self._real_time)
+        self._time = Punctuality(self.settings, real_time=self.real_time)
         self._measured: Measurement | None = None
         self._watchdog: Watchdog | None = None
         self._live = self._ended = False
@@ -139,7 +140,7 @@ class GuardedDriver:
             except BaseException:
                 self.close()
                 raise
-            if self._real_time:
+            if self.real_time:
                 period = self.settings.period
                 self._watchdog = Watchdog(period, lambda: self._time.waited, self._miss)
                 self._watchdog.start()
