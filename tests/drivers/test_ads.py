@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
+from carosac_toolkit.drivers.ads_block import LAYOUT, Request, from_host
 from carosac_toolkit.drivers.drive_state import DriveState, Fault
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.limits import Limiter
@@ -85,7 +86,7 @@ def test_enabling_moves_nothing(plc, driver):
     assert driver.state is DriveState.ENABLED
     assert driver.truth().unstrained_length == pytest.approx(before, abs=2e-3)
     with plc.client() as client:
-        assert client.diagnosis()["set_speed"].any() == False  # noqa: E712
+        assert not client.diagnosis()["set_speed"].any()
 
 
 def test_winches_follow_and_no_limit_is_passed(plc, driver):
@@ -181,21 +182,20 @@ def test_what_freezes_shows_in_the_time_of_the_measurement(plc, driver, what, ki
 
 
 def test_a_second_host_is_refused_and_does_not_disturb(plc, driver):
-    other = AdsDriver(plc.robot, SETTINGS)
-    # One process shares one connection to a PLC; another session needs no connection of its own.
-    other.link = driver.link
-    ours = driver.link.session
-    values = driver.link._out | {"session": ours % 2**31 + 7}
-    with driver.link._wake:
-        driver.link._out = values
-    time.sleep(0.1)
-    with driver.link._wake:
-        driver.link._out = driver.link._out | {"session": ours}
-    time.sleep(0.05)
+    name, block = plc.robot.hardware.ads.from_host, from_host(4)
+    other = {"layout": LAYOUT, "cables": 4, "session": driver.link.session ^ 1, "follow": 1,
+             "request": int(Request.STOP), "length": [9e3] * 4, "period": 0.01}  # fmt: skip
     with plc.client() as client:
-        assert client.diagnosis()["foreign"] > 0
+        before = client.diagnosis()["foreign"]
+        for k in range(1, 30):
+            values = {"sequence": k, "sequence_end": k, "request_number": k, "command": k}
+            client.write(name, block.pack(other | values))
+            time.sleep(0.007)
+        after = client.diagnosis()
+    assert after["foreign"] > before
     assert driver.state is DriveState.ENABLED
-    other.link = None
+    assert driver.link.reading.values["owner"] == driver.link.session
+    assert not after["set_speed"].any()
 
 
 def test_read_only_is_the_default_and_writes_nothing(plc):
