@@ -17,6 +17,7 @@ from carosac_toolkit.number_checks import check_positive, check_whole
 NET_ID = re.compile(r"(\d{1,3}\.){5}\d{1,3}")
 LAST_PORT = 65535
 LOOPBACK = "127.0.0.1"
+TCP_PORT = 48898  # of ADS, on every machine
 
 
 @dataclass(frozen=True, kw_only=True)

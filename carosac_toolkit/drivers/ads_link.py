@@ -19,8 +19,7 @@ from carosac_toolkit.drivers import ads_block
 from carosac_toolkit.drivers.ads_block import Answer, Request
 from carosac_toolkit.drivers.clock_offset import ClockOffset
 from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.hardware import AdsAddress
-from carosac_toolkit.plc.ams_server import TCP_PORT
+from carosac_toolkit.hardware import TCP_PORT, AdsAddress
 from carosac_toolkit.plc.machine_blocks import TRUTH, truth
 
 _AGAIN = 0.2  # [s] between two attempts to connect

@@ -14,9 +14,9 @@ import threading
 import time
 
 from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.hardware import TCP_PORT
 from carosac_toolkit.plc.symbols import Symbols
 
-TCP_PORT = 48898
 LONGEST = 1 << 16  # bytes of a request; longer ones are no ADS
 _HEADER = struct.Struct("<6sH6sHHHIII")
 _PATIENCE = 2.0  # [s] for threads to end

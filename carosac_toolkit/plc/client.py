@@ -9,9 +9,8 @@ from typing import Any
 
 from carosac_toolkit.drivers.ads_block import Block
 from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.hardware import LOOPBACK
+from carosac_toolkit.hardware import LOOPBACK, TCP_PORT
 from carosac_toolkit.plc import machine_blocks
-from carosac_toolkit.plc.ams_server import TCP_PORT
 from carosac_toolkit.plc.machine_blocks import Injection
 
 _HEADER = struct.Struct("<6sH6sHHHIII")

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.drivers import ads_block
+from carosac_toolkit.drivers.imu_udp import imu_line
 from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.hardware import LOOPBACK, Hardware
+from carosac_toolkit.hardware import LOOPBACK, TCP_PORT, Hardware
 from carosac_toolkit.plc import machine_blocks
-from carosac_toolkit.plc.ams_server import TCP_PORT, AmsServer
+from carosac_toolkit.plc.ams_server import AmsServer
 from carosac_toolkit.plc.machine import Machine
 from carosac_toolkit.plc.machine_blocks import Injection
 from carosac_toolkit.plc.settings import PlcSettings, limits_of
@@ -88,6 +89,7 @@ class Emulator:
         self._n, self._cycles, self.overruns, self.lost_time = n, 0, 0, 0.0
         self._control, self._refused = 0, 0
         self._imu: socket.socket | None = None
+        self._sent_imu = 0
         if self.hardware.imu is not None:
             self._imu = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._running = True
@@ -235,10 +237,8 @@ class Emulator:
         imu = self.hardware.imu
         if self._imu is None or imu is None:
             return
-        from carosac_toolkit.drivers.imu_udp import imu_line
-
         for taken, sample in samples:
-            self._sent_imu = getattr(self, "_sent_imu", 0) + 1
+            self._sent_imu += 1
             clock = self.machine.time - (self.world.time - taken)
             line = imu_line(self._sent_imu, clock, sample[:3], sample[3:])
             self._imu.sendto(line.encode(), (imu.ip, imu.port))
