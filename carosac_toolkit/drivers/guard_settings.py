@@ -94,7 +94,7 @@ class GuardSettings:
     belief_max: float = 0.7
     workspace_margin: float = 0.3
     rest_max: float = 0.003
-    stale_time: float = 0.06
+    stale_time: float = 0.08
     hang_time: float = 0.25
     hang_time_at_rest: float = 10.0
     stop_time_max: float = 5.0
