@@ -306,7 +306,11 @@ def judge(trial: Trial, name: str, allowed: str) -> None:
         trial.said = json.loads(result.read_text())["fault"] or "none"
     if name != "PLC killed":
         found = trial.client.diagnosis()
-        trial.over = sum(int(found[key]) for key in OVER)
+        counts = {key: int(found[key]) for key in OVER if found[key]}
+        trial.over = sum(counts.values())
+        if counts:
+            shares = {key: found[key] for key in found if key.startswith("worst")}
+            trial.problems.append(f"{counts}, {shares}")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # where the process was killed, half a row may be left
         trial.rows = len(read_run(trial.folder / "run.jsonl").recording.time)

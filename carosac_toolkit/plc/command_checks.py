@@ -58,13 +58,13 @@ class CommandChecks:
     def __init__(self, limits: WinchLimits, counters: Counters) -> None:
         self._limits = limits
         self._counters = counters
-        self.reset(np.zeros(len(limits.speed)))
+        self.reset(np.zeros(len(limits.speed)), 0)
 
-    def reset(self, position: Array) -> None:
-        """Start from rest at set positions [unit], shape (n,)."""
+    def reset(self, position: Array, number: int) -> None:
+        """Start from rest at set positions [unit], shape (n,); `number` is of the last command."""
         rest = np.zeros_like(position)
         self._last: list[Array | None] = [np.array(position), rest, rest]
-        self._number: int | None = None
+        self._number, self._first = number, True
 
     def check(self, host: dict[str, Any], position: Array) -> Fault:
         """Count one new command; say whether it must not be followed.
@@ -84,11 +84,11 @@ class CommandChecks:
         if ((length < limits.length_min - slack) | (length > limits.length_max + slack)).any():
             counters.over_length += 1
             return Fault.COMMAND
-        if self._number is None and (np.abs(length - position) > limits.step).any():
+        if self._first and (np.abs(length - position) > limits.step).any():
             counters.jumps += 1
             return Fault.COMMAND
-        gap = 1 if self._number is None else (host["command"] - self._number) % 2**32
-        self._number = host["command"]
+        gap = (host["command"] - self._number) % 2**32
+        self._number, self._first = host["command"], False
         counters.lost += gap - 1
         return self._differences(length, gap, period)
 

@@ -209,7 +209,7 @@ class Machine:
             return Answer.WRONG_STATE
         self._host = _Host(host["session"], host["sequence"], command=host["command"])
         self.place(self._inputs.length)
-        self._checks.reset(self.winches.position)
+        self._checks.reset(self.winches.position, host["command"])
         self._disable = False
         self.state = DriveState.ENABLED
         return Answer.DONE
@@ -230,9 +230,7 @@ class Machine:
         own = self._host
         if not host["follow"] or host["command"] == own.command:
             return
-        gap = 1 if own.playback is None or own.command is None else (
-            (host["command"] - own.command) % 2**32
-        )  # fmt: skip
+        gap = (host["command"] - (own.command or 0)) % 2**32
         own.command = host["command"]
         if self.state not in (DriveState.ENABLED, DriveState.FOLLOWING):
             self.counters.ignored += 1

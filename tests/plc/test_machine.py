@@ -284,3 +284,18 @@ def test_lost_commands_are_counted_and_bridged(rig):
     rig.send(rig.host["length"])
     assert rig.machine.counters.lost == 2
     assert rig.machine.state is DriveState.FOLLOWING
+
+
+def test_a_first_command_that_was_lost_counts_as_lost_and_not_as_a_jerk(rig):
+    rig.ask(Request.ENABLE)
+    limiter = Limiter(ROBOT, LimitSettings(box=False), period=PERIOD)
+    limiter.reset(START[None])
+    for k in range(1, 12):
+        asked = Command(time=np.zeros(1), unstrained_length=START[None] + 0.2)
+        length = limiter.apply(asked).unstrained_length[0]
+        rig.host = rig.host | {"command": k, "length": length, "follow": k > 3}
+        rig.cycles(2)
+    counters = rig.machine.counters
+    assert counters.lost == 3
+    assert counters.over_acceleration == counters.over_jerk == 0
+    assert rig.machine.state is DriveState.FOLLOWING
