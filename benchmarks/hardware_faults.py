@@ -46,7 +46,8 @@ from carosac_toolkit.values import Belief, Command, Measurement, Reference
 TIMES = 20
 PATIENCE = 12.0  # [s] for anything to happen
 MOVING = 0.1  # [m/s] from which on a fault may come
-STATED = 1.0  # [s] from the fault to rest: 0.2 s to notice, 0.5 s from 2.5 m/s, and the machine
+NOTICED = 0.2  # [s] of silence that either side takes for a fault: other programs run here
+STATED = 1.0  # [s] from the fault to rest: to notice it, 0.5 s from 2.5 m/s, and the machine
 LEAST_ROWS = 50
 OVER = ("over_length", "over_speed", "over_acceleration", "over_jerk", "not_finite", "jumps")
 NOTHING, RAISES, HANGS, NAN, FAR, DIVERGES = range(6)
@@ -128,7 +129,7 @@ def plc(trial: Trial, check: bool) -> int:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
     sys.setswitchinterval(5e-4)
     robot = ct.load_robot(trial.folder / "robot.yaml")
-    settings = PlcSettings(encoder_check=check, shift=0.1)
+    settings = PlcSettings(encoder_check=check, shift=0.1, watchdog=NOTICED)
     emulator = Emulator(robot, robot, settings, seed=os.getpid())
     signal.signal(signal.SIGTERM, lambda *_: emulator.stop())
     emulator.run()
@@ -143,6 +144,8 @@ def host(trial: Trial) -> int:
         robot=str(trial.folder / "robot.yaml"), driver="ads",
         controller="benchmarks.hardware_faults:Wrong",
         estimator="benchmarks.hardware_faults:Diverging", trajectory="circle", enable=True,
+        settings=(f"driver.stale_time={NOTICED}", f"driver.hang_time={NOTICED}",
+                  f"driver.inner.lost_after={NOTICED}"),
         speed=0.8, acceleration=0.8, recording=trial.folder / "run.jsonl",
     )  # fmt: skip
     result = run_command.run(options)
