@@ -210,9 +210,7 @@ def _kept(keep: int) -> int:
     return keep
 
 
-def _reference(
-    trajectory: Path, controller: Controller, now: float, start: float
-) -> Reference:
+def _reference(trajectory: Path, controller: Controller, now: float, start: float) -> Reference:
     """Window of the trajectory `now` seconds after its start, by the driver's clock."""
     window = trajectory.window(now, controller.horizon, controller.period)
     return window if start == 0.0 else replace(window, time=window.time + start)

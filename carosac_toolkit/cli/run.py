@@ -107,6 +107,7 @@ def run(options: Options) -> CommandResult:
     guard.journal = recorder
     print(_what(options, recorder, float(controller.period)), flush=True)
     statistics = Statistics(guard)
+    usual = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH)
     if options.priority:
         take_priority()
@@ -114,6 +115,7 @@ def run(options: Options) -> CommandResult:
         with ending_of(guard, recorder.close) as ending, _steered(path, guard):
             completed, error = _run(options, guard, estimator, controller, path, statistics)
     finally:
+        sys.setswitchinterval(usual)
         recorder.close()
         statistics.end_line()
     return _result(guard, statistics, recorder, ending, completed, error)

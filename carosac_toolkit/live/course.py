@@ -42,7 +42,7 @@ class Course:
             samples = self._parts[k].sample(when[mask] - self._starts[k])
             for name, value in values.items():
                 value[0, mask] = getattr(samples, name)
-        return Reference(time=when[None], **values)
+        return Reference(time=np.asarray(when[None], dtype=float), **values)
 
 
 def with_approach(path: Trajectory, start: Array, *, rest: float, speed_max: float,

@@ -108,7 +108,7 @@ class HandTarget:
             np.stack(part)[None] for part in zip(*ahead, strict=True)
         )
         return Reference(
-            time=(time + period * np.arange(rows))[None],
+            time=np.asarray((time + period * np.arange(rows))[None], dtype=float),
             position=position, velocity=velocity, acceleration=acceleration,
         )  # fmt: skip
 
