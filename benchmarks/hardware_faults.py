@@ -245,7 +245,7 @@ FAULTS: dict[str, tuple[Callable[[Trial], Any], str]] = {
 }  # fmt: skip
 
 
-def late(number: int = 1, delay: float = 0.3) -> tuple[str, bytes]:
+def late(number: int = 1001, delay: float = 0.3) -> tuple[str, bytes]:
     """What to write to have every answer come later [s]."""
     values = {"number": number, "kind": int(Injection.NETWORK), "value": delay}
     return machine_blocks.CONTROL, machine_blocks.control().pack(values)
@@ -291,7 +291,7 @@ def watch(trial: Trial, name: str, inject: Callable[[Trial], Any]) -> None:
         began = time.monotonic()
     if name in SLOW:
         time.sleep(SLOW[name])  # what we see is late as well
-        trial.client.write(*late(2, 0.0))
+        trial.client.write(*late(1002, 0.0))
     until(lambda: speed(trial) == 0.0, "the winches did not come to rest")
     trial.rest = time.monotonic() - began
 
