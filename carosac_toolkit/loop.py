@@ -3,20 +3,36 @@
 from __future__ import annotations
 
 import time
+from collections import deque
+from collections.abc import Callable, Iterator, MutableSequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.consistency import Innovations
 from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.protocols import Controller, Driver, Estimator, TruthSource
-from carosac_toolkit.trajectories import Trajectory
+from carosac_toolkit.protocols import Controller, Driver, Estimator, Supervisor, TruthSource
 from carosac_toolkit.values import Belief, Command, LimitHit, Measurement, Reference, State
 
 
 class BadPlugin(CarosacError):
     """A controller or estimator that returned something the loop cannot use."""
+
+
+class Path(Protocol):
+    """What a run follows: a `carosac_toolkit.trajectories.Trajectory`, or what somebody steers."""
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        ...
+
+    def window(self, time: float, horizon: float, period: float) -> Reference:
+        """What to follow from `time` [s] after the start on; times do not go back."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,8 +103,9 @@ class Log:
 
 
 def run(
-    driver: Driver, estimator: Estimator, controller: Controller, trajectory: Trajectory, *,
-    duration: float | None = None,
+    driver: Driver, estimator: Estimator, controller: Controller, trajectory: Path, *,
+    duration: float | None = None, watch: Callable[[Step], None] | None = None,
+    keep: int | None = None,
 ) -> Log:  # fmt: skip
     """Run one controller and one estimator on one driver along one trajectory.
 
@@ -100,9 +117,11 @@ def run(
         controller: Its `period` is the cycle time.
         trajectory: Starts at the driver's first measurement.
         duration: How long [s]; None: to the end of the trajectory and one second of rest.
+        watch: Called after each command, before the wait.
+        keep: How many of the last cycles the log holds; None: all of them.
 
     Returns:
-        The log of all cycles.
+        The log of all cycles that were kept.
 
     Raises:
         BadPlugin: The estimator or controller returned a wrong shape or a number that is not
@@ -112,11 +131,11 @@ def run(
     period = _positive("controller.period", getattr(controller, "period", None))
     total = trajectory.duration + 1.0 if duration is None else _positive("duration", duration)
     count = max(1, round(total / period))
-    steps: list[Step] = []
+    steps: MutableSequence[Step] = deque(maxlen=_kept(keep)) if keep is not None else []
     reason = "end of the trajectory"
     try:
         driver.connect()
-        alive = _cycles(driver, estimator, controller, trajectory, count, steps)
+        alive = _cycles(driver, estimator, controller, trajectory, count, steps, watch)
         reason = reason if alive else "end of data"
     except BaseException as error:
         reason = f"{type(error).__name__}: {error}"
@@ -126,12 +145,12 @@ def run(
             driver.stop(reason)
         finally:
             driver.close()
-    return _log(steps, alive)
+    return _log(list(steps), alive)
 
 
 def _cycles(
-    driver: Driver, estimator: Estimator, controller: Controller, trajectory: Trajectory,
-    count: int, steps: list[Step],
+    driver: Driver, estimator: Estimator, controller: Controller, trajectory: Path,
+    count: int, steps: MutableSequence[Step], watch: Callable[[Step], None] | None,
 ) -> bool:  # fmt: skip
     """Run `count` cycles; False where the driver ended earlier."""
     measurement = driver.measure()
@@ -145,12 +164,20 @@ def _cycles(
         now = float(measurement.time[0]) - start
         reference = _reference(trajectory, controller, now, start)
         began = time.perf_counter()
-        if belief is None:
-            belief = checked_belief(estimator.reset(measurement), measurement)
-            controller.reset(belief)
-        else:
-            belief = checked_belief(estimator.update(belief, applied, measurement), measurement)
-        asked = _checked_command(controller.command(belief, reference), measurement)
+        first = belief is None
+        with _blamed(driver, "estimator"):
+            found = (
+                estimator.reset(measurement)
+                if belief is None
+                else estimator.update(belief, applied, measurement)
+            )
+            belief = checked_belief(found, measurement)
+        if isinstance(driver, Supervisor):
+            driver.believe(belief)
+        with _blamed(driver, "controller"):
+            if first:
+                controller.reset(belief)
+            asked = _checked_command(controller.command(belief, reference), measurement)
         latency = time.perf_counter() - began
         applied = driver.command(asked)
         step = Step(
@@ -158,14 +185,32 @@ def _cycles(
             command=applied, truth=truth, latency=latency,
         )  # fmt: skip
         steps.append(step)
+        if watch is not None:
+            watch(step)
         if not driver.wait(controller.period):
             return k == count - 1
     return True
 
 
-def _reference(
-    trajectory: Trajectory, controller: Controller, now: float, start: float
-) -> Reference:
+@contextmanager
+def _blamed(driver: Driver, part: str) -> Iterator[None]:
+    """Tell a driver that watches who raised an error."""
+    try:
+        yield
+    except Exception as error:
+        if isinstance(driver, Supervisor):
+            driver.fail(part, error)
+        raise
+
+
+def _kept(keep: int) -> int:
+    """Refuse to keep nothing."""
+    if isinstance(keep, bool) or not isinstance(keep, int) or keep < 1:
+        raise InvalidField("keep", repr(keep), "a whole number of cycles, 1 or more")
+    return keep
+
+
+def _reference(trajectory: Path, controller: Controller, now: float, start: float) -> Reference:
     """Window of the trajectory `now` seconds after its start, by the driver's clock."""
     window = trajectory.window(now, controller.horizon, controller.period)
     return window if start == 0.0 else replace(window, time=window.time + start)

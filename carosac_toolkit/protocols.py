@@ -116,6 +116,19 @@ class MotionDriver(Driver, Protocol):
         ...
 
 
+@runtime_checkable
+class Supervisor(Protocol):
+    """A driver that watches those who command it; the loop tells it what they do."""
+
+    def believe(self, belief: Belief) -> None:
+        """What the estimator says now, before the controller sees it."""
+        ...
+
+    def fail(self, part: str, error: BaseException) -> None:
+        """The ``"estimator"`` or ``"controller"`` raised an error; `stop` follows."""
+        ...
+
+
 def replays(driver: object) -> bool:
     """Whether commands change nothing, so that tracking says nothing about the controller."""
     return bool(getattr(driver, "replays", False))

@@ -192,7 +192,10 @@ class Recording:
 
 
 def load_recording(path: str | Path) -> Recording:
-    """Read a recording: ``.parquet``, ``.csv`` (`carosac_toolkit.recordings`), SCAMPI ``.mat``.
+    """Read a recording.
+
+    ``.parquet`` or ``.csv`` (`carosac_toolkit.recordings`), SCAMPI ``.mat``, or the ``.jsonl`` of
+    a run (`carosac_toolkit.crash_safe`).
 
     Args:
         path: The file.

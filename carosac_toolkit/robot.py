@@ -11,6 +11,7 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array, frozen_array, set_frozen
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.hardware import Hardware
 from carosac_toolkit.npz import read_npz, write_npz
 from carosac_toolkit.parameters import check_names
 
@@ -92,6 +93,7 @@ class Robot:
         calibrated: Parameters that a calibration estimated (`carosac_toolkit.parameters`), k of
             them; None: not calibrated.
         calibration_covariance: Their joint covariance, shape (k, k).
+        hardware: How the real robot is reached; None: not described.
         description: One line for people.
         licence: Terms under which the numbers may be used.
         provenance: Where the numbers come from, by field of the robot file.
@@ -139,6 +141,7 @@ class Robot:
     pose_rotation: Array | None = None
     calibrated: tuple[str, ...] | None = None
     calibration_covariance: Array | None = None
+    hardware: Hardware | None = None
 
     def __post_init__(self) -> None:
         """Freeze every array and check every number that physics relies on."""
@@ -162,6 +165,8 @@ class Robot:
         self._check_order()
         self._check_matrices()
         self._check_calibration()
+        if self.hardware is not None and self.hardware.n != n:
+            raise InvalidField("hardware", f"{self.hardware.n} cables", f"{n} cables")
 
     @property
     def n(self) -> int:
@@ -194,11 +199,11 @@ class Robot:
             InvalidField: The file was not written by `to_npz`.
         """
         rest, arrays = read_npz(path, "__fields__", "Robot.to_npz")
-        record = rest | arrays
+        record = {"hardware": None} | rest | arrays
         unknown = set(record) ^ {field.name for field in fields(cls)}
         if unknown:
             raise InvalidField("path", path, f"the fields of Robot; differing: {sorted(unknown)}")
-        return cls(**record)
+        return cls(**record | {"hardware": Hardware.from_record(record["hardware"])})
 
     def _check_names(self) -> None:
         """Refuse cable names that are missing, doubled or no list of texts."""

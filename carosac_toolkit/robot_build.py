@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from carosac_toolkit.arrays import Array
+from carosac_toolkit.hardware import AdsAddress, Hardware, ImuSource
 from carosac_toolkit.robot import RigidBody, Robot, combine_bodies
 
 if TYPE_CHECKING:
@@ -76,6 +77,7 @@ def build_robot(file: RobotFile) -> Robot:
         description=file.description,
         licence=file.licence,
         provenance=dict(file.provenance),
+        hardware=_hardware(file),
         **_calibration(file),
     )
 
@@ -123,6 +125,21 @@ def _calibration(file: RobotFile) -> dict[str, Any]:
         found["calibrated"] = tuple(file.calibration.parameters)
         found["calibration_covariance"] = lower + np.tril(lower, -1).T
     return found
+
+
+def _hardware(file: RobotFile) -> Hardware | None:
+    """The PLC, where the file has one."""
+    section = file.hardware
+    if section is None:
+        return None
+    cables = [section.cables[chain.name] for chain in file.chains]
+    return Hardware(
+        sign=tuple(cable.sign for cable in cables),
+        scale=tuple(cable.scale for cable in cables),
+        offset=tuple(cable.offset for cable in cables),
+        ads=AdsAddress(**section.ads.model_dump()),
+        imu=None if section.imu is None else ImuSource(**section.imu.model_dump()),
+    )
 
 
 def _known(values: list[float | None]) -> Array | None:

@@ -5,7 +5,7 @@ Every check works on what is right so far, so that one fault does not hide anoth
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from carosac_toolkit.units import is_quantity
@@ -40,7 +40,7 @@ def cross_faults(data: dict[str, Any], parts: Any) -> list[Fault]:
         *_limit_faults(data, parts),
         *_all_or_none(parts),
         *_home_faults(data, parts),
-        *_sensor_faults(data, parts),
+        *_sensor_faults(parts),
         *_provenance_faults(data),
     ]
 
@@ -170,12 +170,20 @@ def _home_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:
                 yield ("home", "position", i), f"got {value:g} m; allowed: {allowed}"
 
 
-def _sensor_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:
-    """Length sensors of cables that do not exist, or of some cables only."""
-    if parts.sensors is None or parts.sensors.lengths is None or parts.chains is None:
+def _sensor_faults(parts: Any) -> Iterator[Fault]:
+    """Length sensors, or numbers of a PLC, of cables that do not exist or of some cables only."""
+    if parts.chains is None:
         return
-    path: FieldPath = ("sensors", "lengths", "cables")
-    chains, known = [chain.name for chain in parts.chains], parts.sensors.lengths.cables
+    chains = [chain.name for chain in parts.chains]
+    sensors, hardware = parts.sensors, parts.hardware
+    if sensors is not None and sensors.lengths is not None:
+        yield from _all_chains(("sensors", "lengths", "cables"), sensors.lengths.cables, chains)
+    if hardware is not None:
+        yield from _all_chains(("hardware", "cables"), hardware.cables, chains)
+
+
+def _all_chains(path: FieldPath, known: Iterable[str], chains: list[str]) -> Iterator[Fault]:
+    """Entries that are not one for each chain."""
     for name in known:
         if name not in chains:
             yield (*path, name), f"no such chain; allowed: {', '.join(chains)}"

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.arrays import Array
+from carosac_toolkit.hardware import Hardware
 from carosac_toolkit.robot import Robot
 
 SAME = 1e-9  # relative difference that rounding to 12 digits leaves
@@ -28,7 +29,7 @@ def same(a: Any, b: Any) -> bool:
     """Whether two fields are the same but for rounding."""
     if a is None or b is None:
         return a is b
-    if isinstance(a, str | Mapping) or (isinstance(a, tuple) and isinstance(b, tuple)):
+    if isinstance(a, str | Mapping | Hardware) or (isinstance(a, tuple) and isinstance(b, tuple)):
         return bool(a == b)
     first, second = np.asarray(a), np.asarray(b)
     if first.shape != second.shape:

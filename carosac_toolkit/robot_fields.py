@@ -8,7 +8,12 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.hardware import LAST_PORT, NET_ID
 from carosac_toolkit.units import InvalidQuantity, describe, parse_quantity
+
+NET_ID_TEXT = "six numbers of 0 to 255 with dots, such as 192.168.0.10.1.1"
+PORT = f"a whole number, 1 to {LAST_PORT}"
+SIGN = "1 or -1"
 
 Reader = Callable[[object], object]
 
@@ -116,6 +121,29 @@ def read_text(value: object) -> str:
     if isinstance(value, bool | list | dict) or value is None or not str(value).strip():
         raise InvalidQuantity(value, "a text that is not empty")
     return f"{value:g}" if isinstance(value, float) else str(value).strip()
+
+
+def read_port(value: object) -> int:
+    """Read a port number."""
+    number = float(value) if isinstance(value, int | float) else 0.0
+    if isinstance(value, bool) or number != round(number) or not 1 <= number <= LAST_PORT:
+        raise InvalidQuantity(value, PORT)
+    return round(number)
+
+
+def read_sign(value: object) -> float:
+    """Read 1 or -1."""
+    if isinstance(value, bool) or value not in (1, -1):
+        raise InvalidQuantity(value, SIGN)
+    return float(str(value))
+
+
+def read_net_id(value: object) -> str:
+    """Read an AMS net id."""
+    text = str(value).strip()
+    if not NET_ID.fullmatch(text) or max(int(part) for part in text.split(".")) > 255:
+        raise InvalidQuantity(value, NET_ID_TEXT)
+    return text
 
 
 def _square(value: object, rows: list[object], unit: str, allowed: str) -> Array:

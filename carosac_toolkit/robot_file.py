@@ -26,7 +26,7 @@ _SUFFIXES = (".yaml", ".yml")
 _LONGEST = 80
 _SECTIONS = (
     "frame", "platform", "cable_types", "winches", "chains", "tension_limits", "workspace", "home",
-    "sensors",
+    "sensors", "hardware",
 )  # fmt: skip
 
 

@@ -68,6 +68,9 @@ Covariance = Annotated[
     list[list[float]], Reads(robot_fields.read_covariance, robot_fields.COVARIANCE)
 ]
 Inertia = Annotated[list[list[float]], Reads(robot_fields.read_inertia, robot_fields.INERTIA)]
+Port = Annotated[int, Reads(robot_fields.read_port, robot_fields.PORT)]
+Sign = Annotated[float, Reads(robot_fields.read_sign, robot_fields.SIGN)]
+NetId = Annotated[str, Reads(robot_fields.read_net_id, robot_fields.NET_ID_TEXT)]
 Mass = Annotated[float, _reads("kg", "> 0")]
 Force = Annotated[float, _reads("N", "> 0")]
 ForceOrZero = Annotated[float, _reads("N", ">= 0")]
@@ -310,6 +313,41 @@ class Calibration(_Section):
         return self
 
 
+class Ads(_Section):
+    """A TwinCAT PLC."""
+
+    net_id: NetId
+    ip: Text
+    port: Port = 851
+    timeout: Annotated[float, _reads("s", "> 0")] = 0.05
+    from_host: Text = "CaRoSaC.from_host"
+    to_host: Text = "CaRoSaC.to_host"
+
+
+class AdsCable(_Section):
+    """What the PLC says of a cable: unstrained length = sign * scale * number + offset."""
+
+    sign: Sign
+    scale: Extent
+    offset: Coordinate = 0.0
+
+
+class ImuInput(_Section):
+    """An inertial sensor that sends to this host."""
+
+    source: Literal["udp"]
+    ip: Text = "127.0.0.1"
+    port: Port
+
+
+class HardwareInput(_Section):
+    """How the real robot is reached."""
+
+    ads: Ads
+    cables: dict[str, AdsCable]
+    imu: ImuInput | None = None
+
+
 class RobotFile(_Section):
     """The whole file."""
 
@@ -328,4 +366,5 @@ class RobotFile(_Section):
     home: Home
     sensors: Sensors | None = None
     calibration: Calibration | None = None
+    hardware: HardwareInput | None = None
     provenance: dict[str, Text]

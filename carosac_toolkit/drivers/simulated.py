@@ -156,6 +156,11 @@ class SimulatedDriver:
         """Let go."""
         self._connected = False
 
+    @property
+    def plant(self) -> Plant:
+        """What is behind winches and sensors."""
+        return self._plant
+
     def truth(self) -> State:
         """The state of the plant now."""
         self._check_connected()

@@ -16,10 +16,19 @@ from carosac_toolkit.recordings.csv_file import read_csv, write_csv
 from carosac_toolkit.recordings.parquet_file import read_parquet, write_parquet
 from carosac_toolkit.recordings.scampi_mat import read_scampi_mat
 
+
+def _read_run(path: Path) -> Recording:
+    """A run that was recorded as it happened."""
+    from carosac_toolkit.crash_safe import read_crash_safe
+
+    return read_crash_safe(path)
+
+
 READERS: dict[str, Callable[[Path], Recording]] = {
     ".parquet": read_parquet,
     ".csv": read_csv,
     ".mat": read_scampi_mat,
+    ".jsonl": _read_run,
 }
 WRITERS: dict[str, Callable[[Recording, Path], None]] = {
     ".parquet": write_parquet,

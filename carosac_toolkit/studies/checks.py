@@ -11,12 +11,13 @@ import numpy as np
 
 from carosac_toolkit import registry, trajectories
 from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.filled_settings import filled
 from carosac_toolkit.perturbations import CONDITIONS
 from carosac_toolkit.protocols import replays
 from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.studies.chosen_settings import check_types
 from carosac_toolkit.studies.folder import check_statuses
-from carosac_toolkit.studies.run_case import GIVEN, filled, plugin_name
+from carosac_toolkit.studies.run_case import GIVEN, own_settings, plugin_name
 
 if TYPE_CHECKING:
     from carosac_toolkit.studies.study import Study
@@ -38,14 +39,15 @@ def check_study(study: Study) -> None:
     for robot in study.robots:
         load_robot(robot)
     driver = _plugin("drivers", study.driver)
-    paths = (RECORDED,) if replays(driver) else trajectories.NAMES
+    paths = (RECORDED, *trajectories.NAMES) if replays(driver) else trajectories.NAMES
     _known("trajectory", study.trajectories, paths)
     _known("perturbation", study.perturbations, sorted(CONDITIONS))
-    for taken in sorted(set(GIVEN) & set(study.driver_settings)):
-        value = repr(study.driver_settings[taken])
+    own = own_settings(study.driver, study.driver_settings)
+    for taken in sorted(set(GIVEN) & set(own)):
+        value = repr(own[taken])
         raise InvalidField(f"driver_settings.{taken}", value, "none: each case says it")
     _check_suites(driver, study.driver, study.suites)
-    _check_settings("driver_settings", study.driver, driver, study.driver_settings)
+    _check_settings("driver_settings", study.driver, driver, own)
     for kind in ("controllers", "estimators"):
         names = getattr(study, kind)
         wanted = getattr(study, f"{kind[:-1]}_settings")

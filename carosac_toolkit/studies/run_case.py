@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields
 from functools import lru_cache
 from typing import Any
 
@@ -14,6 +14,8 @@ import numpy as np
 from carosac_toolkit import registry, trajectories
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.filled_settings import filled
+from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.loop import BadPlugin, Log, run
 from carosac_toolkit.perturbations import draw_plant, find_condition
 from carosac_toolkit.protocols import TruthSource, replays
@@ -66,7 +68,8 @@ def run_case(case: Case) -> dict[str, Any]:
     Settings that are read: ``driver`` (default `DRIVER`), ``speed_max`` [m/s],
     ``acceleration_max`` [m/s^2] of the trajectory, ``controller_settings``,
     ``estimator_settings`` and ``driver_settings`` (fields of the plug-in's own settings, a dict
-    for each settings dataclass inside them); ``timeout`` is read by `run_cases`.
+    for each settings dataclass inside them; what stands under the name of a driver is for it
+    alone); ``timeout`` is read by `run_cases`.
 
     Returns:
         One flat row: errors in m, latency in s, counts; ``series`` holds what pictures need, as
@@ -102,7 +105,11 @@ def run_case(case: Case) -> dict[str, Any]:
         estimator = _build("estimators", case.estimator, robot, case, "estimator_settings", {})
     duration = REST + path.duration if path else controller.period * len(driver.recording.time)
     path = path or trajectories.from_recording(driver.recording)
+    if getattr(driver, "real_time", False):
+        rehearse(robot, estimator, controller, path, suite=case.suite)
     log = run(driver, estimator, controller, path, duration=duration)
+    if getattr(driver, "fault", None) is not None:
+        raise CarosacError(f"driver {name}: {driver.fault}")
     row = score(log, robot, path.duration, replayed=recorded)
     example = case.seed == settings.get("example_seed", 0)
     return row | {"series": _series(log) if example else None}
@@ -211,6 +218,8 @@ def _build(
     kinds = getattr(plugin, "Settings", None)
     seed = case.sensor_seed if kind == "drivers" else case.rng_seed
     asked = dict(case.settings.get(key, {}))
+    if kind == "drivers":
+        asked = own_settings(name, asked)
     if kinds is None:
         if asked:
             raise InvalidField(key, asked, f"nothing: {name} has no Settings")
@@ -222,22 +231,18 @@ def _build(
     return plugin.build(robot, filled(key, kinds(), wanted), seed=seed)
 
 
+def own_settings(name: str, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings that a driver gets: those for any driver, and those under its own name.
+
+    So one study runs on several drivers, and each has settings that the others do not know.
+    """
+    drivers = registry.names("drivers")
+    return {k: v for k, v in asked.items() if k not in drivers} | dict(asked.get(name, {}))
+
+
 def plugin_name(name: str) -> str:
     """The plug-in that a name stands for: ``ks_ekf`` for its variant ``ks_ekf@tight``."""
     return name.partition("@")[0]
-
-
-def filled(where: str, settings: Any, values: Mapping[str, Any]) -> Any:
-    """Settings with some fields replaced; fields that are settings themselves are filled too."""
-    known = {field.name for field in fields(settings)}
-    chosen: dict[str, Any] = {}
-    for name, value in values.items():
-        if name not in known:
-            raise InvalidField(f"{where}.{name}", repr(value), f"one of {sorted(known)}")
-        inner = getattr(settings, name)
-        nested = is_dataclass(inner) and isinstance(value, Mapping)
-        chosen[name] = filled(f"{where}.{name}", inner, value) if nested else value
-    return replace(settings, **chosen)
 
 
 def robot_digest(name: str) -> str:

@@ -1,0 +1,180 @@
+"""Emulate the PLC of a robot in real time: ADS over TCP, winch drives, a simulated robot.
+
+Clients reach it as they reach a TwinCAT PLC: drivers `ads`, `carosac run`, any ADS client. It
+listens on this machine only, unless --ip says otherwise. With --control each line of the standard
+input does something to the machine: `trip 2`, `trip 2 off`, `jump 1 0.05`, `freeze-counter on`,
+`freeze-data on`, `network 0.02 0.01`, `estop on`, `place 0.4 -1.8 2.2`, `clear`, `state`, `quit`;
+the end of the input ends it.
+
+Exit status 1 means that it missed more than one cycle in ten.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from carosac_toolkit.cli.common import CommandResult, CommonOptions
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.perturbations import draw_plant, find_condition
+from carosac_toolkit.plc.emulator import Emulator
+from carosac_toolkit.plc.machine_blocks import Injection
+from carosac_toolkit.plc.settings import PlcSettings
+from carosac_toolkit.robot_file import load_robot
+
+_PRIORITY = 5  # of SCHED_FIFO, 1 to 99
+_SWITCH = 0.5e-3  # [s] after which a thread lets the others run
+_MISSED = 0.1  # share of late cycles above which it was no PLC
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(CommonOptions):
+    """Options of ``carosac plc``."""
+
+    robot: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ROBOT")] = "carosac"
+    """A bundled robot (`carosac robots` lists them) or a path to a YAML file."""
+    ip: str | None = None
+    """Address to listen on; by default one of this machine only."""
+    condition: str = "none"
+    """What the simulated robot has that its file does not say, as in a study."""
+    plant: str = "simulator"
+    """Driver whose plant is the robot."""
+    cables: str = "catenary"
+    """How the driver `simulator` simulates cables."""
+    start: tuple[float, float, float] | None = None
+    """Where the platform is at power-on, x y z in m; by default at home."""
+    cycle: float = 0.005
+    """Cycle of the PLC in s."""
+    watchdog: float = 0.1
+    """Silence of the host in s after which the winches ramp to rest."""
+    shift: float = 0.0
+    """Standard deviation in m of what the encoders say too much after power-on."""
+    load_cells: bool = True
+    """Whether the tensions are measured."""
+    encoder_check: bool = True
+    """Whether the PLC itself stops where a position jumps."""
+    priority: bool = False
+    """Run before all ordinary processes, as a PLC does; on Linux, and with the right to it."""
+    duration: float | None = None
+    """How long to run in s; by default until Ctrl-C or SIGTERM."""
+    control: bool = False
+    """Read lines of the standard input that do something to the machine."""
+
+
+def run(options: Options) -> CommandResult:
+    """Run the PLC."""
+    if options.priority:  # before any thread: they inherit it
+        take_priority()
+    nominal = load_robot(options.robot)
+    condition = find_condition(options.condition)
+    plant = draw_plant(nominal, condition, np.random.default_rng(options.seed))
+    settings = PlcSettings(
+        plant=options.plant, cables=options.cables, cycle=options.cycle,
+        watchdog=options.watchdog, shift=options.shift, has_tension=options.load_cells,
+        encoder_check=options.encoder_check, start_position=options.start,
+        wind_force=condition.wind_force,
+    )  # fmt: skip
+    emulator = Emulator(plant, nominal, settings, seed=options.seed, ip=options.ip)
+    with_signals(emulator)
+    sys.setswitchinterval(_SWITCH)
+    if options.control:
+        threading.Thread(target=_listen, args=(emulator,), daemon=True).start()
+    ads = emulator.hardware.ads
+    print(f"carosac plc: ready: {nominal.name} at {emulator.ip}:48898, net id {emulator.ip}.1.1, "
+          f"{ads.from_host}, {ads.to_host}", flush=True)  # fmt: skip
+    try:
+        emulator.run(options.duration)
+    finally:
+        emulator.close()
+    found = emulator.diagnosis()
+    print(f"carosac plc: {summary(found)}")
+    late = found["overruns"] > _MISSED * max(1, found["cycles"])
+    return CommandResult(found, status=int(late))
+
+
+def with_signals(emulator: Emulator) -> None:
+    """End the cycle at Ctrl-C and SIGTERM."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: emulator.stop())
+
+
+def take_priority() -> None:
+    """Have the scheduler of Linux put this process before all others; say where it will not."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+    except (AttributeError, OSError) as error:
+        print(f"carosac plc: warning: no priority: {error}", file=sys.stderr)
+
+
+def summary(found: dict[str, Any]) -> str:
+    """The counters in a line."""
+    over = {name: found[f"over_{name}"] for name in ("length", "speed", "acceleration", "jerk")}
+    limits = ", ".join(f"{name} {count}" for name, count in over.items())
+    return (
+        f"{found['cycles']} cycles, {found['overruns']} late, {found['lost_time']:.3f} s lost; "
+        f"{found['commands']} commands, {found['lost']} lost, {found['not_finite']} not finite; "
+        f"over limits: {limits}; watchdog {found['watchdog']}"
+    )
+
+
+def obey(emulator: Emulator, line: str) -> str:
+    """Carry out one line of the standard input.
+
+    Returns:
+        What to answer.
+
+    Raises:
+        CarosacError: It means nothing, or cannot be done now.
+    """
+    word, *rest = line.split()
+    if word == "quit":
+        emulator.stop()
+        return "ok"
+    if word == "state":
+        machine = emulator.machine
+        found = {"state": machine.state, "fault": machine.fault, "axis": machine.fault_axis}
+        return json.dumps(found | {"owner": bool(machine.counters.commands)})
+    kinds = {kind.name.lower().replace("_", "-"): kind for kind in Injection if kind}
+    if word not in kinds:
+        raise InvalidField("control", repr(line.strip()), f"{', '.join(kinds)}, state, quit")
+    emulator.inject(kinds[word], **_arguments(kinds[word], rest))
+    return "ok"
+
+
+def _arguments(kind: Injection, words: list[str]) -> dict[str, Any]:
+    """Arguments of an injection from its words."""
+    try:
+        numbers = [{"on": 1.0, "off": 0.0}.get(word) for word in words]
+        values = [float(w) if x is None else x for w, x in zip(words, numbers, strict=True)]
+    except ValueError as error:
+        raise InvalidField("control", repr(" ".join(words)), "numbers, on or off") from error
+    if kind == Injection.PLACE:
+        if len(values) != 3:
+            raise InvalidField("control", f"{len(values)} numbers", "x y z in m")
+        return {"position": values}
+    if kind in (Injection.TRIP, Injection.JUMP):
+        axis, *values = [0.0] if not values else values
+        return {"axis": int(axis), "value": values[0] if values else 1.0}
+    if kind == Injection.NETWORK:
+        return dict(zip(("value", "second"), values, strict=False))
+    return {"value": values[0] if values else 1.0}
+
+
+def _listen(emulator: Emulator) -> None:
+    """Obey the standard input until it ends."""
+    for line in sys.stdin:
+        if not line.strip():
+            continue
+        try:
+            print(f"carosac plc: {obey(emulator, line)}", flush=True)
+        except CarosacError as error:
+            print(f"carosac plc: refused: {error}", flush=True)
+    emulator.stop()

@@ -1,0 +1,277 @@
+"""Run one controller on one driver, live: along a trajectory, or after a target moved by hand.
+
+Nothing moves without --enable: a dry run connects, estimates, computes, limits and records, and
+sends nothing. With it the robot is homed at --home, where its platform must stand, goes straight to
+where the trajectory begins, and follows it. The guard watches all of it. Everything is recorded as
+it happens; the recording survives the process.
+
+Ctrl-C and SIGTERM stop in good order (exit status 130 and 143). Exit status 1 means that a fault or
+an error has ended the run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+import traceback
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from carosac_toolkit import registry, trajectories
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
+from carosac_toolkit.cli.plc import take_priority
+from carosac_toolkit.crash_safe import CrashSafeRecorder
+from carosac_toolkit.drivers.guard_settings import GuardSettings
+from carosac_toolkit.drivers.guarded import GuardedDriver
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.filled_settings import filled
+from carosac_toolkit.live.course import with_approach
+from carosac_toolkit.live.ending import Ending, ending_of
+from carosac_toolkit.live.hand_target import HELP, HandTarget
+from carosac_toolkit.live.keyboard import listening
+from carosac_toolkit.live.rehearsal import rehearse
+from carosac_toolkit.live.statistics import Statistics
+from carosac_toolkit.loop import Path as Followed
+from carosac_toolkit.loop import run as run_loop
+from carosac_toolkit.protocols import replays
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.studies.chosen_settings import check_types, chosen_settings
+from carosac_toolkit.studies.run_case import own_settings
+
+REST = 1.0  # [s] before each part of the way, and after the last
+GUARD = "guard"
+SWITCH = 1e-3  # [s] after which a thread lets the others run
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(CommonOptions):
+    """Options of ``carosac run``."""
+
+    robot: str = "carosac"
+    """Bundled robot or YAML file."""
+    driver: str = "simulator"
+    """What is driven: `simulator`, `ads` (a PLC), or `module:Class`; the guard is put around it."""
+    controller: str = "kinematic_solver"
+    """Controller by name, or `module:Class`."""
+    estimator: str = "kinematic_solver"
+    """Estimator by name, or `module:Class`."""
+    suite: str = "lengths"
+    """Sensor suite of the driver."""
+    trajectory: str = "line"
+    """Trajectory of the catalogue."""
+    by_hand: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Follow a target moved by keys, or by lines `x y z` [m] of the standard input, instead."""
+    enable: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Let the winches move; without it the run is dry."""
+    home: Point | None = None
+    """Where the platform stands at the start [m]; by default the home position of the robot."""
+    speed: float = 0.3
+    """Largest speed of the platform [m/s]."""
+    acceleration: float = 0.3
+    """Largest acceleration of the platform [m/s^2]."""
+    duration: float | None = None
+    """How long the run lasts [s]; by default to the end of the trajectory."""
+    rate: float = 100.0
+    """Commands a second, for a controller whose period can be chosen."""
+    priority: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Run before all ordinary processes; on Linux, and with the right to it."""
+    settings: Annotated[
+        tuple[str, ...], tyro.conf.arg(name="set", metavar="SETTING"), tyro.conf.UseAppendAction
+    ] = ()
+    """Setting of a plug-in: controller.NAME.FIELD=VALUE, estimator.NAME.FIELD=VALUE,
+    driver.FIELD=VALUE, or driver.guard.FIELD=VALUE for the guard around a driver that has none of
+    its own; may be given several times."""
+    recording: OutputFile = None
+    """Where the run is recorded, ending in .jsonl; by default a new file in carosac-results/run."""
+
+
+def run(options: Options) -> CommandResult:
+    """Run live."""
+    robot = load_robot(options.robot)
+    chosen = chosen_settings(
+        options.settings, controllers=[options.controller], estimators=[options.estimator]
+    )
+    controller = _plugin("controllers", options.controller, robot, options, chosen)
+    estimator = _plugin("estimators", options.estimator, robot, options, chosen)
+    guard = _guard(robot, options, chosen["driver_settings"], float(controller.period))
+    path = _path(robot, options)
+    rehearse(robot, estimator, controller, path, suite=options.suite)
+    recorder = _recorder(options)
+    guard.journal = recorder
+    print(_what(options, recorder, float(controller.period)), flush=True)
+    statistics = Statistics(guard)
+    usual = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH)
+    if options.priority:
+        take_priority()
+    try:
+        with ending_of(guard, recorder.close) as ending, _steered(path, guard):
+            completed, error = _run(options, guard, estimator, controller, path, statistics)
+    finally:
+        sys.setswitchinterval(usual)
+        recorder.close()
+        statistics.end_line()
+    return _result(guard, statistics, recorder, ending, completed, error)
+
+
+def _run(
+    options: Options, guard: GuardedDriver, estimator: Any, controller: Any, path: Followed,
+    statistics: Statistics,
+) -> tuple[bool, Exception | None]:  # fmt: skip
+    """Run the loop; whether it came to its end, and an error after the connection stood."""
+    duration = options.duration
+    if duration is None:
+        duration = path.duration + REST
+    try:
+        log = run_loop(
+            guard, estimator, controller, path, duration=duration, watch=statistics, keep=1
+        )  # fmt: skip
+    except Exception as error:
+        if guard.fault is None and statistics.cycles == 0:
+            raise
+        if not isinstance(error, CarosacError):
+            traceback.print_exc()
+        return False, error
+    return log.completed, None
+
+
+def _plugin(kind: Any, name: str, robot: Robot, options: Options, chosen: dict[str, Any]) -> Any:
+    """Make a controller or estimator with its settings."""
+    plugin = registry.load(kind, name)
+    asked = dict(chosen[f"{kind[:-1]}_settings"].get(name, {}))
+    settings = getattr(plugin, "Settings", None)
+    if settings is None:
+        if asked:
+            raise InvalidField("--set", repr(asked), f"nothing: {name} has no Settings")
+        return plugin.build(robot, None, seed=options.seed)
+    if kind == "controllers" and "period" in {field.name for field in fields(settings)}:
+        asked.setdefault("period", 1.0 / _rate(options))
+    check_types(f"{kind[:-1]}.{name}", settings(), asked)
+    made = filled(f"{kind[:-1]}.{name}", settings(), asked)
+    return plugin.build(robot, made, seed=options.seed)
+
+
+def _rate(options: Options) -> float:
+    """Commands a second."""
+    if not 0.0 < options.rate < np.inf:
+        raise InvalidField("--rate", f"{options.rate} Hz", "> 0 Hz, finite")
+    return options.rate
+
+
+def _guard(robot: Robot, options: Options, chosen: dict[str, Any], period: float) -> GuardedDriver:
+    """The driver, guarded."""
+    plugin = registry.load("drivers", options.driver)
+    if replays(plugin):
+        allowed = "a driver that moves; for a recording: carosac compare --driver replay"
+        raise InvalidField("--driver", repr(options.driver), allowed)
+    guarded = isinstance(plugin, type) and issubclass(plugin, GuardedDriver)
+    kind = plugin if guarded else GuardedDriver
+    own = own_settings(options.driver, chosen)
+    asked = dict(own.pop(GUARD, {}))
+    if guarded:
+        asked |= own
+    else:
+        asked |= {"driver": options.driver, "inner": own}
+    settings: GuardSettings = kind.Settings()
+    check_types("driver.guard", settings, asked)
+    home = options.home or tuple(float(x) for x in robot.home_position)
+    wanted = {
+        "period": period, "suite": options.suite, "motion": options.enable,
+        "start_position": home, "real_time": True, **asked,
+    }  # fmt: skip
+    made = filled("driver.guard", settings, wanted)
+    guard: GuardedDriver = kind.build(robot, made, seed=options.seed)
+    return guard
+
+
+def _path(robot: Robot, options: Options) -> Followed:
+    """What is followed."""
+    start = np.asarray(options.home or robot.home_position, dtype=float)
+    limits = {"speed_max": options.speed, "acceleration_max": options.acceleration}
+    for name, value in limits.items():
+        if not 0.0 < value < np.inf:
+            raise InvalidField(f"--{name.removesuffix('_max')}", str(value), "> 0, finite")
+    if options.by_hand:
+        return HandTarget(robot, start, **limits)
+    path = trajectories.build(options.trajectory, robot, options.seed, **limits)
+    return with_approach(path, start, rest=REST, **limits)
+
+
+def _recorder(options: Options) -> CrashSafeRecorder:
+    """Where the run is recorded."""
+    path = options.recording
+    if path is None:
+        folder = Path("carosac-results/run")
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / time.strftime("%Y%m%d-%H%M%S.jsonl")
+    words = f"{options.controller} with {options.estimator} on {options.driver}"
+    return CrashSafeRecorder(path, robot=options.robot, description=words)
+
+
+def _what(options: Options, recorder: CrashSafeRecorder, period: float) -> str:
+    """What is about to happen."""
+    how = "the winches move" if options.enable else "dry run: nothing is sent; --enable moves"
+    what = HELP if options.by_hand else f"trajectory {options.trajectory}"
+    return (
+        f"{options.robot} on {options.driver}: {options.controller} with {options.estimator} at "
+        f"{1.0 / period:g} Hz; {how}\n{what}\nrecording: {recorder.path}"
+    )
+
+
+@contextlib.contextmanager
+def _steered(path: Followed, guard: GuardedDriver) -> Any:
+    """Let somebody steer, where that is what is followed."""
+    if not isinstance(path, HandTarget):
+        yield
+        return
+
+    def heard(word: str) -> None:
+        if not path.obey(word):
+            print(f"carosac: {word!r}: got no key or place; {HELP}", file=sys.stderr)
+        if path.over:
+            guard.end("the end was asked for")
+
+    def ended() -> None:
+        while not path.arrived and guard.ending is None:
+            time.sleep(0.05)
+        guard.end("the input has ended")
+
+    with listening(heard, ended):
+        yield
+
+
+def _result(
+    guard: GuardedDriver, statistics: Statistics, recorder: CrashSafeRecorder, ending: Ending,
+    completed: bool, error: Exception | None,
+) -> CommandResult:  # fmt: skip
+    """Say how it ended."""
+    fault = guard.fault
+    asked = guard.ending is not None and ending.signal is None
+    good = fault is None and error is None and (completed or asked)
+    reason = guard.ending or ("end of the trajectory" if completed else "the driver has stopped")
+    if fault is not None:
+        reason = f"fault: {fault}"
+    elif error is not None:
+        reason = f"{type(error).__name__}: {error}"
+    data = {
+        "completed": good,
+        "reason": reason,
+        "fault": None if fault is None else str(fault.fault),
+        "cable": None if fault is None else fault.cable,
+        "would_be_faults": guard.refused,
+        **statistics.data(guard.settings.period),
+        "recording": str(recorder.path),
+        "rows": recorder.rows,
+    }
+    print(f"{reason}\n{statistics.cycles} cycles, {guard.overruns} late; limited: "
+          f"{dict(statistics.limits) or 'none'}")  # fmt: skip
+    if ending.signal is not None and fault is None and error is None:
+        return CommandResult(data, status=128 + ending.signal)
+    return CommandResult(data, status=0 if good else 1)

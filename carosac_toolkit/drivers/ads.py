@@ -1,0 +1,413 @@
+"""The driver of a robot behind a TwinCAT PLC: one structure read and one written a cycle over ADS.
+
+It moves data: lengths in metres become numbers of the PLC and back. Nothing is ever written unless
+`AdsSettings.motion` says so, and the winches move only after `home` and `enable`. What may be sent
+is limited here as in every driver, and by the PLC again; faults are watched by the guard
+(`carosac_toolkit.drivers.guarded`) and by the PLC.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from carosac_toolkit.drivers.ads_block import Answer, DriveStatus, Request
+from carosac_toolkit.drivers.ads_link import AdsLink, LinkCounters, Reading
+from carosac_toolkit.drivers.ads_settings import AdsSettings, Point
+from carosac_toolkit.drivers.drive_state import DriveState, Fault, fault_of, state_of
+from carosac_toolkit.drivers.guard_inner import homing_lengths
+from carosac_toolkit.drivers.imu_udp import ImuListener
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.hardware import Hardware
+from carosac_toolkit.limits import Limiter
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Command, LimitHit, Measurement, Stamped, State
+
+_HOMING = 10  # readings of which the mean is homed
+_ANSWER = 1.0  # [s] in which the PLC must answer a request
+_AFTER_STOP = 1.0  # [s] beyond what braking from full speed takes
+_ON = (DriveState.ENABLED, DriveState.FOLLOWING)
+
+
+class AdsDriver:
+    """One robot behind a PLC, in real time.
+
+    The clock is that of this host, from `connect` on. The lengths of a measurement are the newest
+    that came; when the PLC measured them is the time of `length_rate`.
+
+    Attributes:
+        link: The connection; None before `connect` and after `close`.
+        link_counters: What happened on it, also after `close`.
+        overruns: Ticks of the wall clock that were missed since `connect`.
+    """
+
+    Settings: ClassVar[type[AdsSettings]] = AdsSettings
+    name: ClassVar[str] = "ads"
+
+    def __init__(self, robot: Robot, settings: AdsSettings | None = None) -> None:
+        """Set up; nothing is connected yet."""
+        self._robot = robot
+        self._settings = settings or AdsSettings()
+        self._named = robot.hardware or Hardware.loopback(robot.n)
+        if self._settings.ip is not None:
+            ads = replace(self._named.ads, ip=self._settings.ip, net_id=f"{self._settings.ip}.1.1")
+            self._named = replace(self._named, ads=ads)
+        self._hardware = self._named
+        self.link: AdsLink | None = None
+        self.link_counters = LinkCounters()
+        self._imu: ImuListener | None = None
+        self._limiter = Limiter(robot, self._settings.limits, period=self._settings.period)
+        self._homed = self._enabled = self._stopped = False
+        self._restarts = 0
+        self.overruns = 0
+
+    @classmethod
+    def build(
+        cls, robot: Robot, settings: AdsSettings | None = None, *, seed: int = 0
+    ) -> AdsDriver:
+        """Make one; nothing is random here."""
+        return cls(robot, settings)
+
+    # --- Lifecycle -------------------------------------------------------------------------------
+
+    def connect(self) -> None:
+        """Connect to the PLC and read; nothing is enabled, and no offset is homed.
+
+        Raises:
+            CarosacError: It does not answer, or has another data block.
+            InvalidField: A suite with an IMU, and none in the robot file.
+        """
+        if self.link is not None:
+            raise CarosacError(f"{self.name}: connected already; call close() first")
+        settings, address = self._settings, self._named.ads
+        if "imu" in settings.suite and self._named.imu is None:
+            raise InvalidField("suite", repr(settings.suite), "'lengths': the robot file has no "
+                               "hardware.imu")  # fmt: skip
+        link = AdsLink(
+            address, self._robot.n, period=settings.io_period, writing=settings.motion,
+            timeout=settings.timeout or address.timeout,
+        )  # fmt: skip
+        link.open()
+        try:
+            if settings.motion and settings.start_position is not None and link.emulated:
+                self._place(settings.start_position)
+                link.wait_for_data(time.monotonic() + 0.05, _ANSWER)
+            if "imu" in settings.suite and self._named.imu is not None:
+                self._imu = ImuListener(self._named.imu)
+        except BaseException:
+            link.close()
+            raise
+        self.link, self.link_counters = link, link.counters
+        self._hardware = self._named
+        self._homed = self._enabled = self._stopped = False
+        self._restarts = link.counters.restarts
+        self.overruns, self._ticks = 0, 0
+        self._origin = time.monotonic()
+
+    def home(self, position: State) -> None:
+        """Find the offset of each cable: the platform stands still at this pose.
+
+        Args:
+            position: A batch of one. Its lengths count if it has some; else those of the statics:
+                with six cables or more at its rotation, with fewer at that of rest.
+
+        Raises:
+            CarosacError: Not connected, no fresh data, or enabled.
+            InvalidField: The platform cannot rest there.
+        """
+        link = self._connected()
+        if self._enabled:
+            raise CarosacError(f"{self.name}: home() while enabled; call disable() first")
+        lengths = homing_lengths(self._robot, position)
+        numbers = []
+        for _ in range(_HOMING):
+            if not link.wait_for_data(time.monotonic(), _ANSWER):
+                raise CarosacError(f"{self.name}: no data from the PLC to home with: {link.error}")
+            numbers.append(self._reading().values["length"])
+        said = self._hardware.length(np.mean(numbers, axis=0))
+        moved = np.array(self._hardware.offset) + lengths - said
+        self._hardware = replace(self._hardware, offset=tuple(moved))
+        self._homed = True
+
+    def enable(self) -> None:
+        """Have the PLC obey this host and its drives hold; the winches stay where they stand.
+
+        Raises:
+            CarosacError: Read only, not homed, a fault, another host, or no answer.
+        """
+        link = self._connected()
+        if not self._settings.motion:
+            raise CarosacError(f"{self.name}: read only; set motion=True to let the winches move")
+        if not self._homed:
+            raise CarosacError(f"{self.name}: not homed; call home() first")
+        if self.status() in (DriveState.FAULT, DriveState.ESTOP, DriveState.DISCONNECTED):
+            raise CarosacError(f"{self.name}: {self.fault_text}; call reset_fault() first")
+        self._asked(Request.ENABLE)
+        link.wait_for_data(time.monotonic(), _ANSWER)
+        held = self._hardware.length(self._reading().values["set_length"])
+        self._limiter.reset(held[None])
+        self._enabled, self._stopped = True, False
+
+    def disable(self) -> None:
+        """Ramp to rest, switch the drives off, obey nobody; nothing happens where none is on."""
+        link = self.link
+        if link is None or not self._settings.motion or not self._enabled:
+            return
+        self._enabled = False
+        if link.request(Request.DISABLE, _ANSWER) is Answer.NONE:
+            return  # nobody there: the watchdog of the PLC has stopped the winches
+        self._wait_for_rest()
+
+    def reset_fault(self) -> None:
+        """Clear a latched fault of the PLC, or of the connection once it is back.
+
+        Raises:
+            CarosacError: Its cause is still there.
+        """
+        link = self._connected()
+        if not self._settings.motion:
+            raise CarosacError(f"{self.name}: read only; set motion=True to reset the PLC")
+        if link.counters.restarts != self._restarts:
+            self._restarts = link.counters.restarts
+            self._homed = False
+        if self.fault in (Fault.LOST_CONNECTION, Fault.STALE_DATA):
+            raise CarosacError(f"{self.name}: {self.fault_text}")
+        self._enabled = False
+        self._wait_for_rest()
+        self._asked(Request.RESET)
+        link.wait_for_data(time.monotonic(), _ANSWER)
+
+    def stop(self, reason: str) -> None:
+        """Have the PLC ramp all winches to rest together; no command passes until `enable`."""
+        if self.link is None or not self._settings.motion or self._stopped:
+            self._stopped = self._stopped or self.link is not None
+            return
+        self._stopped = True
+        if self._enabled:
+            self.link.request(Request.STOP)
+
+    def close(self) -> None:
+        """Come to rest and let go; safe to call twice."""
+        link = self.link
+        if link is None:
+            return
+        try:
+            self.disable()
+        finally:
+            self.link = None
+            self._homed = self._enabled = False
+            link.close()
+            if self._imu is not None:
+                self._imu.close()
+                self._imu = None
+
+    def status(self) -> str:
+        """State of the drive system in one word, as `DriveState`."""
+        return str(self.state)
+
+    @property
+    def state(self) -> DriveState:
+        """Where the drive system stands."""
+        link = self.link
+        if link is None or link.reading is None:
+            return DriveState.DISCONNECTED
+        if self.fault in (Fault.LOST_CONNECTION, Fault.STALE_DATA):
+            return DriveState.FAULT
+        said = state_of(link.reading.values["state"])
+        return DriveState.HOMED if said is DriveState.CONNECTED and self._homed else said
+
+    @property
+    def fault(self) -> Fault:
+        """What is wrong, by the PLC or by the connection to it."""
+        link = self.link
+        if link is None or link.reading is None:
+            return Fault.NONE
+        if link.age > self._settings.lost_after:
+            return Fault.LOST_CONNECTION
+        if link.counters.restarts != self._restarts:
+            return Fault.LOST_CONNECTION
+        if time.monotonic() - link.reading.advanced > self._settings.lost_after:
+            return Fault.STALE_DATA
+        return fault_of(link.reading.values["fault"])
+
+    @property
+    def fault_text(self) -> str:
+        """The same for people, with the cable where it is that of one."""
+        link, fault = self.link, self.fault
+        if link is None or link.reading is None:
+            return "not connected"
+        if fault is Fault.LOST_CONNECTION:
+            if link.age <= self._settings.lost_after:
+                return "lost connection: the PLC was started anew; home again"
+            return f"lost connection: no answer for {link.age:.2f} s ({link.error})"
+        axis = link.reading.values["fault_axis"]
+        names = self._robot.cable_names
+        where = f" of cable {names[axis - 1]}" if 1 <= axis <= len(names) else ""
+        number = link.reading.values["fault"] if fault is Fault.UNKNOWN else ""
+        return f"{fault}{number}{where}: {fault.meaning}"
+
+    # --- The cycle -------------------------------------------------------------------------------
+
+    def measure(self) -> Measurement:
+        """The newest data that came from the PLC."""
+        reading, hardware = self._reading(), self._hardware
+        values = reading.values
+        stamp = np.array([reading.measured - self._origin])
+        rate = hardware.unit * values["rate"]
+        tension = None
+        if values["has_tension"]:
+            tension = Stamped(time=stamp, value=values["tension"][None])
+        return Measurement(
+            time=np.array([time.monotonic() - self._origin]),
+            unstrained_length=hardware.length(values["length"])[None],
+            length_rate=Stamped(time=stamp, value=rate[None]),
+            tension=tension,
+            imu=None if self._imu is None else self._imu.take(self._origin),
+            drive_status=tuple(_drive(x) for x in values["drive_status"]),
+        )
+
+    def command(self, command: Command) -> Command:
+        """Limit a command and send it at once.
+
+        Returns:
+            What was sent. Where the PLC is stopped or has a fault nothing is: the lengths are
+            those measured, and `limited` names ``stopped``.
+
+        Raises:
+            CarosacError: Read only, or not enabled.
+        """
+        link = self._connected()
+        shape, wanted = command.unstrained_length.shape, (1, self._robot.n)
+        if shape != wanted:
+            raise InvalidField("unstrained_length", f"shape {shape}", f"shape {wanted}")
+        if not self._enabled:
+            raise CarosacError(f"{self.name}: not enabled; call home() and enable() first")
+        values = self._reading().values
+        actual = self._hardware.length(values["length"])[None]
+        if self._stopped or self.state not in _ON:
+            hits = tuple(
+                LimitHit(limit="stopped", cable=i, asked=float(asked), sent=float(held))
+                for i, (asked, held) in enumerate(
+                    zip(command.unstrained_length[0], actual[0], strict=True)
+                )
+                if asked != held
+            )
+            return Command(
+                time=command.time, unstrained_length=actual, limited=(*command.limited, *hits)
+            )
+        sent = self._limiter.apply(command, actual)
+        rate = self._limiter.motion.speed[0] if sent.length_rate is None else sent.length_rate[0]
+        hardware = self._hardware
+        link.send(
+            hardware.number(sent.unstrained_length[0]), rate / hardware.unit, self._settings.period
+        )
+        return sent
+
+    def wait(self, duration: float) -> bool:
+        """Wait for the next tick of an absolute schedule.
+
+        Returns:
+            False once stopped, and where the PLC has a fault or does not answer.
+
+        Raises:
+            InvalidField: Another duration than the period, for which the limits count.
+        """
+        self._connected()
+        period = self._settings.period
+        if not abs(duration - period) <= 1e-9 * period:
+            raise InvalidField("duration", f"{duration} s", f"the driver's period, {period} s")
+        elapsed = time.monotonic() - self._origin
+        self._ticks += 1
+        missed = max(0, math.ceil(elapsed / period) - self._ticks)
+        if self._ticks == 1:  # between connecting and the first cycle any time may pass
+            missed, self._ticks = 0, self._ticks + missed
+        self.overruns += missed
+        self._ticks += missed
+        time.sleep(max(0.0, self._ticks * period - (time.monotonic() - self._origin)))
+        return not self._stopped and self.state not in (DriveState.FAULT, DriveState.ESTOP)
+
+    def truth(self) -> State | None:
+        """The state of the robot of an emulated PLC at its newest cycle; None of a real one."""
+        link = self._connected()
+        if not link.emulated:
+            return None
+        if not link.wants_truth:
+            link.wants_truth = True
+            link.wait_for_data(time.monotonic() + self._settings.io_period, _ANSWER)
+        reading = self._reading()
+        known = reading.truth
+        if known is None:
+            return None
+        return State(
+            time=np.array([reading.received - self._origin]),
+            position=known["position"][None],
+            rotation=known["rotation"].reshape(1, 3, 3),
+            twist=known["twist"][None],
+            unstrained_length=known["length"][None],
+            tension=known["tension"][None],
+        )
+
+    # --- Helpers ---------------------------------------------------------------------------------
+
+    def _connected(self) -> AdsLink:
+        """Refuse to work before `connect` and after `close`."""
+        if self.link is None:
+            raise CarosacError(f"{self.name}: not connected; call connect() first")
+        return self.link
+
+    def _reading(self) -> Reading:
+        """The newest data."""
+        reading = self._connected().reading
+        assert reading is not None  # `connect` waited for it
+        return reading
+
+    def _asked(self, request: Request) -> None:
+        """Ask the PLC; refuse everything but that it is done."""
+        answer = self._connected().request(request, _ANSWER)
+        if answer is Answer.DONE:
+            return
+        if answer is Answer.NONE and request is Request.ENABLE:
+            self._connected().request(Request.DISABLE)  # whenever it listens again
+        raise CarosacError(
+            f"{self.name}: the PLC refused to {request.name.lower()}: {_WHY[answer]}; it is "
+            f"{self.status()}, and obeys session {self._reading().values['owner']}"
+        )
+
+    def _wait_for_rest(self) -> None:
+        """Wait until the drives of the PLC no longer move, as long as braking can take."""
+        robot, link = self._robot, self._connected()
+        end = time.monotonic() + float((robot.speed_max / robot.acceleration_max).max())
+        while time.monotonic() < end + _AFTER_STOP:
+            status = self._reading().values["drive_status"]
+            if not (status == DriveStatus.MOVING).any() and self._reading().values["state"] != (
+                DriveState.STOPPING.number
+            ):
+                return
+            if not link.wait_for_data(time.monotonic(), _ANSWER):
+                return
+
+    def _place(self, position: Point) -> None:
+        """Have an emulated PLC set its robot down."""
+        from carosac_toolkit.plc.client import PlcClient
+        from carosac_toolkit.plc.machine_blocks import Injection
+
+        with PlcClient(self._robot.n, self._named.ads.ip) as client:
+            client.inject(Injection.PLACE, position=position)
+
+
+_WHY = {
+    Answer.NONE: "no answer",
+    Answer.NOT_OWNER: "it obeys another host",
+    Answer.WRONG_STATE: "not in this state",
+    Answer.CAUSE_REMAINS: "the cause of the fault is still there",
+    Answer.UNKNOWN: "it does not know this request",
+}
+
+
+def _drive(number: Any) -> str:
+    """Status of a drive in one word."""
+    return DriveStatus(int(number)).name.lower() if int(number) <= max(DriveStatus) else "unknown"

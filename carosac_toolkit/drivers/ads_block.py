@@ -1,0 +1,185 @@
+"""The data that host and PLC exchange: one structure each way, of the same layout on both sides.
+
+Every 8-byte number stands at a multiple of 8 bytes and the whole is one, so that the layout is the
+same under every ``pack_mode`` of TwinCAT. Little-endian, as ADS is. Lengths, rates and the period
+are in the PLC's units of length and in seconds; `Hardware` says what a unit is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit.errors import CarosacError
+
+LAYOUT = 1  # version of the layout; both sides refuse another one
+
+
+class Request(IntEnum):
+    """What the host asks of the PLC, once for each new ``request_number``."""
+
+    NONE = 0
+    ENABLE = 1  # obey this session from now on; the drives hold
+    STOP = 2  # ramp to rest; the drives hold then
+    DISABLE = 3  # ramp to rest, switch the drives off, obey nobody
+    RESET = 4  # clear a latched fault whose cause is gone
+
+
+class Answer(IntEnum):
+    """What the PLC made of a request."""
+
+    NONE = 0
+    DONE = 1
+    NOT_OWNER = 2  # it obeys another session
+    WRONG_STATE = 3  # not in this state
+    CAUSE_REMAINS = 4  # the cause of the fault is still there
+    UNKNOWN = 5  # no such request
+
+
+class DriveStatus(IntEnum):
+    """Status of a single drive."""
+
+    OFF = 0
+    HOLDING = 1
+    MOVING = 2
+    TRIPPED = 3
+
+
+class WrongBlock(CarosacError):
+    """Data that are not those of this layout or of this number of cables."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """A member of a structure.
+
+    Attributes:
+        name: As in the PLC program.
+        kind: IEC type, ``UDINT``, ``ULINT`` or ``LREAL``.
+        count: 0 for a single number, else the length of the array.
+        comment: What it means.
+    """
+
+    name: str
+    kind: str
+    comment: str
+    count: int = 0
+
+
+_TYPES = {"UDINT": "<u4", "ULINT": "<u8", "LREAL": "<f8"}
+
+
+@dataclass(frozen=True)
+class Block:
+    """The layout of one structure.
+
+    Attributes:
+        name: Of the type in the PLC program.
+        comment: What it is.
+        fields: In their order.
+    """
+
+    name: str
+    comment: str
+    fields: tuple[Field, ...]
+
+    @cached_property
+    def dtype(self) -> np.dtype[Any]:
+        """The layout for numpy, without any gap."""
+        parts = [(f.name, _TYPES[f.kind], (f.count,) if f.count else ()) for f in self.fields]
+        return np.dtype(parts)
+
+    @property
+    def size(self) -> int:
+        """[bytes]."""
+        return self.dtype.itemsize
+
+    def pack(self, values: Mapping[str, Any]) -> bytes:
+        """The bytes of some values; what is not named is 0."""
+        record = np.zeros((), self.dtype)
+        for name, value in values.items():
+            record[name] = value
+        return record.tobytes()
+
+    def unpack(self, data: bytes) -> dict[str, Any]:
+        """Numbers and arrays by name.
+
+        Raises:
+            WrongBlock: Another size.
+        """
+        if len(data) != self.size:
+            raise WrongBlock(f"{self.name}: got {len(data)} bytes; allowed: {self.size}")
+        record = np.frombuffer(data, self.dtype)[0]
+        return {f.name: np.array(record[f.name]) if f.count else record[f.name].item()
+                for f in self.fields}  # fmt: skip
+
+    def structured_text(self) -> str:
+        """The type as a PLC programmer declares it."""
+        width = max(len(f.name) for f in self.fields)
+        lines = [f"(* {self.comment} *)", f"TYPE {self.name} :", "STRUCT"]
+        for f in self.fields:
+            kind = f"ARRAY[1..{f.count}] OF {f.kind}" if f.count else f.kind
+            lines.append(f"    {f.name:<{width}} : {kind}; (* {f.comment} *)")
+        return "\n".join([*lines, "END_STRUCT", "END_TYPE"])
+
+
+def from_host(n: int) -> Block:
+    """What the host writes, for n cables."""
+    return Block("ST_FromHost", "written by the host once a cycle", (
+        Field("layout", "UDINT", f"version of this layout, {LAYOUT}"),
+        Field("cables", "UDINT", "number of cables"),
+        Field("sequence", "UDINT", "heartbeat: one more at each write"),
+        Field("session", "UDINT", "number that the host drew; the PLC obeys one"),
+        Field("request", "UDINT", "0 none, 1 enable, 2 stop, 3 disable, 4 reset"),
+        Field("request_number", "UDINT", "one more at each new request"),
+        Field("follow", "UDINT", "1: length and rate are to be followed"),
+        Field("command", "UDINT", "one more at each new command"),
+        Field("period", "LREAL", "time between two commands [s]"),
+        Field("length", "LREAL", "set position [unit]", n),
+        Field("rate", "LREAL", "set velocity [unit/s]", n),
+        Field("sequence_end", "UDINT", "as sequence: the data are of one write"),
+        Field("spare", "UDINT", "0"),
+    ))  # fmt: skip
+
+
+def to_host(n: int) -> Block:
+    """What the host reads, for n cables."""
+    return Block("ST_ToHost", "written by the PLC once a cycle", (
+        Field("layout", "UDINT", f"version of this layout, {LAYOUT}"),
+        Field("cables", "UDINT", "number of cables"),
+        Field("sequence", "UDINT", "heartbeat: one more each PLC cycle"),
+        Field("echo", "UDINT", "newest sequence seen from the session it obeys"),
+        Field("owner", "UDINT", "session that it obeys; 0: nobody"),
+        Field("state", "UDINT", "1 off, 3 enabled, 4 following, 5 stopping, 6 fault, 7 estop"),
+        Field("fault", "UDINT", "0 none, else the number of the fault"),
+        Field("fault_axis", "UDINT", "0 none, else the cable, from 1"),
+        Field("answered", "UDINT", "request_number of the newest request answered"),
+        Field("answer", "UDINT", "1 done, 2 not owner, 3 wrong state, 4 cause remains, 5 unknown"),
+        Field("command_echo", "UDINT", "newest command followed"),
+        Field("has_tension", "UDINT", "1: tension is measured"),
+        Field("time", "LREAL", "when length was measured, by the clock of the PLC [s]"),
+        Field("length", "LREAL", "position [unit]", n),
+        Field("rate", "LREAL", "velocity [unit/s]", n),
+        Field("set_length", "LREAL", "set position that the drives hold or follow [unit]", n),
+        Field("tension", "LREAL", "at the platform [N]", n),
+        Field("drive_status", "ULINT", "0 off, 1 holding, 2 moving, 3 tripped", n),
+        Field("sequence_end", "UDINT", "as sequence: the data are of one cycle"),
+        Field("spare", "UDINT", "0"),
+    ))  # fmt: skip
+
+
+def whole(block: Block, values: Mapping[str, Any], n: int) -> bool:
+    """Whether unpacked data are of one write.
+
+    Raises:
+        WrongBlock: Another layout or number of cables.
+    """
+    for name, allowed in (("layout", LAYOUT), ("cables", n)):
+        if values[name] != allowed:
+            raise WrongBlock(f"{block.name}.{name}: got {values[name]}; allowed: {allowed}")
+    return bool(values["sequence"] == values["sequence_end"])

@@ -1,0 +1,389 @@
+"""The link to a PLC over ADS: one thread that reads and writes one structure each, again and again.
+
+pyads is not safe in several threads, so that all its calls are made here. A connection that broke
+stays broken until it is opened anew with new handles; both are done here. Without `writing` nothing
+is ever written.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import secrets
+import socket
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from carosac_toolkit.drivers import ads_block
+from carosac_toolkit.drivers.ads_block import Answer, Request
+from carosac_toolkit.drivers.clock_offset import ClockOffset
+from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.hardware import TCP_PORT, AdsAddress
+from carosac_toolkit.plc.machine_blocks import TRUTH, truth
+
+_AGAIN = 0.2  # [s] between two attempts to connect
+_REOPEN = 4  # calls in a row that failed, after which the connection is opened anew
+_BY_HANDLE = 0xF005
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reading:
+    """What the PLC said.
+
+    Attributes:
+        values: By name, as in `ads_block.to_host`.
+        received: When, by `time.monotonic` [s].
+        measured: When its lengths were measured, by the same clock [s]; stays the same where the
+            heartbeat or the clock of the PLC does.
+        advanced: When that was last seen to advance, by the same clock [s].
+        truth: What an emulated PLC knows of its robot, or None.
+    """
+
+    values: dict[str, Any]
+    received: float
+    measured: float
+    advanced: float
+    truth: dict[str, Any] | None = None
+
+
+@dataclass
+class LinkCounters:
+    """What happened on a link.
+
+    Attributes:
+        cycles: Reads, and writes if any, that went well.
+        errors: Calls that failed.
+        torn: Data that were not of one PLC cycle.
+        reconnects: How often the connection was opened anew.
+        restarts: How often the clock of the PLC went back.
+        missed: Cycles of the thread that came a whole period late.
+        round_trip: Wall time of the newest cycle, read and write [s].
+        round_trip_max: The longest one [s].
+        gap_max: Longest time from the end of one cycle to that of the next [s].
+    """
+
+    cycles: int = 0
+    errors: int = 0
+    torn: int = 0
+    reconnects: int = 0
+    restarts: int = 0
+    missed: int = 0
+    round_trip: float = 0.0
+    round_trip_max: float = 0.0
+    gap_max: float = 0.0
+
+
+class AdsLink:
+    """One PLC, from one host.
+
+    Attributes:
+        counters: What happened.
+        session: By which the PLC knows this host.
+        reading: The newest one, or None.
+        error: The newest error in words, or None where the last cycle went well.
+        wants_truth: Whether the truth of an emulated PLC is read as well, which takes a call more.
+        hold_heartbeat: For tests: the sequence stays the same while this is true.
+    """
+
+    def __init__(
+        self, address: AdsAddress, n: int, *, period: float, writing: bool, timeout: float
+    ) -> None:
+        """Set up; `open` connects.
+
+        Args:
+            address: Of the PLC.
+            n: Number of cables.
+            period: Of the thread [s]; commands are sent at once.
+            writing: Whether anything may be written at all.
+            timeout: After which a call is given up [s].
+        """
+        self.counters = LinkCounters()
+        self.session = secrets.randbelow(2**32 - 1) + 1
+        self.reading: Reading | None = None
+        self.error: str | None = None
+        self.wants_truth = False
+        self.hold_heartbeat = False
+        self._address, self._n, self._period, self._timeout = address, n, period, timeout
+        self._writing = writing
+        self._to_host, self._from_host = ads_block.to_host(n), ads_block.from_host(n)
+        self._truth = truth(n)
+        self._offset = ClockOffset()
+        self._plc: Any = None
+        self._handles: dict[str, int] = {}
+        self._wake = threading.Condition()
+        self._answered = threading.Condition()
+        self._fresh = False
+        self._running = False
+        self._thread: threading.Thread | None = None
+        self._out: dict[str, Any] = {
+            "layout": ads_block.LAYOUT, "cables": n, "session": self.session, "follow": 0,
+            "request": 0, "request_number": secrets.randbelow(2**31), "command": 0,
+            "period": 0.0, "length": 0.0, "rate": 0.0,
+        }  # fmt: skip
+        self._sequence, self._failures, self._ended = 0, 0, 0.0
+
+    def open(self, patience: float = 2.0) -> Reading:
+        """Start the thread and wait for the first data.
+
+        Raises:
+            CarosacError: There were none in time [s]; the thread has ended then.
+        """
+        self._running = True
+        self._thread = threading.Thread(target=self._run, name="ads-link", daemon=True)
+        self._thread.start()
+        end = time.monotonic() + patience
+        with self._answered:
+            while self.reading is None and time.monotonic() < end:
+                self._answered.wait(end - time.monotonic())
+        if self.reading is None:
+            why = self.error or "no answer"
+            self.close()
+            raise CarosacError(
+                f"PLC {self._address.net_id} at {self._address.ip}: {why} after {patience:g} s"
+            )
+        return self.reading
+
+    def close(self) -> None:
+        """End the thread and the connection; safe to call twice."""
+        self._running = False
+        with self._wake:
+            self._wake.notify()
+        if self._thread is not None:
+            self._thread.join(10.0 * self._timeout + 2.0)
+            self._thread = None
+
+    @property
+    def emulated(self) -> bool:
+        """Whether the PLC is an emulated one, which knows the truth."""
+        return "truth" in self._handles
+
+    @property
+    def age(self) -> float:
+        """Time since the last answer of the PLC [s]."""
+        reading = self.reading
+        return float("inf") if reading is None else time.monotonic() - reading.received
+
+    def send(self, length: Any, rate: Any, period: float) -> None:
+        """Have the winches follow this from now on, in the units of the PLC; sent at once."""
+        with self._wake:
+            out = self._out
+            command = (out["command"] + 1) % 2**32
+            self._out = out | {
+                "length": length, "rate": rate, "period": period, "follow": 1, "command": command,
+            }  # fmt: skip
+            self._fresh = True
+            self._wake.notify()
+
+    def hold(self) -> None:
+        """Ask for no motion any more; the heartbeat goes on."""
+        with self._wake:
+            self._out = self._out | {"follow": 0}
+
+    def request(self, request: Request, patience: float = 0.0) -> Answer:
+        """Ask the PLC for something; commands no longer count then.
+
+        Args:
+            request: What.
+            patience: How long to wait for the answer [s]; 0: not at all.
+
+        Returns:
+            The answer, `Answer.NONE` where there was none in time.
+        """
+        with self._wake:
+            number = (self._out["request_number"] + 1) % 2**32 or 1
+            self._out = self._out | {
+                "request": int(request), "request_number": number, "follow": 0,
+            }  # fmt: skip
+            self._fresh = True
+            self._wake.notify()
+        answer = self._answer(number, patience)
+        if patience > 0.0:
+            with self._wake:  # a PLC that starts anew must not find it
+                if self._out["request_number"] == number:
+                    self._out = self._out | {"request": 0}
+        return answer
+
+    def _answer(self, number: int, patience: float) -> Answer:
+        """What the PLC answered to a request, `Answer.NONE` where it did not in time [s]."""
+        end = time.monotonic() + patience
+        with self._answered:
+            while time.monotonic() < end:
+                reading = self.reading
+                if reading is not None and reading.values["answered"] == number:
+                    return Answer(reading.values["answer"])
+                self._answered.wait(max(0.0, end - time.monotonic()))
+        return Answer.NONE
+
+    def wait_for_data(self, received: float, patience: float) -> bool:
+        """Wait for an answer that came after `received` [s]; False where none did in time."""
+        end = time.monotonic() + patience
+        with self._answered:
+            while self.reading is None or self.reading.received <= received:
+                left = end - time.monotonic()
+                if left <= 0.0 or not self._running:
+                    return False
+                self._answered.wait(left)
+        return True
+
+    def _run(self) -> None:
+        """The thread: on an absolute schedule, and at once where there is something to send."""
+        due = time.monotonic()
+        try:
+            while self._running:
+                if self._plc is None and not self._connect():
+                    with self._wake:
+                        self._wake.wait_for(lambda: not self._running, _AGAIN)
+                    due = time.monotonic()
+                    continue
+                self._cycle()
+                due = self._next(due)
+        except BaseException as error:
+            self.error = f"{type(error).__name__}: {error}"
+            raise
+        finally:
+            self._disconnect()
+
+    def _next(self, due: float) -> float:
+        """Wait for the next tick, or for something to send."""
+        now = time.monotonic()
+        due += self._period
+        if now > due:
+            self.counters.missed += int((now - due) / self._period)
+            due = now
+        with self._wake:
+            self._wake.wait_for(lambda: self._fresh or not self._running, max(0.0, due - now))
+        return min(due, time.monotonic())
+
+    def _cycle(self) -> None:
+        """Write where it is allowed, and read."""
+        began = time.monotonic()
+        try:
+            if self._writing:
+                self._write()
+            self._read()
+        except ads_block.WrongBlock as error:
+            self._failed(f"{error}; host and PLC have other data blocks")
+        except Exception as error:  # pyads raises its own and RuntimeError
+            if not _is_ads(error):
+                raise
+            self._failed(str(error))
+        else:
+            self.error, self._failures = None, 0
+            counters = self.counters
+            counters.cycles += 1
+            now = time.monotonic()
+            if counters.cycles > 1:
+                counters.gap_max = max(counters.gap_max, now - self._ended)
+            self._ended = now
+            counters.round_trip = now - began
+            counters.round_trip_max = max(counters.round_trip_max, counters.round_trip)
+        with self._answered:
+            self._answered.notify_all()
+
+    def _write(self) -> None:
+        """Send the newest of everything, with the next heartbeat."""
+        with self._wake:
+            out, self._fresh = self._out, False
+        self._sequence = (self._sequence + (not self.hold_heartbeat)) % 2**32
+        data = self._from_host.pack(
+            out | {"sequence": self._sequence, "sequence_end": self._sequence}
+        )
+        kind = ctypes.c_ubyte * len(data)
+        self._plc.write(_BY_HANDLE, self._handles["from_host"], data, kind)
+
+    def _read(self) -> None:
+        """Take over what the PLC says."""
+        values = self._to_host.unpack(self._fetch("to_host", self._to_host.size))
+        received = time.monotonic()
+        if not ads_block.whole(self._to_host, values, self._n):
+            self.counters.torn += 1
+            return
+        last = self.reading
+        if last is not None and values["time"] < last.values["time"]:
+            self.counters.restarts += 1
+            self._offset.clear()
+        alive = last is None or all(values[x] != last.values[x] for x in ("sequence", "time"))
+        if alive:
+            self._offset.add(received, values["time"])
+        known = None
+        if self.wants_truth and self.emulated:
+            known = self._truth.unpack(self._fetch("truth", self._truth.size))
+        self.reading = Reading(
+            values=values, received=received, truth=known,
+            measured=self._offset.here(values["time"]) if last is None or alive else last.measured,
+            advanced=received if last is None or alive else last.advanced,
+        )  # fmt: skip
+
+    def _fetch(self, name: str, size: int) -> bytes:
+        found = self._plc.read(
+            _BY_HANDLE, self._handles[name], ctypes.c_ubyte * size, return_ctypes=True
+        )
+        return bytes(found)
+
+    def _connect(self) -> bool:
+        """Open the connection and ask for handles."""
+        import pyads
+
+        address = self._address
+        try:
+            # The library has no time limit of its own for a host that does not answer.
+            socket.create_connection((address.ip, TCP_PORT), max(self._timeout, 0.2)).close()
+            plc = pyads.Connection(address.net_id, address.port, address.ip)
+            plc.open()
+        except Exception as error:
+            if not _is_ads(error):
+                raise
+            self._failed(f"cannot connect: {error}")
+            return False
+        self._plc = plc
+        try:
+            plc.set_timeout(max(1, round(1000.0 * self._timeout)))
+            self._handles = {"to_host": plc.get_handle(address.to_host)}
+            if self._writing:
+                self._handles["from_host"] = plc.get_handle(address.from_host)
+            try:
+                self._handles["truth"] = plc.get_handle(TRUTH)
+            except pyads.ADSError as error:
+                if error.err_code != _NO_SYMBOL:
+                    raise
+        except Exception as error:
+            if not _is_ads(error):
+                raise
+            self._disconnect()
+            self._failed(f"cannot find the data block: {error}")
+            return False
+        self._failures = 0
+        self.counters.reconnects += self.reading is not None
+        return True
+
+    def _failed(self, why: str) -> None:
+        """Count a failure; after some in a row the connection is given up."""
+        self.error = why
+        self.counters.errors += 1
+        self._failures = self._failures + 1
+        if self._failures >= _REOPEN:
+            self._disconnect()
+
+    def _disconnect(self) -> None:
+        """Close the connection, whatever state it is in."""
+        plc, self._plc = self._plc, None
+        self._failures = 0
+        if plc is None:
+            return
+        try:
+            plc.close()
+        except Exception as error:
+            if not _is_ads(error):
+                raise
+            self.error = str(error)
+
+
+_NO_SYMBOL = 1808
+
+
+def _is_ads(error: Exception) -> bool:
+    """Whether it is what a network or the ADS library raises."""
+    import pyads
+
+    return isinstance(error, pyads.ADSError | OSError | RuntimeError)

@@ -1,0 +1,245 @@
+"""What the guard checks at every measurement and before every command; each finding has a name."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.drivers.drive_state import Fault
+from carosac_toolkit.drivers.guard_settings import GuardSettings
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics import statics, straight_line
+from carosac_toolkit.physics.braking import Motion
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Belief, Command, Measurement
+
+DELAY = 0.03  # motion that differing lags may explain [s], besides the age of a sample
+FREE = 6  # cables up to which lengths and weight say the tensions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """Something that must not be.
+
+    Attributes:
+        fault: Its name.
+        text: What was found and what is allowed.
+        cable: Index of the cable, or None.
+        lasting: How long it must last until it counts [s].
+    """
+
+    fault: Fault
+    text: str
+    cable: int | None = None
+    lasting: float = 0.0
+
+
+class Checks:
+    """Watches one robot of n cables; what is sent is told by `sent`."""
+
+    def __init__(self, robot: Robot, settings: GuardSettings) -> None:
+        self._robot = robot
+        self._settings = settings
+        self._last: Measurement | None = None
+        self._silent = 0
+        self._count: Counter[Fault] = Counter()
+        self._expected: Array | None = None
+        self._before: Array | None = None
+        self._speed = np.zeros(robot.n)
+        self._equilibrium: statics.Equilibrium | None = None
+        self.position: Array | None = None
+        self.tension: Array | None = None
+
+    def prepare(self) -> None:
+        """Load what the checks compute with, which may take seconds, before time counts."""
+        robot = self._robot
+        position, rotation = robot.home_position[None], robot.home_rotation[None]
+        lengths = straight_line.inverse_kinematics(robot, position, rotation)
+        straight_line.forward_kinematics(robot, lengths)
+        statics.inverse_kinematics(robot, position, rotation if robot.n >= FREE else None)
+        if robot.n <= FREE:
+            statics.forward_kinematics(robot, lengths)
+
+    def standing(self, length: Array | None) -> None:
+        """The winches now stand there and are told to, lengths [m] of shape (n,); None: untold."""
+        self._expected = None if length is None else length.copy()
+        self._before = None
+        self._speed = np.zeros(self._robot.n)
+        self._count.clear()
+
+    def sent(self, motion: Motion) -> None:
+        """One period passes with this command: where the winches should be after it."""
+        if self._expected is None:
+            return
+        share = -np.expm1(-self._settings.period / self._robot.winch_lag)
+        self._expected = self._expected + share * (motion.length[0] - self._expected)
+        self._speed = motion.speed[0]
+
+    def measured(self, measurement: Measurement, *, homed: bool) -> Finding | None:
+        """What is wrong with a measurement, in the order of how sure the guard can be."""
+        findings = [self._stale(measurement), self._jump(measurement), self._following(measurement)]
+        if homed:
+            findings += self._pose(measurement)
+        self._last = measurement
+        return self._ripe([found for found in findings if found is not None])
+
+    def command(self, command: Command, standing: Array, *, first: bool) -> Finding | None:
+        """Why a command must not be sent, lengths [m] of shape (1, n)."""
+        robot, settings = self._robot, self._settings
+        asked = np.asarray(command.unstrained_length)
+        rate = command.length_rate
+        if not np.isfinite(asked).all() or (rate is not None and not np.isfinite(rate).all()):
+            return Finding(fault=Fault.COMMAND, text="a command that is not a number")
+        low, high = robot.length_min, robot.length_max
+        outside = np.maximum(low - asked[0], asked[0] - high)
+        i = int(np.argmax(outside))
+        if outside[i] > settings.range_margin:
+            text = f"{asked[0, i]:.3f} m asked; allowed: {low[i]:g} m to {high[i]:g} m"
+            return Finding(fault=Fault.COMMAND, text=text, cable=i)
+        far = np.abs(asked[0] - standing)
+        i = int(np.argmax(far))
+        most, which = settings.step_max, "a command"
+        if first:
+            most, which = min(settings.first_max, most), "the first command"
+        if far[i] > most:
+            text = f"{which} is {far[i]:.3f} m from where the winch stands; allowed: {most:g} m"
+            return Finding(fault=Fault.COMMAND, text=text, cable=i)
+        return None
+
+    def belief(self, belief: Belief) -> Finding | None:
+        """Whether a belief is far from what the lengths say."""
+        if self.position is None:
+            return None
+        far = float(np.linalg.norm(belief.position[0] - self.position))
+        if far <= self._settings.belief_max:
+            return None
+        text = f"the believed position is {far:.2f} m from that of the lengths; allowed: "
+        return Finding(fault=Fault.ESTIMATOR, text=text + f"{self._settings.belief_max:g} m")
+
+    def _stale(self, measurement: Measurement) -> Finding | None:
+        """Samples must go on."""
+        last, settings = self._last, self._settings
+        advanced = last is None or _sampled(measurement) > _sampled(last)
+        self._silent = 0 if advanced else self._silent + 1
+        silent = self._silent * settings.period
+        if self._silent < 2 or silent <= settings.stale_time:
+            return None
+        text = f"no new sample for {silent:.3f} s; allowed: {settings.stale_time:g} s"
+        return Finding(fault=Fault.STALE_DATA, text=text)
+
+    def _jump(self, measurement: Measurement) -> Finding | None:
+        """Lengths must not change faster than a winch turns, or otherwise than it was told to."""
+        last, before = self._last, self._before
+        self._before = self._expected
+        if last is None:
+            return None
+        change = (measurement.unstrained_length - last.unstrained_length)[0]
+        passed = max(_sampled(measurement) - _sampled(last), 0.0)
+        if self._expected is not None and before is not None:
+            change = change - (self._expected - before)
+            period = self._settings.period
+            uneven = abs(passed - period) + 0.5 * period  # samples come when they come
+            allowed = self._settings.jump_max + uneven * np.abs(self._speed)
+        else:
+            allowed = self._settings.jump_max + self._robot.speed_max * passed
+        over = np.abs(change) - allowed
+        i = int(np.argmax(over))
+        if over[i] <= 0.0:
+            return None
+        text = f"the length jumped by {change[i]:+.3f} m; allowed: {allowed[i]:.3f} m"
+        return Finding(fault=Fault.ENCODER_JUMP, text=text, cable=i)
+
+    def _following(self, measurement: Measurement) -> Finding | None:
+        """Winches must be where they were told to be, after their lag."""
+        if self._expected is None:
+            return None
+        error = np.abs(measurement.unstrained_length[0] - self._expected)
+        age = max(float(measurement.time[0]) - _sampled(measurement), 0.0)
+        allowed = self._settings.following_max + (DELAY + age) * np.abs(self._speed)
+        i = int(np.argmax(error - allowed))
+        if error[i] <= allowed[i]:
+            return None
+        text = f"{error[i]:.3f} m from where the winch should be; allowed: {allowed[i]:.3f} m"
+        return Finding(
+            fault=Fault.FOLLOWING_ERROR, text=text, cable=i, lasting=self._settings.lasting
+        )
+
+    def _pose(self, measurement: Measurement) -> list[Finding | None]:
+        """Closure, tensions and workspace."""
+        lengths = measurement.unstrained_length
+        try:
+            closure = self._closure(lengths)
+            if self._robot.n <= FREE:
+                self._rest(lengths)
+        except InvalidField as error:  # no length at all
+            return [Finding(fault=Fault.CLOSURE, text=str(error))]
+        return [closure, self._tension(measurement), self._workspace()]
+
+    def _closure(self, lengths: Array) -> Finding | None:
+        """One straight-line pose must explain all lengths."""
+        fit = straight_line.forward_kinematics(self._robot, lengths)
+        self.position = fit.position[0]
+        residual = float(fit.residual[0])
+        if fit.converged[0] and residual <= self._settings.closure_max:
+            return None
+        text = f"{residual:.3f} m (rms) of the lengths fit no pose; allowed: "
+        text += f"{self._settings.closure_max:g} m"
+        return Finding(fault=Fault.CLOSURE, text=text, lasting=self._settings.lasting)
+
+    def _rest(self, lengths: Array) -> None:
+        """Pose and tensions at rest; the straight-line position stays where there are none."""
+        found = statics.forward_kinematics(self._robot, lengths, guess=self._equilibrium)
+        good = bool(found.converged[0])
+        self._equilibrium = found if good else None
+        self.tension = found.tension[0] if good else None
+        if good:
+            self.position = found.position[0]
+
+    def _tension(self, measurement: Measurement) -> Finding | None:
+        """Measured tensions, or those of rest where lengths and weight determine them."""
+        robot = self._robot
+        measured = measurement.tension is not None
+        tension = self.tension if measurement.tension is None else measurement.tension.value[0]
+        if tension is None:
+            return None
+        outside = np.maximum(robot.tension_min - tension, tension - robot.tension_max)
+        i = int(np.argmax(outside))
+        if outside[i] <= 0.0:
+            return None
+        how = "measured" if measured else "estimated"
+        low, high = robot.tension_min[i], robot.tension_max[i]
+        text = f"{tension[i]:.1f} N {how}; allowed: {low:g} N to {high:g} N"
+        slack = tension[i] < low
+        lasting = self._settings.slack_time if slack else self._settings.lasting
+        return Finding(fault=Fault.TENSION, text=text, cable=i, lasting=lasting)
+
+    def _workspace(self) -> Finding | None:
+        """The platform must stay in its box, but for a margin."""
+        robot, position = self._robot, self.position
+        if position is None:
+            return None
+        outside = np.maximum(robot.workspace_min - position, position - robot.workspace_max)
+        far = float(outside.max())
+        if far <= self._settings.workspace_margin:
+            return None
+        text = f"the platform is {far:.2f} m outside the workspace box; allowed: "
+        text += f"{self._settings.workspace_margin:g} m"
+        return Finding(fault=Fault.CLOSURE, text=text, lasting=self._settings.lasting)
+
+    def _ripe(self, findings: list[Finding]) -> Finding | None:
+        """The first finding that counts; those that must last are counted."""
+        kinds = {found.fault for found in findings}
+        self._count = Counter({fault: self._count[fault] + 1 for fault in kinds})
+        for found in findings:
+            if self._count[found.fault] * self._settings.period >= found.lasting - 1e-9:
+                return found
+        return None
+
+
+def _sampled(measurement: Measurement) -> float:
+    """When the newest lengths were measured [s]."""
+    rate = measurement.length_rate
+    return float(measurement.time[0] if rate is None else rate.time[0])

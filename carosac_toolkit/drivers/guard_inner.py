@@ -1,0 +1,79 @@
+"""The driver behind a guard: how it is built, what it says of itself, and lengths of a pose."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit import registry
+from carosac_toolkit.arrays import Array, frozen_array
+from carosac_toolkit.drivers.drive_state import DriveState, Fault
+from carosac_toolkit.drivers.guard_checks import FREE, Finding
+from carosac_toolkit.drivers.guard_settings import GuardSettings
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.filled_settings import filled
+from carosac_toolkit.physics import statics
+from carosac_toolkit.protocols import replays
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import State
+
+HANDED_ON = ("motion", "period", "suite", "start_position", "wind_force", "wind_time")
+
+
+def build_inner(robot: Robot, settings: GuardSettings, seed: int) -> tuple[Any, bool]:
+    """Make the driver behind a guard, and say whether its time is that of the wall."""
+    plugin = registry.load("drivers", settings.driver)
+    if replays(plugin) or plugin.__module__ == "carosac_toolkit.drivers.guarded":
+        raise InvalidField("driver", repr(settings.driver), "a driver that moves, and no guard")
+    kind = getattr(plugin, "Settings", None)
+    if kind is None:
+        if settings.inner:
+            raise InvalidField("inner", repr(settings.inner), f"nothing: {settings.driver} has no "
+                               "Settings")  # fmt: skip
+        return plugin.build(robot, None, seed=seed), settings.real_time is not False
+    known = {field.name for field in fields(kind)}
+    wanted = {name: getattr(settings, name) for name in HANDED_ON if name in known}
+    real_time = settings.real_time is not False
+    if "real_time" in known:
+        real_time = bool(settings.real_time)
+        wanted["real_time"] = real_time
+    chosen = filled("inner", kind(), {**wanted, **settings.inner})
+    return plugin.build(robot, chosen, seed=seed), real_time
+
+
+def inner_finding(inner: Any) -> Finding | None:
+    """What a driver that knows its own state says is wrong."""
+    status = getattr(inner, "status", None)
+    if status is None:
+        return None
+    said = status()
+    if said == DriveState.ESTOP:
+        return Finding(fault=Fault.DRIVE_TRIP, text="the emergency stop is open")
+    if said == DriveState.FAULT:
+        fault = getattr(inner, "fault", None)
+        known = fault if isinstance(fault, Fault) else Fault.UNKNOWN
+        told = str(getattr(inner, "fault_text", "")).removesuffix(known.meaning)
+        told = told.removeprefix(str(known)).strip(": ")
+        return Finding(fault=known, text=told or "the drives report it")
+    return None
+
+
+def homing_lengths(robot: Robot, position: State) -> Array:
+    """Lengths of a pose of rest [m], shape (n,).
+
+    Raises:
+        InvalidField: More than one pose, or none at rest there.
+    """
+    if len(position.position) != 1:
+        raise InvalidField("position", f"{len(position.position)} poses", "one pose")
+    if position.unstrained_length is not None:
+        lengths = frozen_array("unstrained_length", position.unstrained_length, (1, robot.n))
+        return np.array(lengths[0])
+    rotation = position.rotation if robot.n >= FREE else None
+    found = statics.inverse_kinematics(robot, position.position, rotation)
+    if not found.converged[0]:
+        where = np.round(position.position[0], 4).tolist()
+        raise InvalidField("position", f"{where} m", "a pose at which the platform can rest")
+    return np.array(found.unstrained_length[0])

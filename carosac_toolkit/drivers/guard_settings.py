@@ -1,0 +1,118 @@
+"""What the guard allows: numbers of every check, and which driver stands behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.limits import LimitSettings
+from carosac_toolkit.number_checks import check_positive, check_whole
+
+Point = tuple[float, float, float]
+_METRES = (
+    "first_max", "step_max", "range_margin", "jump_max", "following_max", "closure_max",
+    "belief_max", "workspace_margin", "rest_max",
+)  # fmt: skip
+_SECONDS = (
+    "period",
+    "stale_time",
+    "hang_time",
+    "hang_time_at_rest",
+    "stop_time_max",
+    "lasting",
+    "slack_time",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuardSettings:
+    """Settings of `carosac_toolkit.drivers.guarded.GuardedDriver`.
+
+    Attributes:
+        driver: Name of the driver behind the guard, or ``module:Class``.
+        inner: Settings of that driver by name, a mapping for each settings dataclass inside them.
+        period: Time between two commands [s].
+        suite: Sensor suite of a driver that has a choice.
+        start_position: Where a simulated robot is set down, and the pose by which `enable_at_once`
+            homes, in W [m]; None is the home position.
+        motion: Whether anything may move; else a run is dry: commands are limited and journaled,
+            and not sent.
+        enable_at_once: Home and enable in `connect`, where motion is allowed; else it is up to
+            calls of `home` and `enable`.
+        real_time: Whether the driver's time is that of the wall; a simulator then waits for it.
+            None: True for drivers that have no such setting, which are real, else False.
+        wind_force: Of the wind, for a driver that has some [N].
+        wind_time: Its correlation time [s].
+        limits: Of the commands; the box is judged by the pose instead (`workspace_margin`).
+        first_max: Largest distance of the first command from where the winches stand [m].
+        step_max: Largest distance of any command from where the winches stand [m]; a command
+            farther away is a fault of the controller, a nearer one is approached within the limits.
+        range_margin: How far a command may lie outside the lengths of the winches [m]; the limits
+            hold it back.
+        jump_max: Largest change of a length between two samples, beyond what the winch can turn
+            meanwhile or was asked for [m].
+        following_max: Largest distance of a length from where it should be by now [m], besides
+            the motion of 30 ms and of the age of the sample.
+        closure_max: Largest root mean square of the lengths that no straight-line pose explains
+            [m]. Sag and tilt take up to 12 mm of it on the bundled robots.
+        belief_max: Largest distance of the believed position from that of the lengths [m].
+        workspace_margin: How far the platform may leave the workspace box [m].
+        rest_max: Largest change of the lengths over the samples that count as standing still [m].
+        stale_time: How long measurements may stay the same [s].
+        hang_time: How long a controller may keep the guard waiting while the winches move [s]
+            before that is a fault; they slow down from the third period on.
+        hang_time_at_rest: The same while they stand still, such as in the first cycle [s].
+        stop_time_max: When a stop is given up [s].
+        overrun_share: Largest share of missed cycles within a second.
+        warm_up: Cycles after `enable` in which the winches hold whatever is asked, in real time:
+            the first ones are slow, as programs load what they need.
+        lasting: How long following error, closure, too much tension, or leaving the workspace must
+            last to count [s].
+        slack_time: How long a tension may be below its limit [s]; sway takes it there for moments.
+        homing_samples: Samples of which the mean is homed.
+    """
+
+    driver: str = "simulator"
+    inner: Mapping[str, Any] = field(default_factory=dict)
+    period: float = 0.01
+    suite: str = "lengths"
+    start_position: Point | None = None
+    motion: bool = False
+    enable_at_once: bool = True
+    real_time: bool | None = None
+    wind_force: float = 0.0
+    wind_time: float = 2.0
+    limits: LimitSettings = field(default_factory=lambda: LimitSettings(box=False))
+    first_max: float = 0.1
+    step_max: float = 1.0
+    range_margin: float = 0.05
+    jump_max: float = 0.03
+    following_max: float = 0.06
+    closure_max: float = 0.03
+    belief_max: float = 0.7
+    workspace_margin: float = 0.3
+    rest_max: float = 0.003
+    stale_time: float = 0.08
+    hang_time: float = 0.25
+    hang_time_at_rest: float = 10.0
+    stop_time_max: float = 5.0
+    overrun_share: float = 0.5
+    warm_up: int = 5
+    lasting: float = 0.03
+    slack_time: float = 0.5
+    homing_samples: int = 10
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that are not positive."""
+        for name in _METRES:
+            check_positive(name, getattr(self, name), "m")
+        for name in _SECONDS:
+            check_positive(name, getattr(self, name), "s")
+        check_whole("homing_samples", self.homing_samples, 1)
+        check_whole("warm_up", self.warm_up, 0)
+        if not 0.0 < self.overrun_share <= 1.0:
+            raise InvalidField("overrun_share", f"{self.overrun_share}", "0 < share <= 1")
+        if not isinstance(self.inner, Mapping):
+            raise InvalidField("inner", repr(self.inner), "settings by name")

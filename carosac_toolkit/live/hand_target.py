@@ -1,0 +1,126 @@
+"""A target that somebody moves by hand, and the smooth reference that goes there."""
+
+from __future__ import annotations
+
+import threading
+from typing import NamedTuple
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Reference
+
+STEP = 0.05  # [m] of one key
+KEYS = {
+    "\x1b[A": (0, 1, 0), "\x1b[B": (0, -1, 0), "\x1b[C": (1, 0, 0), "\x1b[D": (-1, 0, 0),
+    "\x1b[5~": (0, 0, 1), "\x1b[6~": (0, 0, -1), "u": (0, 0, 1), "d": (0, 0, -1),
+}  # fmt: skip
+HELP = "arrows: x, y; u, d or page keys: z; space: stay here; x y z and Enter: go there; q: end"
+SETTLE = 0.15  # [s], how fast a wrong speed is taken away
+
+
+class _Here(NamedTuple):
+    """Where the reference is."""
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+
+
+class HandTarget:
+    """A path without end towards a target in the workspace box; safe from several threads.
+
+    Attributes:
+        duration: Endless, for the loop.
+        over: Whether somebody has said that it is enough.
+    """
+
+    duration = 1e7
+
+    def __init__(
+        self, robot: Robot, start: Array, *, speed_max: float, acceleration_max: float
+    ) -> None:
+        """Stand still at `start` in W [m], shape (3,)."""
+        self._box = (robot.workspace_min, robot.workspace_max)
+        self._limits = (speed_max, acceleration_max)
+        self._lock = threading.Lock()
+        self._target = np.array(start, dtype=float)
+        self._here = _Here(self._target.copy(), np.zeros(3), np.zeros(3))
+        self._time = 0.0
+        self.over = False
+
+    @property
+    def target(self) -> Array:
+        """Where to go in W [m], shape (3,)."""
+        with self._lock:
+            return self._target.copy()
+
+    @property
+    def arrived(self) -> bool:
+        """Whether the reference rests at the target."""
+        with self._lock:
+            near = np.abs(self._here.position - self._target).max() < 1e-3
+            return bool(near and np.abs(self._here.velocity).max() < 1e-3)
+
+    def go_to(self, position: Array) -> Array:
+        """Set the target; a place outside the box becomes the nearest in it, which is returned."""
+        with self._lock:
+            self._target = np.clip(np.asarray(position, dtype=float), *self._box)
+            return self._target.copy()
+
+    def obey(self, word: str) -> bool:
+        """Take a key, or a line of three numbers.
+
+        Returns:
+            Whether it meant something.
+        """
+        if word in KEYS:
+            self.go_to(self.target + STEP * np.array(KEYS[word]))
+            return True
+        if word == " ":
+            self.go_to(self._here.position)
+            return True
+        if word.strip() == "q":
+            self.over = True
+            return True
+        try:
+            numbers = [float(x) for x in word.replace(",", " ").split()]
+        except ValueError:
+            return False
+        if len(numbers) != 3 or not np.isfinite(numbers).all():
+            return False
+        self.go_to(np.array(numbers))
+        return True
+
+    def window(self, time: float, horizon: float, period: float) -> Reference:
+        """What to follow from `time` on, which must not go back; see `Trajectory.window`."""
+        rows = 1 + int(np.floor(horizon / period + 1e-9))
+        with self._lock:
+            target = self._target
+            for _ in range(max(0, round((time - self._time) / period))):
+                self._here = self._next(self._here, target, period)
+            self._time = max(time, self._time)
+            ahead = [self._here]
+            for _ in range(rows - 1):
+                ahead.append(self._next(ahead[-1], target, period))
+        position, velocity, acceleration = (
+            np.stack(part)[None] for part in zip(*ahead, strict=True)
+        )
+        return Reference(
+            time=np.asarray((time + period * np.arange(rows))[None], dtype=float),
+            position=position, velocity=velocity, acceleration=acceleration,
+        )  # fmt: skip
+
+    def _next(self, here: _Here, target: Array, period: float) -> _Here:
+        """One period on, within speed and acceleration; the last of the way without overshoot."""
+        speed_max, acceleration_max = self._limits
+        way = target - here.position
+        far = float(np.linalg.norm(way))
+        pace = min(speed_max, np.sqrt(0.5 * acceleration_max * far), far / (4.0 * SETTLE))
+        wanted = way / far * pace if far > 0.0 else np.zeros(3)
+        change = (wanted - here.velocity) / max(SETTLE, period)
+        size = float(np.linalg.norm(change))
+        change = change * min(1.0, acceleration_max / size) if size > 0.0 else change
+        velocity = here.velocity + change * period
+        return _Here(here.position + velocity * period, velocity, change)

@@ -1,0 +1,51 @@
+"""A few cycles on paper before a robot is connected: programs load what they need meanwhile."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit.drivers.guard_inner import homing_lengths
+from carosac_toolkit.loop import Path
+from carosac_toolkit.protocols import Controller, Estimator
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Command, Imu, Measurement, Stamped, State
+
+CYCLES = 5
+INERTIAL = 0.005  # [s] between two inertial samples
+
+
+def rehearse(
+    robot: Robot, estimator: Estimator, controller: Controller, path: Path, *, suite: str
+) -> None:
+    """Have estimator and controller work on a robot at rest at home; nothing is sent anywhere.
+
+    Both are reset before they are used in earnest, so nothing of it stays with them.
+    """
+    home = State(
+        time=np.zeros(1), position=robot.home_position[None], rotation=robot.home_rotation[None]
+    )
+    lengths = homing_lengths(robot, home)[None]
+    belief: Any = None
+    for k in range(CYCLES):
+        now = k * controller.period
+        measurement = _at_rest(robot, lengths, now, suite)
+        held = Command(time=np.array([now]), unstrained_length=lengths)
+        if belief is None:
+            belief = estimator.reset(measurement)
+            controller.reset(belief)
+        else:
+            belief = estimator.update(belief, held, measurement)
+        controller.command(belief, path.window(0.0, controller.horizon, controller.period))
+
+
+def _at_rest(robot: Robot, lengths: Any, now: float, suite: str) -> Measurement:
+    """What is measured at rest at home."""
+    time, imu = np.array([now]), None
+    if "imu" in suite:
+        when = now - INERTIAL * np.arange(1, -1, -1.0)
+        force = np.broadcast_to(robot.home_rotation.T @ [0.0, 0.0, robot.gravity], (1, 2, 3))
+        imu = Imu(time=when[None], angular_rate=np.zeros((1, 2, 3)), specific_force=force)
+    rate = Stamped(time=time - 0.01, value=np.zeros_like(lengths))
+    return Measurement(time=time, unstrained_length=lengths, length_rate=rate, imu=imu)

@@ -1,0 +1,102 @@
+"""What is known of a run while it goes on, without keeping it."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import Counter
+from typing import Any, TextIO
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.drivers.guarded import GuardedDriver
+from carosac_toolkit.loop import Step
+
+TERMINAL, FILE = 0.2, 2.0  # [s] between two lines
+MOST = 200_000  # latest cycles that quantiles are of
+
+
+class Statistics:
+    """Counts and prints; call it with every step.
+
+    Attributes:
+        limits: How often each limit changed a command, by cycles.
+    """
+
+    def __init__(self, guard: GuardedDriver, stream: TextIO | None = None) -> None:
+        """Print to `stream`, by default the standard error."""
+        self._guard = guard
+        self._stream = stream or sys.stderr
+        self._every = TERMINAL if self._stream.isatty() else FILE
+        self._began = self._printed = time.monotonic()
+        self._last: float | None = None
+        self.cycles = 0
+        self.limits: Counter[str] = Counter()
+        self._latency: list[float] = []
+        self._interval: list[float] = []
+        self._squares: Array = np.zeros(2)
+        self._known = 0
+
+    def __call__(self, step: Step) -> None:
+        """Take one cycle in."""
+        now = time.monotonic()
+        self.cycles += 1
+        self.limits.update({hit.limit for hit in step.command.limited})
+        if len(self._latency) < MOST:
+            self._latency.append(step.latency)
+            if self._last is not None:
+                self._interval.append(now - self._last)
+        self._last = now
+        reference = step.reference.position[0, 0]
+        if step.truth is not None:
+            wrong = (
+                step.truth.position[0] - reference,
+                step.belief.position[0] - (step.truth.position[0]),
+            )
+            self._squares = self._squares + np.square(wrong).sum(axis=1)
+            self._known += 1
+        if now - self._printed >= self._every:
+            self._printed = now
+            self._print(step, reference)
+
+    def end_line(self) -> None:
+        """Leave the line that is written over and over."""
+        if self._stream.isatty() and self._printed > self._began:
+            print(file=self._stream)
+
+    def data(self, period: float) -> dict[str, Any]:
+        """Numbers of the whole run."""
+        late = np.array(self._interval)
+        jitter = np.abs(late - period)
+        rms = np.sqrt(self._squares / self._known) if self._known else (None, None)
+        return {
+            "cycles": self.cycles,
+            "latency_median_s": _quantile(self._latency, 0.5),
+            "latency_p99_s": _quantile(self._latency, 0.99),
+            "jitter_p50_s": _quantile(jitter, 0.5),
+            "jitter_p99_s": _quantile(jitter, 0.99),
+            "late_cycles": self._guard.overruns,
+            "limited_cycles": dict(self.limits),
+            "tracking_rmse_m": rms[0],
+            "estimation_rmse_m": rms[1],
+        }
+
+    def _print(self, step: Step, reference: Array) -> None:
+        """One line: state, time, belief, distance to the reference, latency, limits."""
+        believed = step.belief.position[0]
+        far = 1e3 * float(np.linalg.norm(believed - reference))
+        place = " ".join(f"{x:+.3f}" for x in believed)
+        text = (
+            f"{self._guard.state:<10} {float(step.measurement.time[0]):8.2f} s  at {place} m  "
+            f"off {far:6.1f} mm  cycle {1e3 * step.latency:5.2f} ms  "
+            f"limited {sum(self.limits.values())}  late {self._guard.overruns}"
+        )
+        start, end = ("\r", "\x1b[K") if self._stream.isatty() else ("", "\n")
+        self._stream.write(start + text + end)
+        self._stream.flush()
+
+
+def _quantile(values: Any, share: float) -> float | None:
+    """A quantile, or None of nothing."""
+    return float(np.quantile(values, share)) if len(values) else None

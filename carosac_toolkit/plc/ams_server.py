@@ -1,0 +1,203 @@
+"""An ADS server over TCP: symbols by name and handle, read and written as a TwinCAT runtime does.
+
+Sources: Beckhoff Information System, "ADS/AMS Specification" (TE1000) and "TwinCAT ADS return
+codes". Device notifications and sum commands are not offered.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import socket
+import struct
+import threading
+import time
+
+from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.hardware import TCP_PORT
+from carosac_toolkit.plc.symbols import Symbols
+
+LONGEST = 1 << 16  # bytes of a request; longer ones are no ADS
+_HEADER = struct.Struct("<6sH6sHHHIII")
+_PATIENCE = 2.0  # [s] for threads to end
+
+_INFO, _READ, _WRITE, _STATE, _READ_WRITE = 1, 2, 3, 4, 9
+_HANDLE_BY_NAME, _VALUE_BY_HANDLE, _RELEASE_HANDLE = 0xF003, 0xF005, 0xF006
+_UNSUPPORTED, _WRONG_GROUP, _WRONG_SIZE = 0x701, 0x702, 0x705
+_RUN = 5  # ADS state of a running PLC
+
+
+class _Refused(Exception):
+    """An ADS return code."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"ADS code {code:#x}")
+        self.code = code
+
+
+class AmsServer:
+    """Answers ADS requests, one thread for each connection.
+
+    Attributes:
+        delay: By how much every answer comes later [s]: a slow network.
+        jitter: By how much more at most, at random [s].
+        requests: Number of requests answered.
+    """
+
+    def __init__(self, symbols: Symbols, ip: str, port: int = TCP_PORT) -> None:
+        """Listen; requests wait until `start`.
+
+        Raises:
+            CarosacError: The address cannot be used.
+        """
+        self.symbols = symbols
+        self.delay = 0.0
+        self.jitter = 0.0
+        self.requests = 0
+        self._running = False
+        self._open: set[socket.socket] = set()
+        self._threads: list[threading.Thread] = []
+        self._lock = threading.Lock()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            self._socket.bind((ip, port))
+            self._socket.listen(8)
+        except OSError as error:
+            self._socket.close()
+            raise CarosacError(
+                f"plc: cannot listen on {ip}:{port}: {error.strerror or error}; is another PLC "
+                "or a TwinCAT router running there?"
+            ) from error
+
+    def start(self) -> None:
+        """Answer from now on."""
+        self._running = True
+        self._accepting = threading.Thread(target=self._accept, name="ads-accept", daemon=True)
+        self._accepting.start()
+
+    def close(self) -> None:
+        """Cut all connections and end all threads; safe to call twice."""
+        self._running = False
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+        with self._lock:
+            for connection in self._open:
+                with contextlib.suppress(OSError):
+                    connection.shutdown(socket.SHUT_RDWR)
+        threads = [*self._threads, *([self._accepting] if hasattr(self, "_accepting") else [])]
+        for thread in threads:
+            thread.join(_PATIENCE)
+
+    def _accept(self) -> None:
+        while self._running:
+            try:
+                connection, _ = self._socket.accept()
+            except OSError:
+                return
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            with self._lock:
+                self._open.add(connection)
+            thread = threading.Thread(
+                target=self._serve, args=(connection,), name="ads-connection", daemon=True
+            )
+            self._threads = [t for t in self._threads if t.is_alive()] + [thread]
+            thread.start()
+
+    def _serve(self, connection: socket.socket) -> None:
+        """Answer one connection until it ends; what is no ADS ends it."""
+        try:
+            while self._running:
+                head = _exactly(connection, 6)
+                size = int.from_bytes(head[2:], "little")
+                if not _HEADER.size <= size <= LONGEST:
+                    return
+                packet = _exactly(connection, size)
+                if self.delay or self.jitter:
+                    time.sleep(self.delay + random.uniform(0.0, self.jitter))
+                answer = self._answer(packet)
+                connection.sendall(b"\0\0" + len(answer).to_bytes(4, "little") + answer)
+                self.requests += 1
+        except OSError:
+            return
+        finally:
+            with self._lock:
+                self._open.discard(connection)
+            connection.close()
+
+    def _answer(self, packet: bytes) -> bytes:
+        """The answer to one request, with its header."""
+        target, port, source, source_port, command, flags, _, _, number = _HEADER.unpack_from(
+            packet
+        )
+        body = packet[_HEADER.size :]
+        try:
+            data = struct.pack("<I", 0) + self._do(command, body)
+        except _Refused as refused:
+            data = struct.pack("<I", refused.code)
+            data += bytes(4) if command in (_READ, _READ_WRITE) else b""
+        except struct.error:
+            data = struct.pack("<I", _WRONG_SIZE)
+        return _HEADER.pack(
+            source, source_port, target, port, command, flags | 1, len(data), 0, number
+        ) + data  # fmt: skip
+
+    def _do(self, command: int, body: bytes) -> bytes:
+        """Carry out a request; the answer without its return code."""
+        if command == _INFO:
+            return struct.pack("<BBH16s", 3, 1, 0, b"carosac plc")
+        if command == _STATE:
+            return struct.pack("<HH", _RUN, 0)
+        if command == _READ:
+            group, offset, size = struct.unpack_from("<III", body)
+            return _sized(self._read(group, offset, size))
+        if command == _WRITE:
+            group, offset, size = struct.unpack_from("<III", body)
+            self._write(group, offset, body[12 : 12 + size])
+            return b""
+        if command == _READ_WRITE:
+            group, offset, _, size = struct.unpack_from("<IIII", body)
+            if group != _HANDLE_BY_NAME:
+                raise _Refused(_WRONG_GROUP)
+            name = body[16 : 16 + size].split(b"\0")[0].decode("latin-1")
+            return _sized(struct.pack("<I", _known(self.symbols.handle(name))))
+        raise _Refused(_UNSUPPORTED)
+
+    def _read(self, group: int, offset: int, size: int) -> bytes:
+        if group != _VALUE_BY_HANDLE:
+            raise _Refused(_WRONG_GROUP)
+        data = self.symbols.read_handle(offset)
+        if isinstance(data, int):
+            raise _Refused(data)
+        return data[:size]
+
+    def _write(self, group: int, offset: int, data: bytes) -> None:
+        if group == _RELEASE_HANDLE:
+            return
+        if group != _VALUE_BY_HANDLE:
+            raise _Refused(_WRONG_GROUP)
+        code = self.symbols.write_handle(offset, data)
+        if code:
+            raise _Refused(code)
+
+
+def _known(handle: int | None) -> int:
+    if handle is None:
+        raise _Refused(Symbols.NOT_FOUND)
+    return handle
+
+
+def _sized(data: bytes) -> bytes:
+    return struct.pack("<I", len(data)) + data
+
+
+def _exactly(connection: socket.socket, size: int) -> bytes:
+    """So many bytes, however the network cuts them."""
+    parts = bytearray()
+    while len(parts) < size:
+        part = connection.recv(size - len(parts))
+        if not part:
+            raise ConnectionError("closed")
+        parts += part
+    return bytes(parts)

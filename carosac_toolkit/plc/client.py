@@ -1,0 +1,142 @@
+"""A small ADS client for the emulated PLC: injected faults and counters, beside any driver."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+from typing import Any
+
+from carosac_toolkit.drivers.ads_block import Block
+from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.hardware import LOOPBACK, TCP_PORT
+from carosac_toolkit.plc import machine_blocks
+from carosac_toolkit.plc.machine_blocks import Injection
+
+_HEADER = struct.Struct("<6sH6sHHHIII")
+_READ, _WRITE, _READ_WRITE = 2, 3, 9
+_HANDLE_BY_NAME, _VALUE_BY_HANDLE = 0xF003, 0xF005
+_PATIENCE = 2.0  # [s]
+
+
+class PlcClient:
+    """One connection of its own; use it as a context."""
+
+    def __init__(self, n: int, ip: str = LOOPBACK, port: int = TCP_PORT) -> None:
+        """Connect.
+
+        Args:
+            n: Number of cables.
+            ip: Of the PLC.
+            port: TCP port.
+
+        Raises:
+            CarosacError: Nobody answers there.
+        """
+        self._n, self._number = n, 0
+        try:
+            self._socket = socket.create_connection((ip, port), _PATIENCE)
+        except OSError as error:
+            raise CarosacError(f"PLC at {ip}:{port}: {error.strerror or error}") from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._handles: dict[str, int] = {}
+
+    def __enter__(self) -> PlcClient:
+        """Nothing more to do."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close."""
+        self.close()
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._socket.close()
+
+    def inject(
+        self, kind: Injection, axis: int = 0, value: float = 1.0, second: float = 0.0,
+        position: Any = (0.0, 0.0, 0.0),
+    ) -> None:  # fmt: skip
+        """Do something to the emulated machine and wait until it is done.
+
+        Args:
+            kind: What.
+            axis: Cable, from 1.
+            value: How much, as `Injection` says.
+            second: How much more.
+            position: Platform origin in W [m].
+
+        Raises:
+            CarosacError: The PLC refused it, or did not answer.
+        """
+        number = int(self.diagnosis()["control_done"]) + 1
+        block = machine_blocks.control()
+        values = {
+            "number": number, "kind": int(kind), "axis": axis, "value": value, "second": second,
+            "position": position,
+        }  # fmt: skip
+        self.write(machine_blocks.CONTROL, block.pack(values))
+        end = time.monotonic() + _PATIENCE
+        while time.monotonic() < end:
+            found = self.diagnosis()
+            if found["control_refused"] == number:
+                raise CarosacError(f"plc: refused {kind.name.lower()} of axis {axis}, {value:g}")
+            if found["control_done"] >= number:
+                return
+            time.sleep(0.002)
+        raise CarosacError(f"plc: {kind.name.lower()} was not carried out in {_PATIENCE:g} s")
+
+    def diagnosis(self) -> dict[str, Any]:
+        """What the PLC counted."""
+        return self._values(machine_blocks.DIAGNOSIS, machine_blocks.diagnosis(self._n))
+
+    def truth(self) -> dict[str, Any]:
+        """The state of the simulated robot."""
+        return self._values(machine_blocks.TRUTH, machine_blocks.truth(self._n))
+
+    def read(self, name: str, size: int) -> bytes:
+        """The bytes of a symbol."""
+        body = struct.pack("<III", _VALUE_BY_HANDLE, self._handle(name), size)
+        return self._ask(_READ, body)[4:]
+
+    def write(self, name: str, data: bytes) -> None:
+        """Set the bytes of a symbol."""
+        head = struct.pack("<III", _VALUE_BY_HANDLE, self._handle(name), len(data))
+        self._ask(_WRITE, head + data)
+
+    def _values(self, name: str, block: Block) -> dict[str, Any]:
+        return block.unpack(self.read(name, block.size))
+
+    def _handle(self, name: str) -> int:
+        """Handle of a symbol, asked for once."""
+        if name not in self._handles:
+            text = name.encode("latin-1") + b"\0"
+            body = struct.pack("<IIII", _HANDLE_BY_NAME, 0, 4, len(text)) + text
+            self._handles[name] = struct.unpack("<I", self._ask(_READ_WRITE, body)[4:8])[0]
+        return self._handles[name]
+
+    def _ask(self, command: int, body: bytes) -> bytes:
+        """One request; its answer without the return code."""
+        self._number += 1
+        net = bytes((127, 0, 0, 1, 1, 1))
+        head = _HEADER.pack(net, 851, net, 40000, command, 4, len(body), 0, self._number)
+        packet = head + body
+        try:
+            self._socket.sendall(b"\0\0" + struct.pack("<I", len(packet)) + packet)
+            size = struct.unpack("<I", self._exactly(6)[2:])[0]
+            answer = self._exactly(size)[_HEADER.size :]
+        except OSError as error:
+            raise CarosacError(f"PLC: {error.strerror or error}") from error
+        code = struct.unpack_from("<I", answer)[0]
+        if code:
+            raise CarosacError(f"PLC: ADS code {code:#x}")
+        return answer[4:]
+
+    def _exactly(self, size: int) -> bytes:
+        parts = bytearray()
+        while len(parts) < size:
+            part = self._socket.recv(size - len(parts))
+            if not part:
+                raise ConnectionError("closed")
+            parts += part
+        return bytes(parts)

@@ -1,0 +1,306 @@
+"""The program of the PLC: states, requests, watchdog, faults; one call for each PLC cycle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.drivers.ads_block import LAYOUT, Answer, DriveStatus, Request
+from carosac_toolkit.drivers.drive_state import DriveState, Fault
+from carosac_toolkit.plc.command_checks import CommandChecks, Counters
+from carosac_toolkit.plc.playback import Playback
+from carosac_toolkit.plc.winches import Winches, WinchLimits
+
+_ON = (DriveState.ENABLED, DriveState.FOLLOWING, DriveState.STOPPING)
+_SESSIONS = 32  # whose newest request is remembered
+_SETTLE = 2.0  # periods in which a winch comes back to the motion asked for
+_JUMP = 3.0  # times the speed limit above which a position cannot have moved
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Inputs:
+    """What the PLC reads of its machine in a cycle.
+
+    Attributes:
+        length: Positions [unit], shape (n,).
+        rate: [unit/s], shape (n,).
+        tension: At the platform [N], shape (n,), or None.
+    """
+
+    length: Array
+    rate: Array
+    tension: Array | None = None
+
+
+@dataclass
+class Wires:
+    """What is wired to the PLC, and what faults are injected.
+
+    Attributes:
+        tripped: Drives whose own protection has opened, shape (n,).
+        estop: Whether the emergency-stop circuit is open.
+        freeze_counter: Whether the heartbeat stays the same.
+        freeze_data: Whether all data but the heartbeat stay the same.
+    """
+
+    tripped: Array
+    estop: bool = False
+    freeze_counter: bool = False
+    freeze_data: bool = False
+
+
+@dataclass
+class _Host:
+    """The session that the PLC obeys."""
+
+    session: int = 0
+    sequence: int = 0
+    silent: float = 0.0
+    command: int | None = None
+    playback: Playback | None = None
+    period: float = 0.0
+
+
+class Machine:
+    """n winches behind one host.
+
+    Attributes:
+        state: Now.
+        fault: The latched fault.
+        fault_axis: Its cable from 1, or 0.
+        winches: Their set points.
+        counters: What came from hosts.
+        wires: Injected faults.
+        reference: By how much set points were renamed to agree with the encoders [unit], (n,); the
+            machine follows ``winches.position - reference``.
+    """
+
+    def __init__(
+        self, limits: WinchLimits, *, cycle: float, watchdog: float, encoder_check: bool = True
+    ) -> None:
+        """Switched off, obeying nobody.
+
+        Args:
+            limits: Of the winches.
+            cycle: [s].
+            watchdog: Silence of the host after which the winches ramp to rest [s].
+            encoder_check: Whether a position that jumps is a fault.
+        """
+        n = len(limits.speed)
+        self.state, self.fault, self.fault_axis = DriveState.CONNECTED, Fault.NONE, 0
+        self.winches = Winches(limits, cycle)
+        self.counters = Counters()
+        self.wires = Wires(np.zeros(n, dtype=bool))
+        self.reference = np.zeros(n)
+        self._checks = CommandChecks(limits, self.counters)
+        self._limits, self._cycle, self._watchdog = limits, cycle, watchdog
+        self._encoder_check = encoder_check
+        self._host = _Host()
+        self._foreign = (0, 0)
+        self._answer = (0, Answer.NONE)
+        self._numbers: dict[int, int] = {}  # newest request of each session
+        self._disable = False
+        self._ticks = 0
+        self._beats = 0
+        self._length: Array | None = None
+        self._frozen: dict[str, Any] | None = None
+
+    @property
+    def time(self) -> float:
+        """Clock of the PLC [s]: its cycles."""
+        return self._ticks * self._cycle
+
+    def cycle(self, host: dict[str, Any] | None, inputs: Inputs) -> None:
+        """One cycle: listen, check, move the set points.
+
+        Args:
+            host: What is in the structure of the host, or None where it is of no valid layout.
+            inputs: What the machine says.
+        """
+        self._ticks += 1
+        self._inputs = inputs
+        self._beats += not self.wires.freeze_counter
+        if host is not None:
+            self._listen(host)
+        self._watch()
+        self._protect(inputs)
+        self._move()
+        self._length = inputs.length
+
+    def output(self, inputs: Inputs) -> dict[str, Any]:
+        """What the host will read."""
+        heartbeat = {"sequence": self._beats, "sequence_end": self._beats}
+        if self.wires.freeze_data and self._frozen is not None:
+            return self._frozen | heartbeat
+        tension = inputs.tension
+        found = heartbeat | {
+            "layout": LAYOUT, "cables": len(inputs.length), "echo": self._host.sequence,
+            "owner": self._host.session, "state": self.state.number, "fault": self.fault.number,
+            "fault_axis": self.fault_axis, "answered": self._answer[0], "answer": self._answer[1],
+            "command_echo": self._host.command or 0, "has_tension": tension is not None,
+            "time": self.time, "length": inputs.length, "rate": inputs.rate,
+            "tension": 0.0 if tension is None else tension, "drive_status": self._drives(),
+            "set_length": self.winches.position,
+        }  # fmt: skip
+        self._frozen = found
+        return found
+
+    def place(self, length: Array) -> None:
+        """Call where the winches stand by these positions; nothing moves."""
+        self.reference = self.reference + (length - self.winches.position)
+        self.winches.place(length)
+        self._length = None
+
+    def stop(self, fault: Fault, axis: int = 0) -> None:
+        """Latch a fault, the first one only, and ramp to rest."""
+        if self.state not in (DriveState.FAULT, DriveState.ESTOP):
+            self.state, self.fault, self.fault_axis = DriveState.FAULT, fault, axis
+            self._host.playback = None
+
+    def _listen(self, host: dict[str, Any]) -> None:
+        """Take over what the session that counts has written."""
+        if host["sequence"] != host["sequence_end"]:
+            self.counters.torn += 1
+            return
+        session = host["session"]
+        if session == 0:
+            return
+        mine = session == self._host.session
+        if mine and host["sequence"] != self._host.sequence:
+            self._host.sequence, self._host.silent = host["sequence"], 0.0
+        if not mine and self._host.session and (session, host["sequence"]) != self._foreign:
+            self._foreign = (session, host["sequence"])
+            self.counters.foreign += 1
+        if host["request"] and host["request_number"] != self._numbers.get(session, 0):
+            self._numbers.pop(session, None)
+            self._numbers[session] = host["request_number"]
+            if len(self._numbers) > _SESSIONS:
+                del self._numbers[next(iter(self._numbers))]
+            self._answer = (host["request_number"], self._request(host, mine))
+        if session == self._host.session:
+            self._command(host)
+
+    def _request(self, host: dict[str, Any], mine: bool) -> Answer:
+        """Carry out one request."""
+        request = host["request"]
+        if self._host.session and not mine:
+            return Answer.NOT_OWNER
+        if request == Request.ENABLE:
+            return self._enable(host)
+        if request == Request.RESET:
+            return self._reset()
+        if request in (Request.STOP, Request.DISABLE):
+            if not mine:
+                return Answer.NOT_OWNER
+            self._disable = self._disable or request == Request.DISABLE
+            if self.state in (DriveState.ENABLED, DriveState.FOLLOWING):
+                self.state = DriveState.STOPPING
+            elif request == Request.DISABLE and self.winches.at_rest:
+                self._release()
+            self._host.playback = None
+            return Answer.DONE
+        return Answer.UNKNOWN
+
+    def _enable(self, host: dict[str, Any]) -> Answer:
+        if self.state not in (DriveState.CONNECTED, DriveState.ENABLED):
+            return Answer.WRONG_STATE
+        self._host = _Host(host["session"], host["sequence"], command=host["command"])
+        self.place(self._inputs.length)
+        self._checks.reset(self.winches.position, host["command"])
+        self._disable = False
+        self.state = DriveState.ENABLED
+        return Answer.DONE
+
+    def _reset(self) -> Answer:
+        if self.state is DriveState.CONNECTED:
+            return Answer.DONE
+        if self.state not in (DriveState.FAULT, DriveState.ESTOP) or not self.winches.at_rest:
+            return Answer.WRONG_STATE
+        if self.wires.tripped.any() or self.wires.estop:
+            return Answer.CAUSE_REMAINS
+        self.state, self.fault, self.fault_axis = DriveState.CONNECTED, Fault.NONE, 0
+        self._release()
+        return Answer.DONE
+
+    def _command(self, host: dict[str, Any]) -> None:
+        """Take over a new command."""
+        own = self._host
+        if not host["follow"] or host["command"] == own.command:
+            return
+        gap = (host["command"] - (own.command or 0)) % 2**32
+        own.command = host["command"]
+        if self.state not in (DriveState.ENABLED, DriveState.FOLLOWING):
+            self.counters.ignored += 1
+            return
+        fault = self._checks.check(host, self.winches.position)
+        if fault is not Fault.NONE:
+            self.stop(fault)
+            return
+        if own.playback is None:
+            own.playback = Playback(self.winches.position)
+        own.playback.add(host["length"], gap, host["period"])
+        own.period = host["period"]
+        self.state = DriveState.FOLLOWING
+
+    def _watch(self) -> None:
+        """Ramp to rest where the host is silent; then obey nobody."""
+        own = self._host
+        if not own.session:
+            return
+        own.silent += self._cycle
+        if own.silent < self._watchdog:
+            return
+        if self.state in _ON:
+            self.counters.watchdog += 1
+            self.stop(Fault.HEARTBEAT_LOST)
+        elif self.winches.at_rest:
+            self._release()
+
+    def _release(self) -> None:
+        """Obey nobody."""
+        self._host = _Host()
+
+    def _protect(self, inputs: Inputs) -> None:
+        """Faults of the machine itself."""
+        if self.wires.estop and self.state is not DriveState.ESTOP:
+            self.state, self.fault, self.fault_axis = DriveState.ESTOP, Fault.NONE, 0
+            self._host.playback = None
+        tripped = np.flatnonzero(self.wires.tripped)
+        if len(tripped):
+            self.stop(Fault.DRIVE_TRIP, int(tripped[0]) + 1)
+        if self._length is not None and self._encoder_check:
+            far = np.abs(inputs.length - self._length) > _JUMP * self._limits.speed * self._cycle
+            if far.any():
+                self.stop(Fault.ENCODER_JUMP, int(np.argmax(far)) + 1)
+        if self.state in _ON:
+            behind = np.abs(inputs.length - self.winches.position) > self._limits.following
+            if behind.any():
+                self.stop(Fault.FOLLOWING_ERROR, int(np.argmax(behind)) + 1)
+
+    def _move(self) -> None:
+        """Advance the set points."""
+        own = self._host
+        if self.state is DriveState.FOLLOWING and own.playback is not None:
+            goal, rate = own.playback.advance(self._cycle)
+            self.winches.follow(goal, rate, _SETTLE * own.period)
+            return
+        braked = np.ones_like(self.wires.tripped) if self.state is DriveState.ESTOP else (
+            self.wires.tripped
+        )  # fmt: skip
+        self.winches.ramp(braked)
+        if self.state is DriveState.STOPPING and self.winches.at_rest:
+            self.state = DriveState.ENABLED
+            if self._disable:
+                self.state = DriveState.CONNECTED
+                self._release()
+            self._disable = False
+
+    def _drives(self) -> Array:
+        """Status of each drive."""
+        on = self.state in _ON or (self.state is DriveState.FAULT and not self.winches.at_rest)
+        moving = np.where(self.winches.speed != 0.0, DriveStatus.MOVING, DriveStatus.HOLDING)
+        found = np.where(on, moving, DriveStatus.OFF)
+        return np.where(self.wires.tripped, DriveStatus.TRIPPED, found).astype(np.uint64)

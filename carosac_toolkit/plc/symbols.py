@@ -1,0 +1,62 @@
+"""The variables of the emulated PLC: bytes by name, exchanged as a whole."""
+
+from __future__ import annotations
+
+import threading
+from typing import ClassVar
+
+
+class Symbols:
+    """Named variables of fixed size; a read or a write is never of two halves."""
+
+    NOT_FOUND: ClassVar[int] = 0x710
+    WRONG_HANDLE: ClassVar[int] = 0x703
+    NO_ACCESS: ClassVar[int] = 0x704
+    WRONG_SIZE: ClassVar[int] = 0x705
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._names: list[str] = []
+        self._data: dict[str, bytes] = {}
+        self._writable: set[str] = set()
+
+    def add(self, name: str, size: int, *, writable: bool) -> None:
+        """Declare a variable of zeros; names count without case, as in a PLC."""
+        self._names.append(name.lower())
+        self._data[name.lower()] = bytes(size)
+        if writable:
+            self._writable.add(name.lower())
+
+    def handle(self, name: str) -> int | None:
+        """Handle of a variable, from 1; None where there is none."""
+        key = name.lower()
+        return self._names.index(key) + 1 if key in self._data else None
+
+    def read(self, name: str) -> bytes:
+        """What a variable holds."""
+        with self._lock:
+            return self._data[name.lower()]
+
+    def write(self, name: str, data: bytes) -> None:
+        """Set a variable, as the program of the PLC does."""
+        with self._lock:
+            assert len(data) == len(self._data[name.lower()])
+            self._data[name.lower()] = data
+
+    def read_handle(self, handle: int) -> bytes | int:
+        """What a client reads, or an ADS return code."""
+        if not 1 <= handle <= len(self._names):
+            return self.WRONG_HANDLE
+        return self.read(self._names[handle - 1])
+
+    def write_handle(self, handle: int, data: bytes) -> int:
+        """What a client writes; the ADS return code, 0 where it was taken."""
+        if not 1 <= handle <= len(self._names):
+            return self.WRONG_HANDLE
+        name = self._names[handle - 1]
+        if name not in self._writable:
+            return self.NO_ACCESS
+        if len(data) != len(self._data[name]):
+            return self.WRONG_SIZE
+        self.write(name, data)
+        return 0

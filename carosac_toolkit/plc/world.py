@@ -1,0 +1,136 @@
+"""The simulated robot behind the PLC, in the units of the PLC."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit import registry
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.drivers.plant import Plant
+from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.hardware import Hardware
+from carosac_toolkit.plc.machine import Inputs
+from carosac_toolkit.plc.settings import PlcSettings
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.sensor_suite import SensorSuite
+from carosac_toolkit.values import State
+
+_RATE_SPAN = 0.01  # [s] over which the PLC takes the difference for a velocity
+
+
+class World:
+    """One robot with encoders, load cells and an IMU.
+
+    The encoders say `shift` too much: what they lost while they were switched off. The drives close
+    their loops on the motors, so that an encoder that jumps moves nothing.
+
+    Attributes:
+        plant: The simulation.
+        time: Simulated [s].
+    """
+
+    def __init__(self, robot: Robot, hardware: Hardware, settings: PlcSettings, seed: int) -> None:
+        """Make the plant; call `place` before anything else.
+
+        Args:
+            robot: The plant.
+            hardware: What the numbers of the PLC mean.
+            settings: Of plant and sensors.
+            seed: Of wind, noise and shift.
+
+        Raises:
+            InvalidField: No such plant.
+        """
+        self.plant = _plant(robot, settings, seed)
+        self._hardware, self._settings, self._seed = hardware, settings, seed
+        rng = np.random.default_rng([seed, 1])
+        self.shift = settings.shift * rng.standard_normal(robot.n)
+
+    def place(self, position: Array) -> None:
+        """Set the robot down at rest, platform origin at a position in W [m], shape (3,).
+
+        Raises:
+            InvalidField: It cannot rest there.
+        """
+        self.plant.reset(position[None])
+        self.time = 0.0
+        rate = 1.0 / self._settings.cycle
+        suite = "lengths+imu" if self.plant.inertial else "lengths"
+        sensors = replace(
+            self._settings.sensors, encoder_rate=rate, encoder_delay=0.0, tension_rate=rate,
+            tension_delay=0.0, tension=self._settings.has_tension,
+        )  # fmt: skip
+        self._suite = SensorSuite(suite, sensors, self.plant, self._seed)
+        span = max(1, round(_RATE_SPAN / self._settings.cycle))
+        self._lengths: deque[Array] = deque(maxlen=span + 1)
+        self._imu: list[tuple[float, Array]] = []
+        self._read()
+
+    def jump(self, axis: int, distance: float) -> None:
+        """Let the encoder of a cable, from 0, say so much more from now on [m]."""
+        self.shift[axis] += distance
+
+    def advance(self, number: Array) -> None:
+        """One PLC cycle with constant set positions, free of `shift` [unit], shape (n,)."""
+        asked = self._hardware.length(number) - self._suite.encoder_bias[0]
+        end = self.time + self._settings.cycle
+        while self.time < end - 1e-9:
+            h = min(end, self._suite.next_due) - self.time
+            self.plant.advance(asked[None], h)
+            self.time += h
+            self._read()
+
+    @property
+    def standing(self) -> Array:
+        """Set positions, free of `shift` and noise, at which nothing moves [unit], shape (n,)."""
+        lengths = self.plant.read_lengths() + self._suite.encoder_bias
+        return self._hardware.number(lengths[0])
+
+    @property
+    def inputs(self) -> Inputs:
+        """What the sensors say now, in the units of the PLC."""
+        lengths = self._lengths
+        span = (len(lengths) - 1) * self._settings.cycle
+        rate = (lengths[-1] - lengths[0]) / span if span else np.zeros_like(lengths[-1])
+        tension = self._measured.tension
+        return Inputs(
+            length=self._hardware.number(lengths[-1] + self.shift),
+            rate=rate / self._hardware.unit,
+            tension=None if tension is None else tension.value[0],
+        )
+
+    def imu_samples(self) -> list[tuple[float, Array]]:
+        """Samples since the last call: time [s]; angular rate and specific force in P, (6,)."""
+        found, self._imu = self._imu, []
+        return found
+
+    def truth(self) -> State:
+        """The state of the robot."""
+        return self.plant.truth()
+
+    def _read(self) -> None:
+        """Sample what is due."""
+        self._suite.sample(self.plant, self.time)
+        self._measured = self._suite.measure(self.time)
+        self._lengths.append(np.array(self._measured.unstrained_length[0]))
+        imu = self._measured.imu
+        if imu is not None:
+            both = np.concatenate([imu.angular_rate[0], imu.specific_force[0]], axis=1)
+            self._imu += list(zip(imu.time[0].tolist(), both, strict=True))
+
+
+def _plant(robot: Robot, settings: PlcSettings, seed: int) -> Plant:
+    """The plant of a simulated driver."""
+    kind: Any = registry.load("drivers", settings.plant)
+    chosen = {"cables": settings.cables, "wind_force": settings.wind_force}
+    known = vars(kind.Settings()) if hasattr(kind, "Settings") else {}
+    wanted = {name: value for name, value in chosen.items() if name in known}
+    driver = kind.build(robot, replace(kind.Settings(), **wanted), seed=seed)
+    plant: Plant | None = getattr(driver, "plant", None)
+    if plant is None:
+        raise CarosacError(f"plc: driver '{settings.plant}' has no plant; use a simulated one")
+    return plant

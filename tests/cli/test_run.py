@@ -1,0 +1,236 @@
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import warnings
+
+import numpy as np
+import pytest
+
+from carosac_toolkit.cli.main import main
+from carosac_toolkit.crash_safe import CutRecording, read_run
+from carosac_toolkit.live.course import with_approach
+from carosac_toolkit.live.hand_target import HandTarget
+from carosac_toolkit.trajectories import line
+from tests.robots import simple_robot
+
+# a slow machine must not end a run: these are about what ends it
+PATIENT = ("driver.guard.overrun_share=1.0", "driver.guard.hang_time=1.5", "driver.cables=catenary")
+
+
+def words(tmp_path, *more, settings=PATIENT):
+    chosen = [word for setting in settings for word in ("--set", setting)]
+    files = ["--recording", str(tmp_path / "run.jsonl"), "--json", str(tmp_path / "run.json")]
+    return ["run", "--rate", "25", *files, *chosen, *more]
+
+
+def numbers(tmp_path):
+    return json.loads((tmp_path / "run.json").read_text())
+
+
+def run_of(tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CutRecording)
+        return read_run(tmp_path / "run.jsonl")
+
+
+def names(run):
+    return [name for _, name, _ in run.events]
+
+
+def at_rest(run):
+    """Whether the last commands are the same, and how long the robot was moved."""
+    sent = run.recording.command.value
+    return np.ptp(sent[-3:], axis=0).max() < 1e-9
+
+
+@pytest.fixture
+def started(tmp_path):
+    """Starts `carosac run` in a process and waits until it moves; ends what is left of it."""
+    processes = []
+
+    def start(*more, until='"following"'):
+        process = subprocess.Popen(
+            [sys.executable, "-m", "carosac_toolkit.cli.main", *words(tmp_path, *more)],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        processes.append(process)
+        path = tmp_path / "run.jsonl"
+        for _ in range(1200):
+            if path.exists() and until in path.read_text():
+                return process
+            if process.poll() is not None:
+                raise AssertionError(process.communicate()[0])
+            time.sleep(0.05)
+        raise AssertionError("it did not start")
+
+    yield start
+    for process in processes:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def test_a_run_is_dry_unless_it_is_enabled(tmp_path, capsys):
+    assert main(words(tmp_path, "--duration", "0.6")) == 0
+    said = capsys.readouterr().out
+    assert "dry run: nothing is sent; --enable moves" in said
+    run = run_of(tmp_path)
+    assert run.recording.command is None
+    assert len(run.would_send.time) == 15
+    assert np.ptp(run.recording.unstrained_length, axis=0).max() < 2e-3  # noise
+    assert numbers(tmp_path)["limited_cycles"]["not_enabled"] == 15
+    assert "enabled" not in names(run)
+
+
+def test_an_enabled_run_follows_the_trajectory_and_ends_at_rest(tmp_path):
+    more = ("--enable", "--speed", "1.0", "--acceleration", "1.0", "--duration", "3.5")
+    assert main(words(tmp_path, *more)) == 0
+    found = numbers(tmp_path)
+    assert found["completed"]
+    assert found["fault"] is None
+    assert found["tracking_rmse_m"] < 0.2
+    run = run_of(tmp_path)
+    assert names(run)[-5:] == ["stop", "stopping", "at_rest", "homed", "disconnected"]
+    assert at_rest(run)
+    assert np.ptp(run.recording.command.value, axis=0).max() > 0.3
+    assert run.cut is None
+
+
+@pytest.mark.parametrize(
+    "controller, fault, said",
+    [("Raising", "controller", "ZeroDivisionError: a bug"), ("Far", "command", "3.000 m from")],
+)
+def test_a_controller_that_fails_ends_the_run_and_is_named(
+    tmp_path, capsys, controller, fault, said
+):
+    more = ("--enable", "--controller", f"tests.live_controllers:{controller}")
+    assert main(words(tmp_path, *more)) == 1
+    found = numbers(tmp_path)
+    assert not found["completed"]
+    assert found["fault"] == fault
+    assert said in found["reason"]
+    run = run_of(tmp_path)
+    assert at_rest(run)
+    assert "at_rest" in names(run)
+
+
+def test_a_controller_that_hangs_is_interrupted(tmp_path, started):
+    process = started("--enable", "--controller", "tests.live_controllers:Hanging")
+    said = process.communicate(timeout=60)[0]
+    assert process.returncode == 1, said
+    assert "the controller gave no command for" in numbers(tmp_path)["reason"]
+    assert at_rest(run_of(tmp_path))
+
+
+def test_a_controller_that_cannot_be_interrupted_takes_no_process_along(tmp_path, started):
+    process = started("--enable", "--controller", "tests.live_controllers:Stubborn")
+    said = process.communicate(timeout=60)[0]
+    assert process.returncode == 1
+    assert "the controller cannot be interrupted; the process ends" in said
+    run = run_of(tmp_path)
+    assert at_rest(run)
+    assert run.cut is None
+
+
+@pytest.mark.parametrize("number, status", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_signals_stop_it_in_good_order(tmp_path, started, number, status):
+    process = started("--enable")
+    time.sleep(1.5)
+    process.send_signal(number)
+    said = process.communicate(timeout=60)[0]
+    assert process.returncode == status, said
+    run = run_of(tmp_path)
+    assert at_rest(run)
+    assert names(run)[-4:] == ["stopping", "at_rest", "homed", "disconnected"]
+    assert numbers(tmp_path)["reason"] == number.name
+
+
+def test_after_kill_9_the_recording_is_whole(tmp_path, started):
+    process = started("--enable")
+    time.sleep(1.0)
+    process.kill()
+    process.communicate()
+    assert process.returncode == -signal.SIGKILL
+    run = run_of(tmp_path)
+    assert "following" in names(run)
+    assert len(run.recording.command.time) > 5
+    assert np.diff(run.recording.time).max() < 1.0
+
+
+def test_a_target_is_moved_by_lines_of_the_input(tmp_path, started):
+    process = started("--enable", "--by-hand", "--speed", "0.5", "--acceleration", "0.5")
+    process.stdin.write("nonsense\n0.6 -1.7 2.3\n")
+    process.stdin.close()
+    process.stdin = None
+    said = process.communicate(timeout=90)[0]
+    assert process.returncode == 0, said
+    assert "'nonsense': got no key or place" in said
+    assert numbers(tmp_path)["reason"] == "the input has ended"
+    assert run_of(tmp_path).believed.value[-1] == pytest.approx([0.6, -1.7, 2.3], abs=0.03)
+
+
+def test_bad_input_is_refused_before_anything_moves(tmp_path, capsys):
+    for more, said in (
+        (("--driver", "replay"), "a driver that moves"),
+        (("--controller", "mcp"), "mcp"),
+        (("--set", "driver.guard.hang_tim=1"), "hang_tim"),
+        (("--set", "driver.cable=1"), "inner.cable"),
+        (("--rate", "0"), "--rate: got 0.0 Hz"),
+        (("--speed", "-1"), "--speed"),
+    ):
+        assert main([*words(tmp_path), *more]) == 2
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "run.json").exists()
+
+
+def test_the_way_to_the_start_is_gone_first_with_rests():
+    path = line([1.0, 0.0, 2.0], [1.0, 0.5, 2.0], speed_max=0.5, acceleration_max=0.5)
+    course = with_approach(path, np.array([0.0, 0.0, 2.0]), rest=1.0, speed_max=0.5,
+                           acceleration_max=0.5)  # fmt: skip
+    times = np.linspace(0.0, course.duration, 500)
+    samples = np.array([course.window(t, 0.0, 0.02).position[0, 0] for t in times])
+    assert samples[0] == pytest.approx([0.0, 0.0, 2.0])
+    assert samples[-1] == pytest.approx([1.0, 0.5, 2.0])
+    assert np.abs(np.diff(samples, axis=0)).max() < 0.5 * (times[1] - times[0]) * 1.001
+    ahead = course.window(2.0, 1.0, 0.1)
+    each = [course.window(2.0 + 0.1 * k, 0.0, 0.1) for k in range(11)]
+    for name in ("position", "velocity", "acceleration"):
+        wanted = np.concatenate([getattr(one, name) for one in each], axis=1)
+        assert getattr(ahead, name) == pytest.approx(wanted)
+
+
+def test_a_target_moved_by_hand_is_approached_smoothly_and_stays_in_the_box():
+    robot = simple_robot()
+    start = np.array(robot.home_position)
+    hand = HandTarget(robot, start, speed_max=0.4, acceleration_max=0.5)
+    assert hand.obey("\x1b[C")
+    assert hand.target == pytest.approx(start + np.array([0.05, 0.0, 0.0]))
+    hand.obey("99 -1.8 2.2")
+    assert hand.target[0] == robot.workspace_max[0]
+    seen = [hand.window(0.02 * k, 0.2, 0.02) for k in range(1, 600)]
+    speed = np.linalg.norm([one.velocity[0, 0] for one in seen], axis=1)
+    acceleration = np.linalg.norm([one.acceleration[0, 0] for one in seen], axis=1)
+    assert speed.max() < 0.401
+    assert acceleration.max() < 0.501
+    assert hand.arrived
+    assert seen[-1].position[0, 0] == pytest.approx(hand.target, abs=1e-3)
+    assert max(one.position[0, :, 0].max() for one in seen) < hand.target[0] + 1e-3
+    assert seen[10].position[0, 1] == pytest.approx(seen[11].position[0, 0])  # the window holds
+    assert not hand.obey("1 2")
+    hand.obey("q")
+    assert hand.over
+
+
+def test_no_thread_is_left_behind(tmp_path):
+    import threading
+
+    before = set(threading.enumerate())
+    assert main(words(tmp_path, "--duration", "0.2", "--enable")) == 0
+    assert set(threading.enumerate()) <= before
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert os.path.exists(tmp_path / "run.jsonl")

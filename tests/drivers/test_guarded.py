@@ -1,0 +1,475 @@
+from __future__ import annotations
+
+import errno
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from carosac_toolkit import trajectories
+from carosac_toolkit.conformance.drivers import DRIVER_CHECKS
+from carosac_toolkit.drivers.drive_state import DriveState, Fault
+from carosac_toolkit.drivers.guard_settings import GuardSettings
+from carosac_toolkit.drivers.guarded import GuardedDriver
+from carosac_toolkit.drivers.lifecycle import IllegalTransition, NotReady
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.loop import BadPlugin, run
+from carosac_toolkit.values import Belief, Command
+from tests.drivers.guards import (
+    PERIOD,
+    ROBOT,
+    ask,
+    connected,
+    drive,
+    guarded,
+    home_state,
+    lengths_at,
+    standing,
+    to_the_end,
+    within_limits,
+)
+
+
+class Holding:
+    """An estimator that believes home, and a controller that asks for the lengths of a place."""
+
+    period, horizon = PERIOD, 0.0
+
+    def __init__(self, fails_at=None, error=None, drift=0.0):
+        self.calls, self.fails_at, self.error, self.drift = 0, fails_at, error, drift
+
+    def _belief(self, measurement):
+        place = ROBOT.home_position + np.array([self.drift * self.calls, 0.0, 0.0])
+        return Belief(
+            time=measurement.time, position=place[None], rotation=ROBOT.home_rotation[None]
+        )
+
+    def reset(self, thing):
+        return self._belief(thing) if hasattr(thing, "unstrained_length") else None
+
+    def update(self, belief, command, measurement):
+        return self._belief(measurement)
+
+    def command(self, belief, reference):
+        self.calls += 1
+        if self.calls == self.fails_at and self.error is not None:
+            raise self.error
+        factor = np.nan if self.calls == self.fails_at else 1.0
+        lengths = lengths_at(reference.position[0, 0])
+        return Command(time=belief.time, unstrained_length=factor * lengths)
+
+
+def path():
+    end = ROBOT.home_position + np.array([0.4, 0.0, 0.0])
+    return trajectories.line(ROBOT.home_position, end, speed_max=0.4, acceleration_max=0.8)
+
+
+# --- Lifecycle ------------------------------------------------------------------------------------
+
+
+def test_without_motion_a_run_is_dry_and_the_drives_see_no_command():
+    guard = connected(motion=False)
+    start = standing(guard)
+    for _ in range(5):
+        alive, sent = ask(guard, start + 0.05)
+        assert alive
+        assert "not_enabled" in {hit.limit for hit in sent.limited}
+        assert sent.unstrained_length == pytest.approx(start, abs=2e-3)
+    assert guard.inner.seen == []
+    would = [sent for _, sent, really in guard.journal.commands if not really]
+    assert len(would) == 5
+    assert abs(would[-1].unstrained_length - start).max() < 0.05  # within the limits, on its way
+    guard.close()
+
+
+def test_a_dry_run_says_what_would_be_a_fault():
+    guard = connected(motion=False)
+    ask(guard, standing(guard) + 0.5)
+    assert guard.refused == {"command": 1}
+    assert guard.fault is None
+    guard.close()
+
+
+def test_each_step_is_refused_where_it_is_not_legal():
+    guard = guarded(at_once=False)
+    for step in (guard.enable, guard.disable, guard.reset_fault, lambda: guard.home(home_state())):
+        with pytest.raises(IllegalTransition, match="the drive system is disconnected"):
+            step()
+    guard.connect()
+    with pytest.raises(IllegalTransition, match=r"enable: .* is connected; allowed: when homed"):
+        guard.enable()
+    guard.home(home_state())
+    guard.enable()
+    with pytest.raises(IllegalTransition, match="home: the drive system is enabled"):
+        guard.home(home_state())
+    guard.close()
+    assert guard.state is DriveState.DISCONNECTED
+
+
+def test_enabling_needs_the_purpose_to_move():
+    guard = connected(motion=False)
+    guard.home(home_state())
+    with pytest.raises(NotReady, match="read only; set motion=True"):
+        guard.enable()
+    guard.close()
+
+
+def test_homing_takes_the_constant_error_of_each_encoder_away():
+    guard = connected(at_once=False)
+    truth = guard.truth().unstrained_length
+    assert abs(standing(guard) - truth).max() > 2e-3  # the bias that was drawn
+    guard.home(home_state())
+    assert standing(guard) == pytest.approx(truth, abs=1e-3)  # noise of the encoders
+    guard.close()
+
+
+def test_homing_and_enabling_need_winches_that_stand_still():
+    guard = connected(at_once=False)
+    original = guard.inner.measure
+    moved = iter(np.arange(0.0, 1.0, 0.002))
+
+    def moving():
+        found = original()
+        return replace(found, unstrained_length=found.unstrained_length + next(moved))
+
+    guard.inner.measure = moving
+    with pytest.raises(NotReady, match=r"do not stand still: 0\.01.* m of change"):
+        guard.home(home_state())
+    guard.close()
+
+
+def test_enabling_moves_nothing_and_the_first_command_must_be_near():
+    guard = connected()
+    start = standing(guard)
+    assert guard.state is DriveState.ENABLED
+    for _ in range(5):
+        assert guard.wait(PERIOD)
+    assert np.array(guard.inner.seen) == pytest.approx(
+        np.tile(guard.inner.seen[0], (5, 1)), abs=1e-12
+    )
+    alive, sent = ask(guard, start + np.array([[0.0, 0.2, 0.0, 0.0]]))
+    assert not alive
+    assert guard.fault.fault is Fault.COMMAND
+    assert guard.fault.cable == ROBOT.cable_names[1]
+    assert "the first command is 0.2" in guard.fault.text
+    assert sent.unstrained_length == pytest.approx(start, abs=2e-3)
+    guard.close()
+
+
+def test_disabling_brakes_and_it_can_be_enabled_again():
+    guard = connected()
+    drive(guard, 40)
+    guard.disable()
+    assert guard.state is DriveState.HOMED
+    assert within_limits(guard.inner.seen)
+    guard.enable()
+    drive(guard, 10)
+    guard.stop("done")
+    guard.close()
+
+
+# --- Commands -------------------------------------------------------------------------------------
+
+
+def test_a_command_within_the_limits_passes_and_the_others_are_named():
+    guard = connected()
+    start = standing(guard)
+    ask(guard, start)
+    _, sent = ask(guard, start + 0.05)
+    assert {hit.limit for hit in sent.limited} & {"acceleration", "jerk"}
+    assert within_limits(guard.inner.seen)
+    guard.close()
+
+
+@pytest.mark.parametrize(
+    "lengths, said",
+    [
+        (lambda start: start + 1.5, "is 1.5"),
+        (lambda start: 0.0 * start + 45.0, "45.000 m asked; allowed: 0.1 m to 40 m"),
+    ],
+)
+def test_a_command_out_of_range_never_reaches_the_drives(lengths, said):
+    guard = connected()
+    asked = drive(guard, 20)
+    alive, sent = ask(guard, lengths(asked))
+    assert not alive
+    assert guard.fault.fault is Fault.COMMAND
+    assert said in guard.fault.text
+    assert "command" in {hit.limit for hit in sent.limited}
+    guard.stop("fault")
+    assert within_limits(guard.inner.seen)
+    assert abs(np.array(guard.inner.seen) - asked).max() < 0.2
+    guard.close()
+
+
+def test_numbers_that_are_none_are_refused_even_past_the_check_of_values():
+    guard = connected()
+    asked = drive(guard, 20)
+    command = Command(time=np.zeros(1), unstrained_length=asked)
+    object.__setattr__(command, "unstrained_length", np.full((1, 4), np.nan))
+    guard.measure()
+    sent = guard.command(command)
+    assert guard.fault.fault is Fault.COMMAND
+    assert np.isfinite(sent.unstrained_length).all()
+    assert np.isfinite(guard.inner.seen).all()
+    guard.close()
+
+
+def test_another_number_of_cables_is_refused():
+    guard = connected()
+    with pytest.raises(InvalidField, match=r"unstrained_length: got shape \(1, 3\)"):
+        ask(guard, np.ones((1, 3)))
+    guard.close()
+
+
+# --- Faults ---------------------------------------------------------------------------------------
+
+
+def jump(inner):
+    inner.jump = 0.05
+
+
+def freeze(inner):
+    inner.freeze()
+
+
+def trip(inner):
+    inner.trip = True
+
+
+def lose(inner):
+    inner.lost = True
+
+
+def slip(inner):
+    """A reading that drifts too slowly for a jump, with a drive that sees nothing of it."""
+    original, steps = inner.measure, iter(np.arange(0.0, 5.0, 0.005))
+
+    def slipping():
+        found = original()
+        wrong = np.array([[next(steps), 0.0, 0.0, 0.0]])
+        return replace(found, unstrained_length=found.unstrained_length + wrong)
+
+    inner.measure = slipping
+
+
+@pytest.mark.parametrize(
+    "cause, fault, changes",
+    [
+        (jump, Fault.ENCODER_JUMP, {}),
+        (freeze, Fault.STALE_DATA, {}),
+        (trip, Fault.DRIVE_TRIP, {}),
+        (slip, Fault.FOLLOWING_ERROR, {}),
+        (slip, Fault.CLOSURE, {"following_max": 9.0}),
+    ],
+)
+def test_a_fault_is_named_and_all_cables_come_to_rest_within_the_limits(cause, fault, changes):
+    guard = connected(**changes)
+    drive(guard, 40)
+    cause(guard.inner)
+    cycles = to_the_end(guard)
+    assert guard.fault.fault is fault
+    assert guard.state is DriveState.FAULT
+    guard.stop("fault")
+    assert within_limits(guard.inner.seen)
+    seen = np.array(guard.inner.seen)
+    assert seen[-1] == pytest.approx(seen[-2], abs=1e-12)  # at rest
+    assert cycles * PERIOD < 1.0
+    with pytest.raises(IllegalTransition, match=f"fault \\({fault}\\); allowed: when homed"):
+        guard.enable()
+    guard.close()
+
+
+def test_lost_measurements_are_a_lost_connection():
+    guard = connected()
+    drive(guard, 40)
+    guard.inner.lost = True
+    with pytest.raises(CarosacError, match="the cable is out"):
+        guard.measure()
+    assert guard.fault.fault is Fault.LOST_CONNECTION
+    guard.close()
+
+
+def test_tension_outside_its_limits_is_a_fault():
+    guard = connected()
+    drive(guard, 5)
+    guard._checks._robot = replace(ROBOT, tension_max=np.full(4, 30.0))
+    to_the_end(guard)
+    assert guard.fault.fault is Fault.TENSION
+    assert "N estimated; allowed: 5 N to 30 N" in guard.fault.text
+    guard.close()
+
+
+def test_leaving_the_workspace_is_a_fault():
+    small = replace(ROBOT, workspace_max=ROBOT.home_position + 0.01)
+    guard = connected(robot=small, workspace_margin=0.05)
+    start, down = standing(guard), np.array([[1.0, 1.0, -1.0, -1.0]])
+    for k in range(200):
+        if not ask(guard, start + 0.1 * PERIOD * k * down)[0]:
+            break
+    assert "outside the workspace box" in guard.fault.text
+    guard.close()
+
+
+def test_the_emergency_stop_is_a_status():
+    guard = connected()
+    drive(guard, 10)
+    guard.inner.estop = True
+    to_the_end(guard)
+    assert guard.status() == "estop"
+    assert "emergency stop" in guard.fault.text
+    with pytest.raises(CarosacError, match="still there"):
+        guard.reset_fault()
+    guard.inner.estop = False
+    guard.reset_fault()
+    assert guard.status() == "homed"
+    guard.close()
+
+
+def test_a_fault_stays_until_it_is_reset_and_its_cause_is_gone():
+    guard = connected()
+    drive(guard, 20)
+    guard.inner.trip = True
+    to_the_end(guard)
+    with pytest.raises(CarosacError, match="still there"):
+        guard.reset_fault()
+    assert guard.fault.fault is Fault.DRIVE_TRIP
+    guard.inner.trip = False
+    guard.reset_fault()
+    assert guard.state is DriveState.HOMED
+    assert guard.fault is None
+    guard.enable()
+    drive(guard, 10)
+    guard.close()
+
+
+def test_after_an_encoder_jump_the_robot_must_be_homed_anew():
+    guard = connected()
+    drive(guard, 20)
+    guard.inner.jump = 0.05
+    to_the_end(guard)
+    guard.reset_fault()
+    assert guard.state is DriveState.CONNECTED
+    guard.home(home_state())
+    assert guard.state is DriveState.HOMED
+    guard.close()
+
+
+def test_a_recording_that_fails_is_a_fault():
+    guard = connected()
+    drive(guard, 5)
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    guard.journal.measured = full
+    assert not ask(guard, standing(guard))[0]
+    assert "the recording failed: No space left" in guard.fault.text
+    guard.close()
+
+
+# --- In the loop ----------------------------------------------------------------------------------
+
+
+def test_the_loop_runs_to_the_end_and_leaves_the_robot_at_rest():
+    guard = guarded()
+    controller = Holding()
+    log = run(guard, controller, controller, path(), duration=1.5)
+    assert log.completed
+    assert within_limits(guard.inner.seen)
+    assert guard.journal.names()[-4:] == ["stopping", "at_rest", "homed", "disconnected"]
+    assert log.position[-1, 0, 0] > ROBOT.home_position[0] + 0.3
+
+
+@pytest.mark.parametrize(
+    "broken, fault, kind",
+    [
+        ({"fails_at": 40, "error": ZeroDivisionError("oops")}, Fault.CONTROLLER, ZeroDivisionError),
+        ({"fails_at": 40, "error": BadPlugin("no")}, Fault.CONTROLLER, BadPlugin),
+        ({"fails_at": 40}, Fault.COMMAND, InvalidField),
+    ],
+)
+def test_a_controller_that_fails_is_named_and_the_robot_stops(broken, fault, kind):
+    guard = guarded()
+    controller = Holding(**broken)
+    with pytest.raises(kind):
+        run(guard, controller, controller, path())
+    assert guard.fault.fault is fault
+    assert within_limits(guard.inner.seen)
+    assert "at_rest" in guard.journal.names()
+    assert guard.state is DriveState.DISCONNECTED
+
+
+def test_a_belief_that_runs_away_is_a_fault_of_the_estimator():
+    guard = guarded(belief_max=0.5)
+    controller = Holding(drift=0.02)
+    log = run(guard, controller, controller, path())
+    assert not log.completed
+    assert guard.fault.fault is Fault.ESTIMATOR
+    assert "the believed position is 0.5" in guard.fault.text
+    assert within_limits(guard.inner.seen)
+
+
+def test_the_watchdog_brakes_for_a_controller_that_hangs():
+    """The main thread sleeps; meanwhile the winches come to rest."""
+    guard = guarded(real_time=True, hang_time=0.5, overrun_share=1.0, warm_up=1)
+    guard.connect()
+    hung = threading.Event()
+    guard.on_hang = hung.set
+    drive(guard, 30)
+    moving = guard.inner.seen[-1] - guard.inner.seen[-2]
+    assert abs(moving).max() > 1e-3
+    assert hung.wait(10.0)
+    assert guard.fault.fault is Fault.CONTROLLER
+    assert "gave no command for" in guard.fault.text
+    assert within_limits(guard.inner.seen)
+    seen = np.array(guard.inner.seen)
+    assert seen[-1] == pytest.approx(seen[-2], abs=1e-12)
+    assert not guard.wait(PERIOD)
+    guard.close()
+    assert not [x for x in threading.enumerate() if x.name == "guard watchdog"]
+
+
+def test_a_controller_that_comes_back_in_time_goes_on():
+    guard = guarded(real_time=True, hang_time=60.0, overrun_share=1.0, warm_up=1)
+    guard.connect()
+    asked = drive(guard, 30)
+    time.sleep(10 * PERIOD)
+    slowed = np.array(guard.inner.seen)
+    assert ask(guard, asked)[0]
+    assert len(slowed) > 31  # the watchdog has sent some
+    assert guard.state is DriveState.FOLLOWING
+    guard.close()
+    assert within_limits(guard.inner.seen)
+
+
+# --- All of it ------------------------------------------------------------------------------------
+
+
+class Conforming(GuardedDriver):
+    """For the checks that every driver passes."""
+
+    @classmethod
+    def build(cls, robot, settings=None, *, seed=0):
+        chosen = GuardSettings(
+            driver="quasi_static", period=0.02, motion=True, first_max=4.0, step_max=5.0,
+            workspace_margin=9.0, closure_max=9.0,
+        )  # fmt: skip
+        return super().build(robot, chosen, seed=seed)
+
+
+@pytest.mark.parametrize("name", sorted(set(DRIVER_CHECKS) - {"stop_comes_to_rest"}))
+def test_a_guarded_driver_passes_what_every_driver_must(name):
+    """But for the stop that goes on while cycles do: `stop` of the guard ends at rest."""
+    DRIVER_CHECKS[name](Conforming.build, ROBOT)
+
+
+def test_settings_are_checked_and_a_recording_needs_no_guard():
+    with pytest.raises(InvalidField, match="hang_time"):
+        GuardSettings(hang_time=-1.0)
+    with pytest.raises(InvalidField, match="a driver that moves"):
+        GuardedDriver.build(ROBOT, GuardSettings(driver="replay"))
+    with pytest.raises(InvalidField, match=r"inner\.segment"):
+        GuardedDriver.build(ROBOT, GuardSettings(driver="quasi_static", inner={"segment": 3}))

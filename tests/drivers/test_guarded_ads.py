@@ -1,0 +1,158 @@
+"""The guard on a PLC in a process of its own."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from carosac_toolkit import trajectories
+from carosac_toolkit.drivers.drive_state import DriveState, Fault
+from carosac_toolkit.drivers.guarded_ads import GuardedAds, GuardedAdsSettings
+from carosac_toolkit.drivers.lifecycle import IllegalTransition
+from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.loop import run
+from carosac_toolkit.physics import statics
+from carosac_toolkit.plc.machine_blocks import Injection
+from carosac_toolkit.values import Belief, Command
+from tests.plc_process import home_pose, plc_process
+
+PERIOD = 0.02
+OVER = ("over_length", "over_speed", "over_acceleration", "over_jerk", "not_finite", "jumps")
+
+
+class Kinematics:
+    """Believes the reference's start, and asks for the lengths of rest along the reference."""
+
+    period, horizon = PERIOD, 0.0
+
+    def __init__(self, robot):
+        self.robot, self.then, self.cycles = robot, None, 0
+
+    def reset(self, thing):
+        return self._belief(thing) if hasattr(thing, "unstrained_length") else None
+
+    def update(self, belief, command, measurement):
+        return self._belief(measurement)
+
+    def _belief(self, measurement):
+        robot = self.robot
+        return Belief(
+            time=measurement.time, position=robot.home_position[None],
+            rotation=robot.home_rotation[None],
+        )  # fmt: skip
+
+    def command(self, belief, reference):
+        self.cycles += 1
+        if self.then is not None and self.cycles == 60:
+            self.then()
+        found = statics.inverse_kinematics(self.robot, reference.position[0, :1])
+        return Command(time=belief.time, unstrained_length=found.unstrained_length)
+
+
+@pytest.fixture(scope="module")
+def plc():
+    with plc_process() as found:
+        yield found
+
+
+def guard_of(plc, **changes):
+    """Patient with a busy machine."""
+    inner = {"lost_after": 0.5}
+    return GuardedAds.build(
+        plc.robot,
+        GuardedAdsSettings(
+            period=PERIOD, inner=inner, overrun_share=1.0, hang_time=2.0, stale_time=0.4, **changes
+        ),
+    )
+
+
+def follow(guard, plc, then=None, duration=2.0):
+    controller = Kinematics(plc.robot)
+    controller.then = then
+    home = plc.robot.home_position
+    path = trajectories.line(home, home + 0.3, speed_max=0.4, acceleration_max=0.8)
+    log = run(guard, controller, controller, path, duration=duration)
+    return log
+
+
+def counters(plc):
+    with plc.client() as client:
+        return client.diagnosis()
+
+
+def at_rest(plc):
+    """Wait until the PLC turns no winch."""
+    for _ in range(100):
+        if not np.any(counters(plc)["set_speed"]):
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def test_a_dry_run_writes_nothing_to_the_plc(plc):
+    guard = guard_of(plc)
+    before = counters(plc)
+    log = follow(guard, plc, duration=0.5)
+    after = counters(plc)
+    assert log.completed
+    assert {hit.limit for _, hit in log.limited} >= {"not_enabled"}
+    for name in ("commands", "ignored", "foreign"):
+        assert after[name] == before[name]
+
+
+def test_an_enabled_run_moves_the_robot_within_all_limits_and_ends_at_rest(plc):
+    guard = guard_of(plc, motion=True, start_position=tuple(plc.robot.home_position))
+    before = counters(plc)
+    log = follow(guard, plc, duration=3.0)
+    after = counters(plc)
+    assert guard.fault is None
+    assert log.completed
+    assert log.position[-1, 0] == pytest.approx(plc.robot.home_position + 0.3, abs=0.05)
+    assert after["commands"] > before["commands"] + 50
+    assert [after[name] - before[name] for name in OVER] == [0] * len(OVER)
+    assert at_rest(plc)
+
+
+def test_a_drive_that_trips_is_named_and_needs_a_reset(plc):
+    guard = guard_of(plc, motion=True, start_position=tuple(plc.robot.home_position))
+
+    def trip():
+        with plc.client() as client:
+            client.inject(Injection.TRIP, axis=2)
+
+    log = follow(guard, plc, then=trip)
+    assert not log.completed
+    assert guard.fault.fault is Fault.DRIVE_TRIP
+    assert at_rest(plc)
+    again = guard_of(plc, motion=True, enable_at_once=False)
+    again.connect()
+    try:
+        for _ in range(5):
+            again.measure()
+            again.wait(PERIOD)
+        with pytest.raises(IllegalTransition, match=r"fault \(drive_trip\)"):
+            again.enable()
+        with pytest.raises(CarosacError, match="cause"):
+            again.reset_fault()
+        plc.say("clear")
+        time.sleep(0.1)
+        again.reset_fault()
+        assert again.state is DriveState.CONNECTED
+        again.home(home_pose(plc.robot))
+        assert again.state is DriveState.HOMED
+    finally:
+        again.close()
+
+
+def test_a_plc_that_is_killed_is_a_lost_connection_and_leaves_no_thread():
+    before = set(threading.enumerate())
+    with plc_process() as other:
+        guard = guard_of(other, motion=True)
+        log = follow(guard, other, then=other.process.kill)
+    assert not log.completed
+    assert guard.fault.fault in (Fault.LOST_CONNECTION, Fault.STALE_DATA)
+    assert guard.state is DriveState.DISCONNECTED
+    assert set(threading.enumerate()) <= before

@@ -1,0 +1,45 @@
+"""Controllers that do their work for a while and then fail, each in its own way."""
+
+from __future__ import annotations
+
+import time
+
+from baselines.kinematic_solver_controller import KinematicSolverController
+from carosac_toolkit.values import Command
+
+AFTER = 1.8  # [s] on the way
+
+
+class _Failing(KinematicSolverController):
+    cycles = 0
+
+    def command(self, belief, reference):
+        self.cycles += 1
+        command = super().command(belief, reference)
+        return self.fail(command) if self.cycles * self.period > AFTER else command
+
+
+class Raising(_Failing):
+    def fail(self, command):
+        raise ZeroDivisionError("a bug")
+
+
+class Hanging(_Failing):
+    def fail(self, command):
+        time.sleep(1000.0)
+
+
+class Stubborn(_Failing):
+    """Hangs and cannot be interrupted."""
+
+    def fail(self, command):
+        while True:
+            try:
+                time.sleep(1000.0)
+            except BaseException:
+                continue
+
+
+class Far(_Failing):
+    def fail(self, command):
+        return Command(time=command.time, unstrained_length=command.unstrained_length + 3.0)

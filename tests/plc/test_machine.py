@@ -1,0 +1,301 @@
+"""The program of the PLC cycle by cycle, without any clock."""
+
+import numpy as np
+import pytest
+
+from carosac_toolkit.drivers.ads_block import LAYOUT, Answer, Request
+from carosac_toolkit.drivers.drive_state import DriveState, Fault
+from carosac_toolkit.limits import Limiter, LimitSettings
+from carosac_toolkit.plc.machine import Inputs, Machine
+from carosac_toolkit.plc.winches import HEADROOM, WinchLimits
+from carosac_toolkit.values import Command
+from tests.robots import simple_robot
+
+CYCLE, PERIOD, WATCHDOG = 0.005, 0.01, 0.1
+START = np.array([9.0, 8.0, 9.0, 8.5])
+ROBOT = simple_robot()
+LIMITS = WinchLimits(
+    length_min=ROBOT.length_min, length_max=ROBOT.length_max, speed=ROBOT.speed_max,
+    acceleration=ROBOT.acceleration_max, jerk=np.full(4, 200.0), step=np.full(4, 0.03),
+    following=np.full(4, 0.25),
+)  # fmt: skip
+
+
+class Rig:
+    """A machine whose winches stand exactly where they are told, and a host that writes."""
+
+    def __init__(self):
+        self.machine = Machine(LIMITS, cycle=CYCLE, watchdog=WATCHDOG)
+        self.machine.place(START)
+        self.offset = np.zeros(4)  # what the encoders say too much
+        self.machine.reference = np.zeros(4)
+        self.host = {
+            "layout": LAYOUT, "cables": 4, "sequence": 0, "session": 7, "request": 0,
+            "request_number": 0, "follow": 0, "command": 0, "period": PERIOD, "length": START,
+            "rate": np.zeros(4), "sequence_end": 0,
+        }  # fmt: skip
+        self.positions = []
+        self.cycles()
+
+    @property
+    def inputs(self):
+        machine = self.machine
+        length = machine.winches.position - machine.reference + self.offset
+        return Inputs(length=length, rate=np.zeros(4))
+
+    @property
+    def out(self):
+        return self.machine.output(self.inputs)
+
+    def cycles(self, count=1, *, beat=True):
+        for _ in range(count):
+            if beat:
+                self.host = self.host | {
+                    "sequence": self.host["sequence"] + 1,
+                    "sequence_end": self.host["sequence"] + 1,
+                }  # fmt: skip
+            self.machine.cycle(self.host, self.inputs)
+            self.positions.append(self.machine.winches.position.copy())
+
+    def ask(self, request):
+        number = self.host["request_number"] + 1
+        self.host = self.host | {
+            "request": int(request), "request_number": number, "follow": 0,
+        }  # fmt: skip
+        self.cycles()
+        assert self.out["answered"] == number
+        return Answer(self.out["answer"])
+
+    def send(self, length, cycles=2):
+        self.host = self.host | {
+            "length": np.asarray(length), "follow": 1, "command": self.host["command"] + 1,
+        }  # fmt: skip
+        self.cycles(cycles)
+
+    def move(self, seconds, amplitude=0.2, frequency=0.5):
+        """Follow a wave that the limiter lets pass; the commands, shape (T, 4)."""
+        limiter = Limiter(ROBOT, LimitSettings(box=False), period=PERIOD)
+        start = self.machine.winches.position
+        limiter.reset(start[None])
+        sent = []
+        for k in range(round(seconds / PERIOD)):
+            wave = amplitude * np.sin(2 * np.pi * frequency * k * PERIOD) * np.array([1, -1, 1, 0])
+            asked = Command(time=np.zeros(1), unstrained_length=(start + wave)[None])
+            sent.append(limiter.apply(asked).unstrained_length[0])
+            self.send(sent[-1])
+        return np.array(sent)
+
+
+@pytest.fixture
+def rig():
+    return Rig()
+
+
+def test_the_drives_are_off_until_a_host_enables(rig):
+    assert rig.machine.state is DriveState.CONNECTED
+    rig.send(START + 0.01)
+    assert rig.machine.state is DriveState.CONNECTED
+    assert rig.machine.winches.position == pytest.approx(START)
+    assert rig.ask(Request.STOP) is Answer.NOT_OWNER
+    assert rig.ask(Request.ENABLE) is Answer.DONE
+    assert rig.machine.state is DriveState.ENABLED
+    rig.cycles(50)
+    assert rig.machine.winches.position == pytest.approx(START)  # an old command is not followed
+
+
+@pytest.mark.parametrize(("amplitude", "frequency"), [(0.2, 0.5), (1.0, 0.9), (0.05, 3.0)])
+def test_commands_within_limits_give_motion_within_the_same_limits(rig, amplitude, frequency):
+    rig.ask(Request.ENABLE)
+    sent = rig.move(3.0, amplitude, frequency)
+    counters, winches = rig.machine.counters, rig.machine.winches
+    assert counters.over_speed == counters.over_acceleration == counters.over_jerk == 0
+    assert counters.commands == len(sent) and counters.lost == 0
+    assert (winches.speed_peak <= ROBOT.speed_max * (1 + 1e-9)).all()
+    assert (winches.acceleration_peak <= HEADROOM * ROBOT.acceleration_max + 1e-9).all()
+    # The motion is the commands some 1.5 periods later: compare with them a whole number later.
+    asked = np.repeat(sent, 2, axis=0)
+    got = np.array(rig.positions[-len(asked) :])
+    lag = [np.abs(got[k:] - asked[: len(asked) - k]).max() for k in range(8)]
+    speed = float(np.abs(np.diff(sent, axis=0)).max() / PERIOD)
+    assert min(lag) < speed * PERIOD + 1e-3
+
+
+def test_all_winches_ramp_by_one_factor_and_in_the_time_of_the_slowest(rig):
+    rig.ask(Request.ENABLE)
+    rig.move(0.4, amplitude=1.0)
+    before = rig.machine.winches.speed.copy()
+    assert np.abs(before).max() > 0.5
+    rig.ask(Request.STOP)
+    speeds = [rig.machine.winches.speed.copy()]
+    while rig.machine.state is DriveState.STOPPING:
+        rig.cycles()
+        speeds.append(rig.machine.winches.speed.copy())
+    for speed in speeds:
+        factor = speed @ before / (before @ before)
+        assert speed == pytest.approx(factor * before, abs=1e-9)
+    needed = (np.abs(before) / ROBOT.acceleration_max).max()
+    assert len(speeds) * CYCLE == pytest.approx(needed, abs=2 * CYCLE)
+    assert rig.machine.state is DriveState.ENABLED
+
+
+def test_a_host_that_falls_silent_is_heard_of_after_the_watchdog(rig):
+    rig.ask(Request.ENABLE)
+    rig.move(0.4, amplitude=1.0)
+    speed = np.abs(rig.machine.winches.speed).max()
+    rig.cycles(round(WATCHDOG / CYCLE) - 2, beat=False)
+    assert rig.machine.state is DriveState.FOLLOWING
+    rig.cycles(2, beat=False)
+    assert (rig.machine.state, rig.machine.fault) == (DriveState.FAULT, Fault.HEARTBEAT_LOST)
+    rig.cycles(round(speed / ROBOT.acceleration_max[0] / CYCLE) + 2, beat=False)
+    assert rig.machine.winches.at_rest
+    rig.cycles(2, beat=False)
+    assert rig.out["owner"] == 0
+    assert rig.ask(Request.ENABLE) is Answer.WRONG_STATE  # latched
+    assert rig.ask(Request.RESET) is Answer.DONE
+    assert rig.machine.state is DriveState.CONNECTED
+    assert rig.ask(Request.ENABLE) is Answer.DONE
+
+
+@pytest.mark.parametrize(
+    ("length", "rate", "fault", "counter"),
+    [
+        (START + np.array([np.nan, 0, 0, 0]), np.zeros(4), Fault.COMMAND, "not_finite"),
+        (START, np.array([0, np.inf, 0, 0]), Fault.COMMAND, "not_finite"),
+        (START + np.array([0, 0, 200.0, 0]), np.zeros(4), Fault.COMMAND, "over_length"),
+        (START + np.array([0, 0, 0, 0.5]), np.zeros(4), Fault.COMMAND, "jumps"),
+    ],
+)
+def test_a_first_command_that_cannot_be_is_not_followed(rig, length, rate, fault, counter):
+    rig.ask(Request.ENABLE)
+    rig.host = rig.host | {"rate": rate}
+    rig.send(length)
+    assert (rig.machine.state, rig.machine.fault) == (DriveState.FAULT, fault)
+    assert getattr(rig.machine.counters, counter) == 1
+    assert rig.machine.winches.position == pytest.approx(START)
+
+
+def test_a_command_beyond_the_speed_limit_stops_the_winches_within_their_limits(rig):
+    rig.ask(Request.ENABLE)
+    rig.move(0.2)
+    rig.send(rig.host["length"] + np.array([0.2, 0, 0, 0]))  # 20 m/s
+    assert rig.machine.fault is Fault.OVER_LIMIT
+    rig.cycles(200)
+    assert rig.machine.counters.over_speed == 1
+    assert (rig.machine.winches.acceleration_peak <= HEADROOM * ROBOT.acceleration_max + 1e-9).all()
+    assert rig.machine.winches.at_rest
+
+
+def test_commands_that_stop_coming_are_not_followed_for_ever(rig):
+    rig.ask(Request.ENABLE)
+    sent = rig.move(0.4, amplitude=1.0)
+    rate = (sent[-1] - sent[-2]) / PERIOD
+    rig.cycles(400)  # the heartbeat goes on: a controller that hangs
+    assert rig.machine.state is DriveState.FOLLOWING
+    assert rig.machine.winches.speed == pytest.approx(np.zeros(4), abs=1e-6)
+    far = np.abs(rig.machine.winches.position - sent[-1]).max()
+    assert far < 3 * PERIOD * np.abs(rate).max()
+    assert (rig.machine.winches.acceleration_peak <= HEADROOM * ROBOT.acceleration_max + 1e-9).all()
+
+
+def test_only_one_session_is_obeyed(rig):
+    rig.ask(Request.ENABLE)
+    mine = dict(rig.host)
+    rig.host = mine | {"session": 8, "request": int(Request.STOP), "request_number": 1}
+    rig.cycles()
+    assert rig.out["answer"] == Answer.NOT_OWNER
+    assert rig.machine.counters.foreign == 1
+    rig.host = rig.host | {"length": START + 0.01, "follow": 1, "command": 9}
+    rig.cycles(3)
+    assert rig.machine.state is DriveState.ENABLED
+    assert rig.out["owner"] == 7
+    rig.host = mine
+    assert rig.ask(Request.DISABLE) is Answer.DONE
+    rig.cycles(2)
+    assert rig.out["owner"] == 0 and rig.machine.state is DriveState.CONNECTED
+
+
+def test_torn_data_are_not_taken_over(rig):
+    rig.ask(Request.ENABLE)
+    rig.host = rig.host | {"command": 5, "follow": 1, "length": START + 0.01}
+    rig.host = rig.host | {"sequence": rig.host["sequence"] + 1}
+    rig.cycles(beat=False)
+    assert rig.machine.counters.torn == 1
+    assert rig.machine.state is DriveState.ENABLED
+
+
+def test_a_tripped_winch_brakes_by_itself_and_the_others_together(rig):
+    rig.ask(Request.ENABLE)
+    rig.move(0.4, amplitude=1.0)
+    before = rig.machine.winches.speed.copy()
+    rig.machine.wires.tripped[0] = True
+    rig.cycles(4)
+    assert (rig.machine.fault, rig.machine.fault_axis) == (Fault.DRIVE_TRIP, 1)
+    speed = rig.machine.winches.speed
+    assert speed[1:3] / before[1:3] == pytest.approx(np.full(2, speed[1] / before[1]))
+    assert abs(speed[0] / before[0]) < abs(speed[1] / before[1])
+    rig.cycles(200)
+    assert rig.ask(Request.RESET) is Answer.CAUSE_REMAINS
+    rig.machine.wires.tripped[0] = False
+    assert rig.ask(Request.RESET) is Answer.DONE
+
+
+def test_the_emergency_stop_is_a_status_until_it_is_closed_and_reset(rig):
+    rig.ask(Request.ENABLE)
+    rig.move(0.3)
+    rig.machine.wires.estop = True
+    rig.cycles(200)
+    assert rig.machine.state is DriveState.ESTOP and rig.machine.winches.at_rest
+    assert rig.ask(Request.RESET) is Answer.CAUSE_REMAINS
+    rig.machine.wires.estop = False
+    rig.cycles(5)
+    assert rig.machine.state is DriveState.ESTOP
+    assert rig.ask(Request.RESET) is Answer.DONE
+
+
+def test_an_encoder_that_jumps_is_a_fault_and_set_points_follow_it_on_enable(rig):
+    rig.ask(Request.ENABLE)
+    rig.move(0.2)
+    rig.offset = np.array([0.05, 0, 0, 0])
+    rig.cycles()
+    assert (rig.machine.fault, rig.machine.fault_axis) == (Fault.ENCODER_JUMP, 1)
+    rig.cycles(200)
+    stands = rig.machine.winches.position - rig.machine.reference
+    assert rig.ask(Request.RESET) is Answer.DONE
+    assert rig.ask(Request.ENABLE) is Answer.DONE
+    assert rig.machine.winches.position - rig.machine.reference == pytest.approx(stands)
+    assert rig.machine.winches.position == pytest.approx(stands + rig.offset)
+
+
+def test_a_winch_that_does_not_follow_is_a_fault(rig):
+    rig.ask(Request.ENABLE)
+    rig.move(0.1)
+    for _ in range(60):
+        rig.offset = rig.offset + np.array([0, 0, 0.006, 0])
+        rig.cycles()
+        if rig.machine.state is DriveState.FAULT:
+            break
+    assert (rig.machine.fault, rig.machine.fault_axis) == (Fault.FOLLOWING_ERROR, 3)
+
+
+def test_lost_commands_are_counted_and_bridged(rig):
+    rig.ask(Request.ENABLE)
+    rig.move(0.2)
+    rig.host = rig.host | {"command": rig.host["command"] + 2}
+    rig.send(rig.host["length"])
+    assert rig.machine.counters.lost == 2
+    assert rig.machine.state is DriveState.FOLLOWING
+
+
+def test_a_first_command_that_was_lost_counts_as_lost_and_not_as_a_jerk(rig):
+    rig.ask(Request.ENABLE)
+    limiter = Limiter(ROBOT, LimitSettings(box=False), period=PERIOD)
+    limiter.reset(START[None])
+    for k in range(1, 12):
+        asked = Command(time=np.zeros(1), unstrained_length=START[None] + 0.2)
+        length = limiter.apply(asked).unstrained_length[0]
+        rig.host = rig.host | {"command": k, "length": length, "follow": k > 3}
+        rig.cycles(2)
+    counters = rig.machine.counters
+    assert counters.lost == 3
+    assert counters.over_acceleration == counters.over_jerk == 0
+    assert rig.machine.state is DriveState.FOLLOWING
