@@ -21,8 +21,8 @@ MAY_IMPORT = {
 }
 ON_TOP = {"examples", "benchmarks", "docs", "tests"}
 HEAVY = {
-    "casadi", "filterpy", "gtsam", "matplotlib", "osqp", "pinocchio", "pyads", "pyarrow", "pydantic",
-    "scipy", "stable_baselines3", "torch", "tyro", "viser", "yaml",
+    "casadi", "filterpy", "gtsam", "matplotlib", "osqp", "pinocchio", "pyads", "pyarrow",
+    "pydantic", "scipy", "stable_baselines3", "torch", "tyro", "viser", "yaml",
 }  # fmt: skip
 NUMBERS_ONLY = {"numpy", "warp"}  # third parties that the physics and the simulator need
 

@@ -19,7 +19,7 @@ from tests.warm_kernels import kernel_modules
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (
     "calibration", "calibration-identify", "calibration-lengths", "calibration-tachymeter",
-    "calibration-without-poses", "drivers", "dynamic-estimator",
+    "calibration-without-poses", "commissioning", "drivers", "dynamic-estimator",
     "learned-control", "recordings", "robot-yaml", "statics", "trajectories",
 )  # fmt: skip
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
