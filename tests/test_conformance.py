@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 
@@ -112,7 +113,11 @@ BROKEN = [
 
 @pytest.mark.parametrize(("kind", "name", "check"), OURS)
 def test_our_plug_in_keeps_its_contract(kind, name, check):
-    check(registry.load(kind, name).build, ct.load_robot("carosac"))
+    found = registry.load(kind, name)
+    build = found.build
+    if name == "td3":  # the policy that it takes by default needs an estimator with a twist
+        build = partial(found.build, settings=found.Settings(policy="carosac-settle"))
+    check(build, ct.load_robot("carosac"))
 
 
 @pytest.mark.parametrize("robot", [eight_cable_robot(), with_pulleys(simple_robot())],
