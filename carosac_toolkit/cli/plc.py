@@ -121,7 +121,7 @@ def summary(found: dict[str, Any]) -> str:
     return (
         f"{found['cycles']} cycles, {found['overruns']} late, {found['lost_time']:.3f} s lost; "
         f"{found['commands']} commands, {found['lost']} lost, {found['not_finite']} not finite; "
-        f"over limits: {limits}; watchdog {found['watchdog']}"
+        f"over limits: {limits}; beyond ends {found['beyond_ends']}; watchdog {found['watchdog']}"
     )
 
 

@@ -1,13 +1,15 @@
 """The driver of a robot behind a TwinCAT PLC: one structure read and one written a cycle over ADS.
 
 It moves data: lengths in metres become numbers of the PLC and back. Nothing is ever written unless
-`AdsSettings.motion` says so, and the winches move only after `home` and `enable`. What may be sent
+`AdsSettings.motion` says so, and then from `enable` or `reset_fault` until the PLC has let go only.
+The winches move only after `home` and `enable`. What may be sent
 is limited here as in every driver, and by the PLC again; faults are watched by the guard
 (`carosac_toolkit.drivers.guarded`) and by the PLC.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from dataclasses import replace
@@ -146,39 +148,64 @@ class AdsDriver:
             raise CarosacError(f"{self.name}: not homed; call home() first")
         if self.status() in (DriveState.FAULT, DriveState.ESTOP, DriveState.DISCONNECTED):
             raise CarosacError(f"{self.name}: {self.fault_text}; call reset_fault() first")
-        self._asked(Request.ENABLE)
-        link.wait_for_data(time.monotonic(), _ANSWER)
-        held = self._hardware.length(self._reading().values["set_length"])
-        self._limiter.reset(held[None])
-        self._enabled, self._stopped = True, False
+        self._alone()
+        self._enabled = True  # from here on the PLC may obey, whatever happens
+        try:
+            self._asked(Request.ENABLE)
+            if not link.wait_for_data(time.monotonic(), _ANSWER):
+                raise CarosacError(f"{self.name}: no data from the PLC: {link.error}")
+            held = self._hardware.length(self._reading().values["set_length"])
+            self._limiter.reset(held[None])
+        except BaseException:
+            with contextlib.suppress(CarosacError):
+                self.disable()
+            raise
+        self._stopped = False
 
     def disable(self) -> None:
-        """Ramp to rest, switch the drives off, obey nobody; nothing happens where none is on."""
+        """Ramp to rest, switch the drives off, obey nobody; nothing happens where none is on.
+
+        Where the PLC does not answer, the request stays and the heartbeat ends: its watchdog stops
+        the winches.
+
+        Raises:
+            CarosacError: The PLC obeys another host, whose winches these are.
+        """
         link = self.link
         if link is None or not self._settings.motion or not self._enabled:
             return
         self._enabled = False
-        if link.request(Request.DISABLE, _ANSWER) is Answer.NONE:
-            return  # nobody there: the watchdog of the PLC has stopped the winches
-        self._wait_for_rest()
+        if not link.other:
+            answer = link.request(Request.DISABLE, _ANSWER)
+            if answer is Answer.NONE:
+                return
+            if answer is not Answer.NOT_OWNER:
+                self._wait_for_rest()
+            link.quiet()
+        self._alone()
 
     def reset_fault(self) -> None:
         """Clear a latched fault of the PLC, or of the connection once it is back.
 
         Raises:
-            CarosacError: Its cause is still there.
+            CarosacError: Its cause is still there, or the PLC obeys another host.
         """
         link = self._connected()
         if not self._settings.motion:
             raise CarosacError(f"{self.name}: read only; set motion=True to reset the PLC")
         if link.counters.restarts != self._restarts:
             self._restarts = link.counters.restarts
-            self._homed = False
+            self._homed = self._enabled = False
         if self.fault in (Fault.LOST_CONNECTION, Fault.STALE_DATA):
             raise CarosacError(f"{self.name}: {self.fault_text}")
-        self._enabled = False
+        self._alone()
         self._wait_for_rest()
-        self._asked(Request.RESET)
+        try:
+            self._asked(Request.RESET)
+            self._enabled = False
+        finally:
+            if not self._enabled:
+                link.quiet()
         link.wait_for_data(time.monotonic(), _ANSWER)
 
     def stop(self, reason: str) -> None:
@@ -215,7 +242,7 @@ class AdsDriver:
         link = self.link
         if link is None or link.reading is None:
             return DriveState.DISCONNECTED
-        if self.fault in (Fault.LOST_CONNECTION, Fault.STALE_DATA):
+        if self.fault in (Fault.LOST_CONNECTION, Fault.STALE_DATA, Fault.OWNER):
             return DriveState.FAULT
         said = state_of(link.reading.values["state"])
         return DriveState.HOMED if said is DriveState.CONNECTED and self._homed else said
@@ -232,6 +259,8 @@ class AdsDriver:
             return Fault.LOST_CONNECTION
         if time.monotonic() - link.reading.advanced > self._settings.lost_after:
             return Fault.STALE_DATA
+        if self._enabled and link.other:
+            return Fault.OWNER
         return fault_of(link.reading.values["fault"])
 
     @property
@@ -365,13 +394,22 @@ class AdsDriver:
         assert reading is not None  # `connect` waited for it
         return reading
 
+    def _alone(self) -> None:
+        """Refuse to write where the PLC obeys another host."""
+        link = self._connected()
+        if link.other:  # perhaps it has let go since
+            link.wait_for_data(time.monotonic(), _ANSWER)
+        other = link.other
+        if other:
+            raise CarosacError(
+                f"{self.name}: the PLC obeys another host, session {other}; disable it there first"
+            )
+
     def _asked(self, request: Request) -> None:
         """Ask the PLC; refuse everything but that it is done."""
         answer = self._connected().request(request, _ANSWER)
         if answer is Answer.DONE:
             return
-        if answer is Answer.NONE and request is Request.ENABLE:
-            self._connected().request(Request.DISABLE)  # whenever it listens again
         raise CarosacError(
             f"{self.name}: the PLC refused to {request.name.lower()}: {_WHY[answer]}; it is "
             f"{self.status()}, and obeys session {self._reading().values['owner']}"

@@ -169,7 +169,7 @@ def to_host(n: int) -> Block:
         Field("tension", "LREAL", "at the platform [N]", n),
         Field("drive_status", "ULINT", "0 off, 1 holding, 2 moving, 3 tripped", n),
         Field("sequence_end", "UDINT", "as sequence: the data are of one cycle"),
-        Field("spare", "UDINT", "0"),
+        Field("boot", "UDINT", "another number at each start of the PLC program"),
     ))  # fmt: skip
 
 

@@ -2,7 +2,8 @@
 
 pyads is not safe in several threads, so that all its calls are made here. A connection that broke
 stays broken until it is opened anew with new handles; both are done here. Without `writing` nothing
-is ever written.
+is ever written, and with it only from a request on until `quiet`, and never while the PLC obeys
+another session: there is one structure for all hosts.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class LinkCounters:
         errors: Calls that failed.
         torn: Data that were not of one PLC cycle.
         reconnects: How often the connection was opened anew.
-        restarts: How often the clock of the PLC went back.
+        restarts: How often the PLC started anew: another ``boot``, or its clock went back.
         missed: Cycles of the thread that came a whole period late.
         round_trip: Wall time of the newest cycle, read and write [s].
         round_trip_max: The longest one [s].
@@ -114,6 +115,10 @@ class AdsLink:
         self._wake = threading.Condition()
         self._answered = threading.Condition()
         self._fresh = False
+        self._active = False  # whether anything is written now
+        self._ending = False  # whether that ends with the next write
+        self._heard = False  # whether the PLC was read since the connection was opened
+        self._pending: int | None = None  # disable that was not answered in time
         self._running = False
         self._thread: threading.Thread | None = None
         self._out: dict[str, Any] = {
@@ -159,6 +164,13 @@ class AdsLink:
         return "truth" in self._handles
 
     @property
+    def other(self) -> int:
+        """Another session that the PLC obeys, by its newest answer; 0 where there is none."""
+        reading = self.reading
+        owner = 0 if reading is None else int(reading.values["owner"])
+        return 0 if owner == self.session else owner
+
+    @property
     def age(self) -> float:
         """Time since the last answer of the PLC [s]."""
         reading = self.reading
@@ -187,6 +199,9 @@ class AdsLink:
             request: What.
             patience: How long to wait for the answer [s]; 0: not at all.
 
+        A disable that is not answered in time stays, and the heartbeat stands still, so that the
+        watchdog of the PLC stops the winches where the request does not reach it.
+
         Returns:
             The answer, `Answer.NONE` where there was none in time.
         """
@@ -195,14 +210,25 @@ class AdsLink:
             self._out = self._out | {
                 "request": int(request), "request_number": number, "follow": 0,
             }  # fmt: skip
+            self._active, self._ending, self._pending = True, False, None
             self._fresh = True
             self._wake.notify()
         answer = self._answer(number, patience)
-        if patience > 0.0:
-            with self._wake:  # a PLC that starts anew must not find it
-                if self._out["request_number"] == number:
+        with self._wake:
+            if self._out["request_number"] == number:
+                if request is Request.DISABLE and answer is Answer.NONE:
+                    self._pending = number
+                elif patience > 0.0:  # a PLC that starts anew must not find it
                     self._out = self._out | {"request": 0}
         return answer
+
+    def quiet(self) -> None:
+        """Write once more, without any request, and then nothing until the next one."""
+        with self._wake:
+            self._out = self._out | {"request": 0, "follow": 0}
+            self._ending, self._pending = True, None
+            self._fresh = True
+            self._wake.notify()
 
     def _answer(self, number: int, patience: float) -> Answer:
         """What the PLC answered to a request, `Answer.NONE` where it did not in time [s]."""
@@ -259,9 +285,13 @@ class AdsLink:
         """Write where it is allowed, and read."""
         began = time.monotonic()
         try:
-            if self._writing:
+            if self._may_write():
                 self._write()
             self._read()
+            self._heard = True
+            if self._pending is not None and self.reading is not None:
+                if self.reading.values["answered"] == self._pending:
+                    self.quiet()
         except ads_block.WrongBlock as error:
             self._failed(f"{error}; host and PLC have other data blocks")
         except Exception as error:  # pyads raises its own and RuntimeError
@@ -281,16 +311,28 @@ class AdsLink:
         with self._answered:
             self._answered.notify_all()
 
+    def _may_write(self) -> bool:
+        """Whether something is to be written, and nobody else writes."""
+        with self._wake:
+            self._active = self._active and not self.other
+            allowed = self._writing and self._active and self._heard
+            self._fresh = self._fresh and allowed
+        return allowed
+
     def _write(self) -> None:
         """Send the newest of everything, with the next heartbeat."""
         with self._wake:
-            out, self._fresh = self._out, False
-        self._sequence = (self._sequence + (not self.hold_heartbeat)) % 2**32
+            out, self._fresh, ending = self._out, False, self._ending
+            held = self.hold_heartbeat or self._pending is not None
+        self._sequence = (self._sequence + (not held)) % 2**32
         data = self._from_host.pack(
             out | {"sequence": self._sequence, "sequence_end": self._sequence}
         )
         kind = ctypes.c_ubyte * len(data)
         self._plc.write(_BY_HANDLE, self._handles["from_host"], data, kind)
+        with self._wake:
+            if ending and self._ending:
+                self._active = self._ending = False
 
     def _read(self) -> None:
         """Take over what the PLC says."""
@@ -300,7 +342,9 @@ class AdsLink:
             self.counters.torn += 1
             return
         last = self.reading
-        if last is not None and values["time"] < last.values["time"]:
+        if last is not None and (
+            values["boot"] != last.values["boot"] or values["time"] < last.values["time"]
+        ):
             self.counters.restarts += 1
             self._offset.clear()
         alive = last is None or all(values[x] != last.values[x] for x in ("sequence", "time"))
@@ -336,7 +380,7 @@ class AdsLink:
                 raise
             self._failed(f"cannot connect: {error}")
             return False
-        self._plc = plc
+        self._plc, self._heard = plc, False
         try:
             plc.set_timeout(max(1, round(1000.0 * self._timeout)))
             self._handles = {"to_host": plc.get_handle(address.to_host)}

@@ -32,6 +32,7 @@ class Counters:
         foreign: Writes of sessions that it does not obey.
         torn: Data that were not of one write.
         watchdog: How often the host fell silent while it had to be heard.
+        beyond_ends: Cycles in which a set position moved beyond a soft end.
         worst: Largest share of a limit asked for, by name; 1 is the limit.
     """
 
@@ -47,6 +48,7 @@ class Counters:
     foreign: int = 0
     torn: int = 0
     watchdog: int = 0
+    beyond_ends: int = 0
     worst: dict[str, float] = field(
         default_factory=lambda: {"speed": 0.0, "acceleration": 0.0, "jerk": 0.0}
     )

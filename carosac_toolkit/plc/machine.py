@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,7 +73,8 @@ class Machine:
         fault: The latched fault.
         fault_axis: Its cable from 1, or 0.
         winches: Their set points.
-        counters: What came from hosts.
+        boot: Drawn at each start of the program, so that a host sees that it started anew.
+        counters: What came from hosts, and positions beyond the ends.
         wires: Injected faults.
         reference: By how much set points were renamed to agree with the encoders [unit], (n,); the
             machine follows ``winches.position - reference``.
@@ -92,6 +94,7 @@ class Machine:
         n = len(limits.speed)
         self.state, self.fault, self.fault_axis = DriveState.CONNECTED, Fault.NONE, 0
         self.winches = Winches(limits, cycle)
+        self.boot = secrets.randbelow(2**32 - 1) + 1
         self.counters = Counters()
         self.wires = Wires(np.zeros(n, dtype=bool))
         self.reference = np.zeros(n)
@@ -128,6 +131,7 @@ class Machine:
         self._watch()
         self._protect(inputs)
         self._move()
+        self.counters.beyond_ends += self.winches.beyond_ends
         self._length = inputs.length
 
     def output(self, inputs: Inputs) -> dict[str, Any]:
@@ -143,7 +147,7 @@ class Machine:
             "command_echo": self._host.command or 0, "has_tension": tension is not None,
             "time": self.time, "length": inputs.length, "rate": inputs.rate,
             "tension": 0.0 if tension is None else tension, "drive_status": self._drives(),
-            "set_length": self.winches.position,
+            "set_length": self.winches.position, "boot": self.boot,
         }  # fmt: skip
         self._frozen = found
         return found

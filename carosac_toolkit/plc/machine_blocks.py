@@ -41,6 +41,7 @@ def control() -> Block:
 COUNTS = (
     "cycles", "overruns", "commands", "lost", "not_finite", "over_length", "over_speed",
     "over_acceleration", "over_jerk", "jumps", "ignored", "foreign", "torn", "watchdog",
+    "beyond_ends",
 )  # fmt: skip
 
 

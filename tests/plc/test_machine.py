@@ -7,7 +7,7 @@ from carosac_toolkit.drivers.ads_block import LAYOUT, Answer, Request
 from carosac_toolkit.drivers.drive_state import DriveState, Fault
 from carosac_toolkit.limits import Limiter, LimitSettings
 from carosac_toolkit.plc.machine import Inputs, Machine
-from carosac_toolkit.plc.winches import HEADROOM, WinchLimits
+from carosac_toolkit.plc.winches import HEADROOM, Winches, WinchLimits
 from carosac_toolkit.values import Command
 from tests.robots import simple_robot
 
@@ -237,6 +237,68 @@ def test_a_tripped_winch_brakes_by_itself_and_the_others_together(rig):
     assert rig.ask(Request.RESET) is Answer.CAUSE_REMAINS
     rig.machine.wires.tripped[0] = False
     assert rig.ask(Request.RESET) is Answer.DONE
+
+
+def test_a_trip_that_goes_away_in_mid_ramp_does_not_start_the_winch_again(rig):
+    rig.ask(Request.ENABLE)
+    rig.move(0.4, amplitude=1.0)
+    rig.machine.wires.tripped[0] = True
+    while rig.machine.winches.speed[0]:
+        rig.cycles()
+    assert rig.machine.winches.speed[1]
+    rig.machine.wires.tripped[0] = False
+    while not rig.machine.winches.at_rest:
+        rig.cycles()
+        assert rig.machine.winches.speed[0] == 0.0
+    assert (rig.machine.winches.acceleration_peak <= HEADROOM * ROBOT.acceleration_max + 1e-9).all()
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_ramp_ends_before_the_soft_ends_and_otherwise_by_one_factor(sign):
+    winches = Winches(LIMITS, CYCLE)
+    middle = (LIMITS.length_min + LIMITS.length_max) / 2
+    end = LIMITS.length_max if sign > 0 else LIMITS.length_min
+    worst, capped = -np.inf, 0
+    for distance in (0.01, 0.05, 0.1, 0.2, 0.3):
+        start = middle.copy()
+        start[1] = end[1] - sign * 0.4
+        winches.place(start)
+        while sign * (end[1] - winches.position[1]) > distance:  # cable 1 as fast as it may
+            goal = winches.position + np.array([0.3, 0, 0, 0])
+            goal[1] = end[1]
+            winches.follow(goal, np.zeros(4), 0.02)
+        begun = winches.speed.copy()
+        while not winches.at_rest:
+            winches.ramp(np.zeros(4, dtype=bool))
+            assert not winches.beyond_ends
+            factor = winches.speed[0] / begun[0]
+            assert abs(winches.speed[1]) <= factor * abs(begun[1]) + 1e-9
+            capped += abs(winches.speed[1]) < factor * abs(begun[1]) - 1e-6
+        worst = max(worst, sign * (winches.position[1] - end[1]))
+    assert worst < 1e-4
+    assert capped > 10  # the common ramp alone would have passed the end
+    assert (winches.acceleration_peak <= HEADROOM * ROBOT.acceleration_max + 1e-9).all()
+
+
+def test_positions_that_move_out_beyond_a_soft_end_are_counted(rig):
+    winches = rig.machine.winches
+    rig.machine.place(np.array([LIMITS.length_max[0] + 0.01, *START[1:]]))
+    rig.cycles(3)
+    assert rig.machine.counters.beyond_ends == 0  # it stands there
+    rig.machine.place(winches.position)
+    winches.speed = np.array([0.2, 0, 0, 0])
+    rig.cycles(1)
+    assert rig.machine.counters.beyond_ends == 1
+    rig.cycles(100)
+    assert winches.at_rest
+    assert winches.acceleration_peak[0] <= HEADROOM * ROBOT.acceleration_max[0] + 1e-9
+
+
+def test_each_start_of_the_program_has_another_number(rig):
+    assert rig.out["boot"] != Rig().out["boot"]
+    before = rig.out["boot"]
+    rig.cycles(5)
+    assert rig.out["boot"] == before != 0
 
 
 def test_the_emergency_stop_is_a_status_until_it_is_closed_and_reset(rig):

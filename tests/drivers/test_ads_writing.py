@@ -1,0 +1,226 @@
+"""When a host writes and when not: hosts and a PLC program in one process, no network."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from carosac_toolkit.drivers import ads, ads_block
+from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
+from carosac_toolkit.drivers.ads_link import AdsLink
+from carosac_toolkit.drivers.drive_state import DriveState, Fault
+from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.hardware import Hardware
+from carosac_toolkit.plc.machine import Inputs, Machine
+from carosac_toolkit.plc.settings import PlcSettings, limits_of
+from tests.plc_process import home_pose
+from tests.robots import simple_robot
+
+ROBOT = simple_robot()
+N = ROBOT.n
+START = (ROBOT.length_min + ROBOT.length_max) / 2
+
+
+class Program:
+    """The program of a PLC; a cycle at each read. `deaf`: it finds no request."""
+
+    def __init__(self):
+        self.lock = threading.Lock()
+        self.from_host, self.to_host = ads_block.from_host(N), ads_block.to_host(N)
+        self.memory = bytes(self.from_host.size)
+        self.writers = []
+        self.deaf = False
+        self.start()
+
+    def start(self):
+        limits = limits_of(ROBOT, Hardware.loopback(N), PlcSettings())
+        self.machine = Machine(limits, cycle=0.005, watchdog=0.1)
+        self.machine.place(START)
+        self.memory = bytes(self.from_host.size)
+
+    def write(self, group, handle, data, kind):
+        with self.lock:
+            self.memory = data
+            self.writers.append(self.from_host.unpack(data)["session"])
+
+    def read(self, group, handle, kind, return_ctypes):
+        with self.lock:
+            host = self.from_host.unpack(self.memory)
+            if self.deaf:
+                host["request"] = 0
+            inputs = Inputs(length=self.machine.winches.position, rate=np.zeros(N))
+            self.machine.cycle(host if host["layout"] else None, inputs)
+            return self.to_host.pack(self.machine.output(inputs))
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def program(monkeypatch):
+    found = Program()
+
+    def connect(link):
+        link._handles = {"to_host": 1, "from_host": 2}
+        link._plc, link._heard = found, False
+        return True
+
+    monkeypatch.setattr(AdsLink, "_connect", connect)
+    monkeypatch.setattr(ads, "_ANSWER", 0.3)
+    return found
+
+
+@pytest.fixture
+def host(program):
+    """Makes hosts: connected and homed."""
+    made = []
+
+    def make():
+        driver = AdsDriver(ROBOT, AdsSettings(motion=True, lost_after=1.0))
+        driver.connect()
+        driver.home(home_pose(ROBOT))
+        made.append(driver)
+        return driver
+
+    yield make
+    for driver in made:
+        driver.close()
+
+
+def until(condition, patience=3.0):
+    end = time.monotonic() + patience
+    while not condition():
+        assert time.monotonic() < end, "not in time"
+        time.sleep(0.002)
+
+
+def written(program, seconds=0.05):
+    """Sessions that write in a span of time."""
+    count = len(program.writers)
+    time.sleep(seconds)
+    return set(program.writers[count:])
+
+
+def test_a_host_writes_from_enable_until_the_plc_has_let_go(program, host):
+    driver = host()
+    assert not program.writers
+    driver.enable()
+    assert written(program) == {driver.link.session}
+    driver.disable()
+    assert program.machine.state is DriveState.CONNECTED
+    until(lambda: not written(program))
+    assert program.from_host.unpack(program.memory)["request"] == 0
+    driver.enable()
+    assert driver.state is DriveState.ENABLED
+
+
+def test_a_host_resets_and_is_silent_again(program, host):
+    driver = host()
+    program.machine.stop(Fault.FOLLOWING_ERROR)
+    until(lambda: driver.fault is Fault.FOLLOWING_ERROR)
+    driver.reset_fault()
+    assert driver.fault is Fault.NONE
+    until(lambda: not written(program))
+    program.machine.wires.tripped[0] = True
+    until(lambda: driver.fault is Fault.DRIVE_TRIP)
+    with pytest.raises(CarosacError, match="cause of the fault is still there"):
+        driver.reset_fault()
+    until(lambda: not written(program))
+
+
+def test_a_second_host_writes_nothing_and_is_refused(program, host):
+    first, second = host(), host()
+    first.enable()
+    until(lambda: second.link.other == first.link.session)
+    for refused in (second.enable, second.reset_fault):
+        with pytest.raises(CarosacError, match=f"obeys another host, session {first.link.session}"):
+            refused()
+    assert written(program) == {first.link.session}
+    assert second.link.session not in program.writers
+    assert program.machine.counters.foreign == 0
+    second.close()
+    assert first.state is DriveState.ENABLED
+    first.disable()
+
+
+def test_a_host_that_lost_the_plc_to_another_stops_writing_and_says_so(program, host):
+    first, second = host(), host()
+    first.enable()
+    with program.lock:  # as where the PLC gave it up while it was silent
+        program.machine._release()
+        program.machine.state = DriveState.CONNECTED
+    second.enable()
+    until(lambda: first.fault is Fault.OWNER)
+    assert first.state is DriveState.FAULT and not first.wait(0.01)
+    assert written(program) == {second.link.session}
+    with pytest.raises(CarosacError, match=f"obeys another host, session {second.link.session}"):
+        first.disable()
+    assert program.machine.state is DriveState.ENABLED
+    second.disable()
+
+
+def test_an_enable_that_fails_half_way_leaves_the_drives_off(program, host, monkeypatch):
+    driver = host()
+
+    def refuse(*_):
+        raise ValueError("no such length")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(driver._limiter, "reset", refuse)
+        with pytest.raises(ValueError, match="no such length"):
+            driver.enable()
+    assert program.machine.state is DriveState.CONNECTED
+    assert program.machine.output(program.machine._inputs)["owner"] == 0
+    driver.enable()
+    assert program.machine.state is DriveState.ENABLED
+
+
+def test_a_disable_without_answer_stays_and_the_watchdog_stops_the_winches(program, host):
+    driver = host()
+    driver.enable()
+    program.deaf = True
+    driver.disable()
+    until(lambda: program.machine.fault is Fault.HEARTBEAT_LOST)
+    until(lambda: program.machine.output(program.machine._inputs)["owner"] == 0)
+    assert program.from_host.unpack(program.memory)["request"] == ads_block.Request.DISABLE
+    program.deaf = False
+    until(lambda: not written(program))
+    driver.reset_fault()
+    driver.enable()
+    assert driver.state is DriveState.ENABLED
+
+
+def test_a_disable_that_is_heard_late_is_obeyed(program, host, monkeypatch):
+    monkeypatch.setattr(ads, "_ANSWER", 0.02)
+    driver = host()
+    monkeypatch.setattr(ads, "_ANSWER", 0.3)
+    driver.enable()
+    monkeypatch.setattr(ads, "_ANSWER", 0.02)
+    program.deaf = True
+    driver.disable()
+    program.deaf = False
+    until(lambda: program.machine.state is DriveState.CONNECTED)
+    assert program.machine.fault is Fault.NONE
+    until(lambda: not written(program))
+
+
+def test_a_plc_that_starts_anew_with_a_clock_that_goes_on_is_seen(program, host):
+    driver = host()
+    driver.enable()
+    with program.lock:
+        ticks = program.machine._ticks
+        program.start()
+        program.machine._ticks = ticks + 1000
+        program.machine.place(START + 0.3)  # its encoders count anew
+    until(lambda: driver.fault is Fault.LOST_CONNECTION)
+    assert "started anew" in driver.fault_text
+    assert not driver.wait(0.01)
+    time.sleep(0.05)
+    assert driver.state is DriveState.FAULT  # latched
+    with pytest.raises(CarosacError, match="started anew"):
+        driver.enable()
+    driver.reset_fault()
+    assert driver.state is DriveState.CONNECTED
+    with pytest.raises(CarosacError, match="not homed"):
+        driver.enable()
