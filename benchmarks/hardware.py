@@ -74,7 +74,8 @@ def controlled(seconds: float) -> tuple[dict[str, list[float]], GuardedDriver, f
         robot,
         GuardedAdsSettings(
             motion=True, period=0.01, start_position=(x, y, z), stale_time=PATIENCE,
-            hang_time=PATIENCE, overrun_share=1.0, inner={"lost_after": PATIENCE},
+            hang_time=PATIENCE, overrun_share=1.0, home_anew=True,
+            inner={"lost_after": PATIENCE, "start_position": (x, y, z)},
         ),
     )  # fmt: skip
     ticks: dict[str, list[float]] = {"tick": [], "round_trip": [], "error": []}

@@ -144,6 +144,7 @@ def host(trial: Trial) -> int:
         robot=str(trial.folder / "robot.yaml"), driver="ads",
         controller="benchmarks.hardware_faults:Wrong",
         estimator="benchmarks.hardware_faults:Diverging", trajectory="circle", enable=True,
+        home=tuple(float(x) for x in ct.load_robot("carosac").home_position), home_anew=True,
         settings=(f"driver.stale_time={NOTICED}", f"driver.hang_time={NOTICED}",
                   f"driver.inner.lost_after={NOTICED}"),
         speed=0.8, acceleration=0.8, recording=trial.folder / "run.jsonl",

@@ -23,6 +23,7 @@ import numpy as np
 import tyro
 
 from carosac_toolkit.cli.common import CommandResult, CommonOptions
+from carosac_toolkit.cli.place import Place
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.perturbations import draw_plant, find_condition
 from carosac_toolkit.plc.emulator import Emulator
@@ -49,7 +50,7 @@ class Options(CommonOptions):
     """Driver whose plant is the robot."""
     cables: str = "catenary"
     """How the driver `simulator` simulates cables."""
-    start: tuple[float, float, float] | None = None
+    start: Place = None
     """Where the platform is at power-on, x y z in m; by default at home."""
     cycle: float = 0.005
     """Cycle of the PLC in s."""

@@ -15,6 +15,7 @@ import contextlib
 import sys
 import time
 import traceback
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,6 +25,7 @@ import tyro
 
 from carosac_toolkit import registry, trajectories
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
+from carosac_toolkit.cli.place import Place
 from carosac_toolkit.cli.plc import take_priority
 from carosac_toolkit.crash_safe import CrashSafeRecorder
 from carosac_toolkit.drivers.guard_settings import GuardSettings
@@ -46,8 +48,13 @@ from carosac_toolkit.studies.run_case import own_settings
 
 REST = 1.0  # [s] before each part of the way, and after the last
 GUARD = "guard"
+PLC = "ads"
+OPTIONS = {
+    "motion": "--enable",
+    "period": "--rate, or controller.NAME.period",
+    "real_time": "no other value: a live run takes the time of the wall",
+}  # what no setting may say behind an option's back
 SWITCH = 1e-3  # [s] after which a thread lets the others run
-Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +77,12 @@ class Options(CommonOptions):
     """Follow a target moved by keys, or by lines `x y z` [m] of the standard input, instead."""
     enable: tyro.conf.FlagCreatePairsOff[bool] = False
     """Let the winches move; without it the run is dry."""
-    home: Point | None = None
-    """Where the platform stands at the start [m]; by default the home position of the robot."""
+    home: Place = None
+    """Where the platform stands at the start [m]; by default the home position of the robot, and
+    asked for where --enable moves a robot behind a PLC."""
+    home_anew: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Home also where that changes an offset by more than 0.1 m; only at a pose that was
+    measured."""
     speed: float = 0.3
     """Largest speed of the platform [m/s]."""
     acceleration: float = 0.3
@@ -105,7 +116,7 @@ def run(options: Options) -> CommandResult:
     rehearse(robot, estimator, controller, path, suite=options.suite)
     recorder = _recorder(options)
     guard.journal = recorder
-    print(_what(options, recorder, float(controller.period)), flush=True)
+    print(_what(options, guard, recorder), flush=True)
     statistics = Statistics(guard)
     usual = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH)
@@ -180,15 +191,31 @@ def _guard(robot: Robot, options: Options, chosen: dict[str, Any], period: float
     else:
         asked |= {"driver": options.driver, "inner": own}
     settings: GuardSettings = kind.Settings()
+    _refuse_reserved(asked)
+    if options.enable and options.home is None and getattr(plugin, "name", "") == PLC:
+        allowed = "--home X Y Z, where the platform stands: homing believes it"
+        raise InvalidField("--home", "none", allowed)
     check_types("driver.guard", settings, asked)
     home = options.home or tuple(float(x) for x in robot.home_position)
     wanted = {
         "period": period, "suite": options.suite, "motion": options.enable,
-        "start_position": home, "real_time": True, **asked,
+        "start_position": home, "home_anew": options.home_anew, "real_time": True, **asked,
     }  # fmt: skip
     made = filled("driver.guard", settings, wanted)
     guard: GuardedDriver = kind.build(robot, made, seed=options.seed)
     return guard
+
+
+def _refuse_reserved(asked: dict[str, Any]) -> None:
+    """Refuse settings of the guard, or of the driver behind it, that are an option's to say."""
+    inner = asked.get("inner", {})
+    inner = inner if isinstance(inner, Mapping) else {}
+    for name, option in OPTIONS.items():
+        for values in (asked, inner):
+            if name in values:
+                raise InvalidField("--set", f"driver ... {name}={values[name]!r}", option)
+    if "start_position" in asked:
+        raise InvalidField("--set", "start_position of the guard", "--home X Y Z")
 
 
 def _path(robot: Robot, options: Options) -> Followed:
@@ -215,9 +242,12 @@ def _recorder(options: Options) -> CrashSafeRecorder:
     return CrashSafeRecorder(path, robot=options.robot, description=words)
 
 
-def _what(options: Options, recorder: CrashSafeRecorder, period: float) -> str:
-    """What is about to happen."""
-    how = "the winches move" if options.enable else "dry run: nothing is sent; --enable moves"
+def _what(options: Options, guard: GuardedDriver, recorder: CrashSafeRecorder) -> str:
+    """What is about to happen, by the settings of the guard."""
+    settings, period = guard.settings, guard.settings.period
+    how = "the winches move" if settings.motion else "dry run: nothing is sent; --enable moves"
+    if settings.motion and not settings.enable_at_once:
+        how = "dry run: nothing is sent, as enable_at_once is false"
     what = HELP if options.by_hand else f"trajectory {options.trajectory}"
     return (
         f"{options.robot} on {options.driver}: {options.controller} with {options.estimator} at "
@@ -265,6 +295,7 @@ def _result(
         "reason": reason,
         "fault": None if fault is None else str(fault.fault),
         "cable": None if fault is None else fault.cable,
+        "home_change_m": None if guard.home_change is None else guard.home_change.tolist(),
         "would_be_faults": guard.refused,
         **statistics.data(guard.settings.period),
         "recording": str(recorder.path),

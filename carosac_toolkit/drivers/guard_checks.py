@@ -44,6 +44,7 @@ class Checks:
         self._robot = robot
         self._settings = settings
         self._last: Measurement | None = None
+        self._held = False
         self._silent = 0
         self._count: Counter[Fault] = Counter()
         self._expected: Array | None = None
@@ -78,12 +79,25 @@ class Checks:
         self._expected = self._expected + share * (motion.length[0] - self._expected)
         self._speed = motion.speed[0]
 
-    def measured(self, measurement: Measurement, *, homed: bool) -> Finding | None:
-        """What is wrong with a measurement, in the order of how sure the guard can be."""
-        findings = [self._stale(measurement), self._jump(measurement), self._following(measurement)]
+    def measured(
+        self, measurement: Measurement, *, homed: bool, held: bool = False
+    ) -> Finding | None:
+        """What is wrong with a measurement, in the order of how sure the guard can be.
+
+        Args:
+            measurement: The newest.
+            homed: Whether lengths belong to poses.
+            held: Whether a fault holds the winches at rest.
+        """
+        still = held and self._held
+        findings = [
+            self._stale(measurement),
+            self._jump(measurement, still=still),
+            self._following(measurement),
+        ]
         if homed:
             findings += self._pose(measurement)
-        self._last = measurement
+        self._last, self._held = measurement, held
         return self._ripe([found for found in findings if found is not None])
 
     def command(self, command: Command, standing: Array, *, first: bool) -> Finding | None:
@@ -130,7 +144,7 @@ class Checks:
         text = f"no new sample for {silent:.3f} s; allowed: {settings.stale_time:g} s"
         return Finding(fault=Fault.STALE_DATA, text=text)
 
-    def _jump(self, measurement: Measurement) -> Finding | None:
+    def _jump(self, measurement: Measurement, *, still: bool) -> Finding | None:
         """Lengths must not change faster than a winch turns, or otherwise than it was told to."""
         last, before = self._last, self._before
         self._before = self._expected
@@ -144,7 +158,7 @@ class Checks:
             uneven = abs(passed - period) + 0.5 * period  # samples come when they come
             allowed = self._settings.jump_max + uneven * np.abs(self._speed)
         else:
-            allowed = self._settings.jump_max + self._robot.speed_max * passed
+            allowed = self._settings.jump_max + (0.0 if still else passed) * self._robot.speed_max
         over = np.abs(change) - allowed
         i = int(np.argmax(over))
         if over[i] <= 0.0:

@@ -12,14 +12,16 @@ from carosac_toolkit.arrays import Array, frozen_array
 from carosac_toolkit.drivers.drive_state import DriveState, Fault
 from carosac_toolkit.drivers.guard_checks import FREE, Finding
 from carosac_toolkit.drivers.guard_settings import GuardSettings
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.filled_settings import filled
 from carosac_toolkit.physics import statics
 from carosac_toolkit.protocols import replays
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import State
 
-HANDED_ON = ("motion", "period", "suite", "start_position", "wind_force", "wind_time")
+HANDED_ON = ("motion", "period", "suite", "wind_force", "wind_time")
+SET_DOWN = "start_position"  # of a simulated robot; no real one is set down anywhere
+OFF = (DriveState.DISCONNECTED, DriveState.CONNECTED, DriveState.HOMED)  # nothing follows there
 
 
 def build_inner(robot: Robot, settings: GuardSettings, seed: int) -> tuple[Any, bool]:
@@ -39,12 +41,14 @@ def build_inner(robot: Robot, settings: GuardSettings, seed: int) -> tuple[Any, 
     if "real_time" in known:
         real_time = bool(settings.real_time)
         wanted["real_time"] = real_time
+        if SET_DOWN in known:
+            wanted[SET_DOWN] = settings.start_position
     chosen = filled("inner", kind(), {**wanted, **settings.inner})
     return plugin.build(robot, chosen, seed=seed), real_time
 
 
-def inner_finding(inner: Any) -> Finding | None:
-    """What a driver that knows its own state says is wrong."""
+def inner_finding(inner: Any, *, following: bool = False) -> Finding | None:
+    """What a driver that knows its own state says is wrong; `following`: it should be driving."""
     status = getattr(inner, "status", None)
     if status is None:
         return None
@@ -57,7 +61,24 @@ def inner_finding(inner: Any) -> Finding | None:
         told = str(getattr(inner, "fault_text", "")).removesuffix(known.meaning)
         told = told.removeprefix(str(known)).strip(": ")
         return Finding(fault=known, text=told or "the drives report it")
+    if following and said in OFF:
+        text = f"the drives no longer follow: they are {said}, and nobody here switched them off"
+        return Finding(fault=Fault.DRIVE_TRIP, text=text)
     return None
+
+
+def error_finding(error: Exception) -> Finding:
+    """What an error of a driver means: an impossible number, or a connection that is lost."""
+    if isinstance(error, InvalidField):
+        length = "length" in error.field
+        text = f"a measurement that cannot be: {error}"
+        return Finding(fault=Fault.ENCODER_JUMP if length else Fault.UNKNOWN, text=text)
+    return Finding(fault=Fault.LOST_CONNECTION, text=described(error))
+
+
+def described(error: Exception) -> str:
+    """An error in words, with its kind where it is none of this toolkit."""
+    return str(error) if isinstance(error, CarosacError) else f"{type(error).__name__}: {error}"
 
 
 def homing_lengths(robot: Robot, position: State) -> Array:

@@ -13,7 +13,7 @@ from carosac_toolkit.number_checks import check_positive, check_whole
 Point = tuple[float, float, float]
 _METRES = (
     "first_max", "step_max", "range_margin", "jump_max", "following_max", "closure_max",
-    "belief_max", "workspace_margin", "rest_max",
+    "belief_max", "workspace_margin", "rest_max", "home_change_max",
 )  # fmt: skip
 _SECONDS = (
     "period",
@@ -35,12 +35,13 @@ class GuardSettings:
         inner: Settings of that driver by name, a mapping for each settings dataclass inside them.
         period: Time between two commands [s].
         suite: Sensor suite of a driver that has a choice.
-        start_position: Where a simulated robot is set down, and the pose by which `enable_at_once`
-            homes, in W [m]; None is the home position.
+        start_position: The pose by which `enable_at_once` homes, and where a simulated robot is set
+            down, in W [m]; None is the home position. A PLC, emulated or not, is not told of it.
         motion: Whether anything may move; else a run is dry: commands are limited and journaled,
             and not sent.
         enable_at_once: Home and enable in `connect`, where motion is allowed; else it is up to
             calls of `home` and `enable`.
+        home_anew: Whether `enable_at_once` may change offsets by more than `home_change_max`.
         real_time: Whether the driver's time is that of the wall; a simulator then waits for it.
             None: True for drivers that have no such setting, which are real, else False.
         wind_force: Of the wind, for a driver that has some [N].
@@ -52,7 +53,7 @@ class GuardSettings:
         range_margin: How far a command may lie outside the lengths of the winches [m]; the limits
             hold it back.
         jump_max: Largest change of a length between two samples, beyond what the winch can turn
-            meanwhile or was asked for [m].
+            meanwhile or was asked for; where a fault holds the winches they may not turn [m].
         following_max: Largest distance of a length from where it should be by now [m], besides
             the motion of 30 ms and of the age of the sample.
         closure_max: Largest root mean square of the lengths that no straight-line pose explains
@@ -60,6 +61,8 @@ class GuardSettings:
         belief_max: Largest distance of the believed position from that of the lengths [m].
         workspace_margin: How far the platform may leave the workspace box [m].
         rest_max: Largest change of the lengths over the samples that count as standing still [m].
+        home_change_max: Largest change of the offset of a cable by homing, unless it is told that
+            the robot is homed anew [m].
         stale_time: How long measurements may stay the same [s].
         hang_time: How long a controller may keep the guard waiting while the winches move [s]
             before that is a fault; they slow down from the third period on.
@@ -81,6 +84,7 @@ class GuardSettings:
     start_position: Point | None = None
     motion: bool = False
     enable_at_once: bool = True
+    home_anew: bool = False
     real_time: bool | None = None
     wind_force: float = 0.0
     wind_time: float = 2.0
@@ -94,6 +98,7 @@ class GuardSettings:
     belief_max: float = 0.7
     workspace_margin: float = 0.3
     rest_max: float = 0.003
+    home_change_max: float = 0.1
     stale_time: float = 0.08
     hang_time: float = 0.25
     hang_time_at_rest: float = 10.0

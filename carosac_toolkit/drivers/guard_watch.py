@@ -69,11 +69,15 @@ class Watchdog:
     """A thread that looks twice a period whether the guard was called."""
 
     def __init__(
-        self, period: float, waited: Callable[[], float], miss: Callable[[], None]
-    ) -> None:
-        """Call `miss` as long as `waited` [s] says that ticks are missed."""
+        self, period: float, waited: Callable[[], float], miss: Callable[[], None],
+        failed: Callable[[Exception], None],
+    ) -> None:  # fmt: skip
+        """Call `miss` as long as `waited` [s] says that ticks are missed.
+
+        `failed` hears what `miss` raises, and must not raise; the watchdog goes on.
+        """
         self._period = period
-        self._waited, self._miss = waited, miss
+        self._waited, self._miss, self._failed = waited, miss, failed
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._look, name="guard watchdog", daemon=True)
 
@@ -91,4 +95,7 @@ class Watchdog:
         """Until closed."""
         while not self._closing.wait(0.5 * self._period):
             if self._waited() > LATE * self._period:
-                self._miss()
+                try:
+                    self._miss()
+                except Exception as error:  # the only one who can still brake must not end
+                    self._failed(error)

@@ -9,6 +9,7 @@ with it, `home`.
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -19,11 +20,17 @@ from carosac_toolkit.arrays import Array
 from carosac_toolkit.drivers.drive_state import DriveState, Fault
 from carosac_toolkit.drivers.guard_checks import Checks, Finding
 from carosac_toolkit.drivers.guard_commander import Commander, changed
-from carosac_toolkit.drivers.guard_inner import build_inner, homing_lengths, inner_finding
+from carosac_toolkit.drivers.guard_inner import (
+    build_inner,
+    described,
+    error_finding,
+    homing_lengths,
+    inner_finding,
+)
 from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.drivers.guard_watch import Punctuality, Watchdog
 from carosac_toolkit.drivers.journal import Journal, Silence
-from carosac_toolkit.drivers.lifecycle import FaultReport, Lifecycle, NotReady
+from carosac_toolkit.drivers.lifecycle import UNHOMED, FaultReport, Lifecycle, NotReady
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.protocols import TruthSource
 from carosac_toolkit.robot import Robot
@@ -47,6 +54,7 @@ class GuardedDriver:
         real_time: Whether the clock on the wall counts.
         journal: Hears of everything; set it before `connect`.
         finding: What the last measurement showed, latched or not.
+        home_change: By how much the last homing changed the readings [m], shape (n,), or None.
         refused: What would have been a fault in a dry run, counted by text.
         ending: Why `end` was called, or None.
         on_hang: Called by the watchdog once it has stopped the winches of a hanging controller.
@@ -92,6 +100,7 @@ class GuardedDriver:
         self._live = self._ended = False
         self._gone = 0.0
         self.finding: Finding | None = None
+        self.home_change: Array | None = None
         self.ending: str | None = None
         self.refused: dict[str, int] = {}
 
@@ -135,39 +144,46 @@ class GuardedDriver:
             try:
                 self.measure()
                 if self.settings.enable_at_once and self.settings.motion:
-                    self.home(self._start())
+                    self.home(self._start(), anew=self.settings.home_anew)
                     self.enable()
             except BaseException:
                 self.close()
                 raise
             if self.real_time:
                 period = self.settings.period
-                self._watchdog = Watchdog(period, lambda: self._time.waited, self._miss)
+                self._watchdog = Watchdog(
+                    period, lambda: self._time.waited, self._miss, self._miss_failed
+                )
                 self._watchdog.start()
 
-    def home(self, position: State) -> None:
+    def home(self, position: State, *, anew: bool = False) -> None:
         """Find the offset of each cable; the platform stands still at this pose.
 
         Args:
             position: A batch of one. Its lengths count if it has some; else those of the statics:
                 with six cables or more at its rotation, with fewer at that of rest.
+            anew: Whether offsets may change by more than `GuardSettings.home_change_max`, such as
+                where they were never found before; only for a pose that was measured.
 
         Raises:
             IllegalTransition: Not connected, or enabled.
-            NotReady: The lengths change, or there is a fault.
+            NotReady: The lengths change, there is a fault, or an offset would change by too much.
             InvalidField: No pose of rest.
         """
         with self._lock:
             self._life.allow("home")
             lengths = homing_lengths(self._robot, position)
             standing = self._standing_still()
+            if not anew:
+                self._check_home(lengths - standing)
             if hasattr(self.inner, "home"):
                 self.inner.home(replace(position, unstrained_length=lengths[None]))
             else:
                 self._out.offset = self._out.offset + (lengths - standing)
             self._checks = Checks(self._robot, self.settings)
             self._life.go(DriveState.HOMED)
-            said = ", ".join(f"{x:+.4f}" for x in lengths - standing)
+            self.home_change = lengths - standing
+            said = ", ".join(f"{x:+.4f}" for x in self.home_change)
             self._event("home", f"readings changed by {said} m")
             self.measure()
 
@@ -214,6 +230,7 @@ class GuardedDriver:
             self._run_down()
             if hasattr(self.inner, "reset_fault"):
                 self.inner.reset_fault()
+            self.measure()  # a length that jumped since the last one costs the homing
             latched, self._life.fault = self._life.fault, None
             self._checks = Checks(self._robot, self.settings)
             try:
@@ -231,6 +248,8 @@ class GuardedDriver:
         """What the driver behind measures, with the offsets of homing; checked.
 
         Raises:
+            InvalidField: It measured what cannot be, such as a length that is not a number; that is
+                latched.
             CarosacError: It cannot measure; that is latched as a lost connection.
         """
         with self._lock:
@@ -240,15 +259,8 @@ class GuardedDriver:
             if self._out.offset.any():
                 got = replace(got, unstrained_length=got.unstrained_length + self._out.offset)
             self._measured = got
+            self._judge(got)
             self._note(self.journal.measured, got)
-            found = inner_finding(self.inner)
-            if found is None:
-                found = self._checks.measured(got, homed=self._life.homed)
-            self.finding = found
-            lost = found is not None and found.fault is Fault.LOST_CONNECTION
-            self._gone = self._gone + self.settings.period if lost else 0.0
-            if found is not None and (self._live or self._counts_at_rest(found)):
-                self.latch(found)
             return got
 
     def command(self, command: Command) -> Command:
@@ -307,6 +319,7 @@ class GuardedDriver:
         with self._lock:
             if self._life.state is DriveState.DISCONNECTED:
                 return
+            self._brake_at_once()
             if not self._ended:
                 self._event("stop", self.ending or reason)
             self._run_down()
@@ -315,14 +328,17 @@ class GuardedDriver:
 
     def close(self) -> None:
         """Come to rest and let go."""
-        with self._lock:
-            watchdog, self._watchdog = self._watchdog, None
-            if self._life.state is not DriveState.DISCONNECTED:
-                self._run_down()
-                self._quietly(self.inner.close)
-                self._life.go(DriveState.DISCONNECTED)
-        if watchdog is not None:
-            watchdog.end()
+        watchdog = self._watchdog
+        try:
+            with self._lock:
+                self._watchdog = None
+                try:
+                    self._run_down()
+                finally:
+                    self._let_go()
+        finally:
+            if watchdog is not None:
+                watchdog.end()
 
     def end(self, reason: str) -> None:
         """Have `wait` say False, so that the loop stops; safe in a signal handler."""
@@ -379,12 +395,43 @@ class GuardedDriver:
         if hung is not None:
             hung()
 
+    def _miss_failed(self, error: Exception) -> None:
+        """The watchdog could not brake: have the driver behind stop by itself."""
+        with self._lock:
+            self._quietly(self.inner.stop, "the watchdog failed")
+            self._quietly(self.latch, error_finding(error))
+
     # --- Below -----------------------------------------------------------------------------------
 
     def _check_connected(self) -> None:
         """Refuse to work before `connect` and after `close`."""
         if self._life.state is DriveState.DISCONNECTED:
             raise CarosacError(f"{self.name}: not connected; call connect() first")
+
+    def _check_home(self, change: Array) -> None:
+        """Refuse to change the offsets by more than a homing of every day does."""
+        i, most = int(np.argmax(np.abs(change))), self.settings.home_change_max
+        if abs(change[i]) > most:
+            cable = self._robot.cable_names[i]
+            raise NotReady(
+                f"home: the offset of cable '{cable}' would change by {change[i]:+.3f} m; allowed: "
+                f"{most:g} m. Is the platform at the pose that was given? Where that was measured, "
+                "home anew (home_anew, --home-anew)"
+            )
+
+    def _judge(self, got: Measurement) -> None:
+        """Latch what is wrong with a measurement, or with the driver that it came from."""
+        said = inner_finding(self.inner, following=self._life.state is DriveState.FOLLOWING)
+        held = self.fault is not None and not self._live
+        seen = self._checks.measured(got, homed=self._life.homed, held=held)
+        self.finding = seen if said is None else said
+        lost = said is not None and said.fault is Fault.LOST_CONNECTION
+        self._gone = self._gone + self.settings.period if lost else 0.0
+        if said is not None and (self._live or self._counts_at_rest(said)):
+            self.latch(said)
+        if seen is not None and (self._live or self._counts_at_rest(seen)):
+            if said is None or seen.fault in UNHOMED:
+                self.latch(seen)
 
     def _counts_at_rest(self, found: Finding) -> bool:
         """Whether a finding is a fault where nobody drives the winches."""
@@ -466,7 +513,8 @@ class GuardedDriver:
         """Let one period pass on the driver behind; latch the fault that has ended it."""
         self._out.sent = False
         alive = bool(self._call(self.inner.wait, self.settings.period))
-        found = None if alive or self._ended else inner_finding(self.inner)
+        following = self._life.state is DriveState.FOLLOWING
+        found = None if alive or self._ended else inner_finding(self.inner, following=following)
         if found is not None and (self._live or self._counts_at_rest(found)):
             self.latch(found)
         return alive
@@ -477,53 +525,78 @@ class GuardedDriver:
             self._brake(None)
         return self._pass_period()
 
+    def _brake_at_once(self) -> None:
+        """Begin a stop before anybody hears of it."""
+        if self._live and not self._out.sent:
+            self._quietly(self._brake, None)
+
     def _run_down(self) -> None:
-        """Brake along the path until the winches are at rest, then disable."""
+        """Brake along the path until the winches are at rest, then disable, whatever happens."""
         if not self._live:
             return
-        if self.fault is None:
-            self._life.go(DriveState.STOPPING)
-        self._quietly(self._brake_to_rest)
-        self._live = False
-        if hasattr(self.inner, "disable"):
-            self._quietly(self.inner.disable)
-        self._checks.standing(None)
+        try:
+            self._brake_at_once()
+            if self.fault is None:
+                self._life.go(DriveState.STOPPING)
+            self._quietly(self._brake_to_rest)
+        finally:
+            self._live = False
+            if hasattr(self.inner, "disable"):
+                self._quietly(self.inner.disable)
+            self._checks.standing(None)
         if self.fault is None:
             self._life.go(DriveState.HOMED)
 
+    def _let_go(self) -> None:
+        """Close the driver behind."""
+        if self._life.state is not DriveState.DISCONNECTED:
+            self._quietly(self.inner.close)
+            self._life.go(DriveState.DISCONNECTED)
+
     def _brake_to_rest(self) -> None:
-        """All cycles of a stop; gives up after `stop_time_max`."""
-        period = self.settings.period
+        """All cycles of a stop, blind where the driver fails; gives up after `stop_time_max`."""
+        period, blind = self.settings.period, 0
         rest = int(np.ceil(SETTLE * self._robot.winch_lag.max() / period))
         for _ in range(int(np.ceil(self.settings.stop_time_max / period))):
             rest -= self._out.at_rest and self._out.slowing
             if rest < 0:
-                self._event("at_rest", "")
+                self._event("at_rest", f"as told, {blind} cycles unseen" if blind else "")
                 return
-            if not self._slow_down():
-                self._event("let_go", "the driver behind has stopped by itself")
-                return
-            self.measure()
+            began = time.monotonic()
+            try:
+                if not self._slow_down():
+                    self._event("let_go", "the driver behind has stopped by itself")
+                    return
+                self.measure()
+            except Exception as error:  # commands may still arrive
+                blind += 1
+                self._out.sent = False
+                if blind == 1:
+                    self._event("error", described(error))
+                if self.real_time:
+                    time.sleep(max(0.0, began + period - time.monotonic()))
         self._event("not_at_rest", f"given up after {self.settings.stop_time_max:g} s")
 
     def _call(self, method: Callable[..., Any], *arguments: Any) -> Any:
-        """Call the driver behind; where it fails the connection counts as lost."""
+        """Call the driver behind; where it fails that is latched.
+
+        An `InvalidField` of `command` is left to `fail`, as the command is to blame.
+        """
         try:
             return method(*arguments)
-        except InvalidField:
-            raise
-        except CarosacError as error:
-            found = inner_finding(self.inner)
-            lost = Finding(fault=Fault.LOST_CONNECTION, text=str(error))
-            self.latch(lost if found is None else found)
+        except Exception as error:
+            if not (isinstance(error, InvalidField) and method == self.inner.command):
+                found = error_finding(error)
+                said = None if isinstance(error, InvalidField) else inner_finding(self.inner)
+                self.latch(found if said is None else said)
             raise
 
     def _quietly(self, method: Callable[..., Any], *arguments: Any) -> None:
         """Call where an error must not keep the rest from happening; it is journaled."""
         try:
             method(*arguments)
-        except CarosacError as error:
-            self._event("error", str(error))
+        except Exception as error:
+            self._event("error", described(error))
 
     def _event(self, name: str, text: str) -> None:
         """Journal an event."""
@@ -533,9 +606,9 @@ class GuardedDriver:
         """Journal; a journal that cannot write is a fault, and hears no more."""
         try:
             method(*arguments, **named)
-        except OSError as error:
+        except Exception as error:  # whatever it is, it must not keep the winches from braking
             self.journal = Silence()
-            text = f"the recording failed: {error.strerror or error}"
+            text = f"the recording failed: {getattr(error, 'strerror', None) or described(error)}"
             self.latch(Finding(fault=Fault.UNKNOWN, text=text))
 
 

@@ -95,11 +95,13 @@ class Lifecycle:
             raise IllegalTransition(self.state, step, why)
 
     def latch(self, report: FaultReport) -> None:
-        """Keep a fault, unless there is one or nothing is connected."""
-        if self.state is DriveState.DISCONNECTED or self.fault is not None:
+        """Keep a fault, unless there is one or nothing is connected; each may cost the homing."""
+        if self.state is DriveState.DISCONNECTED:
+            return
+        self.homed = self.homed and report.fault not in UNHOMED
+        if self.fault is not None:
             return
         self.fault = report
-        self.homed = self.homed and report.fault not in UNHOMED
         if self.state is DriveState.FAULT:
             self._tell(str(DriveState.FAULT), str(report))
         self.go(DriveState.FAULT, str(report))

@@ -42,6 +42,8 @@ class Statistics:
         """Take one cycle in."""
         now = time.monotonic()
         self.cycles += 1
+        if self.cycles == 1:
+            self._say_home()
         self.limits.update({hit.limit for hit in step.command.limited})
         if len(self._latency) < MOST:
             self._latency.append(step.latency)
@@ -81,6 +83,13 @@ class Statistics:
             "tracking_rmse_m": rms[0],
             "estimation_rmse_m": rms[1],
         }
+
+    def _say_home(self) -> None:
+        """By how much homing has changed the readings: much more than yesterday is a slip."""
+        change = self._guard.home_change
+        if change is not None:
+            said = ", ".join(f"{1e3 * x:+.1f}" for x in change)
+            print(f"homed: the offsets of the cables changed by {said} mm", flush=True)
 
     def _print(self, step: Step, reference: Array) -> None:
         """One line: state, time, belief, distance to the reference, latency, limits."""

@@ -19,6 +19,7 @@ from carosac_toolkit.trajectories import line
 from tests.robots import simple_robot
 
 # a slow machine must not end a run: these are about what ends it
+AWAY = ("--home", "0.4", "-1.8", "3.0", "--set")
 PATIENT = ("driver.guard.overrun_share=1.0", "driver.guard.hang_time=1.5", "driver.cables=catenary")
 
 
@@ -180,12 +181,35 @@ def test_bad_input_is_refused_before_anything_moves(tmp_path, capsys):
         (("--controller", "mcp"), "mcp"),
         (("--set", "driver.guard.hang_tim=1"), "hang_tim"),
         (("--set", "driver.cable=1"), "inner.cable"),
+        (("--set", "driver.motion=true"), "allowed: --enable"),
+        (("--set", "driver.guard.motion=true"), "allowed: --enable"),
+        (("--set", "driver.guard.period=0.5"), "allowed: --rate"),
+        (("--set", "driver.real_time=false"), "a live run takes the time of the wall"),
+        (("--set", "driver.guard.start_position=[0,0,2]"), "allowed: --home X Y Z"),
+        (("--driver", "ads", *AWAY, "driver.motion=true"), "allowed: --enable"),
+        (("--driver", "ads", *AWAY, "driver.inner.motion=true"), "allowed: --enable"),
+        (("--driver", "ads", *AWAY, "driver.inner.period=1"), "allowed: --rate"),
+        (("--driver", "ads", "--enable"), "--home: got none; allowed: --home X Y Z"),
         (("--rate", "0"), "--rate: got 0.0 Hz"),
         (("--speed", "-1"), "--speed"),
     ):
         assert main([*words(tmp_path), *more]) == 2
         assert said in capsys.readouterr().err
     assert not (tmp_path / "run.json").exists()
+
+
+def test_the_robot_is_homed_where_it_is_said_to_be_and_the_changes_are_told(tmp_path, capsys):
+    more = ("--enable", "--duration", "0.3", "--set", "driver.start_position=[0.4, -1.8, 2.6]")
+    assert main(words(tmp_path, *more, "--home", "0.4", "-1.8", "2.6")) == 0
+    assert "homed: the offsets of the cables changed by" in capsys.readouterr().out
+    assert np.abs(numbers(tmp_path)["home_change_m"]).max() < 0.03
+    (tmp_path / "run.jsonl").unlink()
+    assert main(words(tmp_path, *more, "--home", "0.4", "-1.8", "3.0")) == 2
+    said = capsys.readouterr()
+    assert "would change by" in said.err
+    assert "--home-anew" in said.err
+    assert main(words(tmp_path, *more, "--home", "0.4", "x", "3.0")) == 2
+    assert "allowed: three numbers: X Y Z" in capsys.readouterr().err
 
 
 def test_the_way_to_the_start_is_gone_first_with_rests():

@@ -26,6 +26,7 @@ class FailingDriver(QuasiStaticDriver):
         super().connect()
         self.seen, self.jump, self.trip, self.lost, self.estop = [], 0.0, False, False, False
         self.frozen, self.holding = None, False
+        self.told, self.stops, self.disables, self.closes = None, 0, 0, 0
 
     def measure(self):
         if self.lost:
@@ -34,6 +35,8 @@ class FailingDriver(QuasiStaticDriver):
             return self.frozen
         found = super().measure()
         lengths = found.unstrained_length + np.array([self.jump, 0.0, 0.0, 0.0])
+        if isinstance(self.told, Exception):
+            raise self.told
         return replace(found, unstrained_length=lengths)
 
     def freeze(self):
@@ -54,11 +57,24 @@ class FailingDriver(QuasiStaticDriver):
     def status(self):
         if self.estop:
             return str(DriveState.ESTOP)
+        if isinstance(self.told, DriveState):
+            return str(self.told)
         return str(DriveState.FAULT if self.trip else DriveState.FOLLOWING)
 
     @property
     def fault(self):
         return Fault.DRIVE_TRIP if self.trip else Fault.NONE
+
+    def disable(self):
+        self.disables += 1
+
+    def stop(self, reason):
+        self.stops += 1
+        super().stop(reason)
+
+    def close(self):
+        self.closes += 1
+        super().close()
 
     def reset_fault(self):
         if self.trip or self.estop:

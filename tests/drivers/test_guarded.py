@@ -13,6 +13,7 @@ from carosac_toolkit.conformance.drivers import DRIVER_CHECKS
 from carosac_toolkit.drivers.drive_state import DriveState, Fault
 from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.drivers.guarded import GuardedDriver
+from carosac_toolkit.drivers.guarded_ads import GuardedAds, GuardedAdsSettings
 from carosac_toolkit.drivers.lifecycle import IllegalTransition, NotReady
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.loop import BadPlugin, run
@@ -355,6 +356,154 @@ def test_after_an_encoder_jump_the_robot_must_be_homed_anew():
     guard.home(home_state())
     assert guard.state is DriveState.HOMED
     guard.close()
+
+
+def test_a_jump_after_another_fault_takes_the_homing_too():
+    for seen in (True, False):  # between the fault and its reset, or just before the reset
+        guard = connected()
+        drive(guard, 20)
+        guard.inner.trip = True
+        to_the_end(guard)
+        assert guard.fault.fault is Fault.DRIVE_TRIP
+        guard.stop("fault")
+        for _ in range(2):
+            guard.measure()
+        guard.inner.jump = 0.05
+        if seen:
+            guard.measure()
+        guard.inner.trip = False
+        guard.reset_fault()
+        assert guard.state is DriveState.CONNECTED
+        with pytest.raises(IllegalTransition, match="allowed: when homed"):
+            guard.enable()
+        guard.close()
+
+
+def test_drives_that_no_longer_follow_are_a_fault():
+    guard = connected()
+    drive(guard, 20)
+    guard.inner.told = DriveState.CONNECTED
+    to_the_end(guard)
+    assert guard.fault.fault is Fault.DRIVE_TRIP
+    assert "no longer follow: they are connected" in guard.fault.text
+    guard.close()
+
+
+@pytest.mark.parametrize(
+    "error, fault",
+    [
+        (InvalidField("unstrained_length[0]", "nan", "finite"), Fault.ENCODER_JUMP),
+        (InvalidField("tension[0]", "nan", "finite"), Fault.UNKNOWN),
+        (RuntimeError("a kernel failed"), Fault.LOST_CONNECTION),
+    ],
+)
+def test_whatever_measuring_raises_is_latched_and_the_winches_brake_blind(error, fault):
+    guard = connected()
+    drive(guard, 40)
+    inner = guard.inner
+    inner.told = error
+    with pytest.raises(type(error)):
+        guard.measure()
+    assert guard.fault.fault is fault
+    guard.stop("fault")
+    seen = np.array(inner.seen)
+    assert seen[-1] == pytest.approx(seen[-2], abs=1e-12)  # at rest
+    assert within_limits(seen)
+    assert inner.disables == 1
+    assert "cycles unseen" in dict(x[1:] for x in guard.journal.events)["at_rest"]
+    guard.close()
+    assert inner.closes == 1
+
+
+def test_an_error_of_any_kind_in_a_stop_leaves_nothing_enabled_or_open():
+    guard = connected(real_time=True, overrun_share=1.0, hang_time=60.0, warm_up=1)
+    drive(guard, 5)
+    inner = guard.inner
+
+    def broken(*_):
+        raise KeyboardInterrupt
+
+    guard._brake_to_rest = broken
+    with pytest.raises(KeyboardInterrupt):
+        guard.close()
+    assert (inner.disables, inner.closes) == (1, 1)
+    assert guard.state is DriveState.DISCONNECTED
+    guard.close()
+    guard = connected()
+    drive(guard, 5)
+    guard.inner.disable = guard._out.brake = lambda *_: 1 / 0
+    guard.stop("done")
+    guard.close()
+    assert guard.inner.closes == 1
+
+
+def test_a_journal_that_raises_anything_keeps_no_command_from_being_sent():
+    guard = connected()
+    drive(guard, 40)
+    told = []
+
+    def closed(*_, **__):
+        told.append(len(guard.inner.seen))
+        raise ValueError("I/O operation on closed file")
+
+    guard.journal.event = guard.journal.sent = guard.journal.measured = closed
+    before = len(guard.inner.seen)
+    guard.stop("done")
+    assert told == [before + 1]  # the first command of the stop came before the journal
+    seen = np.array(guard.inner.seen)
+    assert seen[-1] == pytest.approx(seen[-2], abs=1e-12)
+    assert within_limits(seen)
+    assert "the recording failed: ValueError" in guard.fault.text
+    guard.close()
+
+
+def test_a_watchdog_that_cannot_brake_tells_the_driver_and_goes_on():
+    guard = guarded(real_time=True, hang_time=60.0, overrun_share=1.0, warm_up=1)
+    guard.connect()
+    drive(guard, 20)
+    missed, twice = [], threading.Event()
+
+    def broken():
+        missed.append(guard.inner.stops)
+        if len(missed) > 1:
+            twice.set()
+        raise RuntimeError("a bug")
+
+    guard._watchdog._miss = broken
+    assert twice.wait(10.0)
+    assert missed[:2] == [0, 1]
+    assert guard.fault.fault is Fault.LOST_CONNECTION
+    guard.close()
+    assert not [x for x in threading.enumerate() if x.name == "guard watchdog"]
+
+
+def test_homing_far_from_the_present_offsets_must_be_meant():
+    guard = connected(at_once=False)
+    wrong = replace(home_state(), position=ROBOT.home_position[None] + np.array([0.5, 0.0, 0.0]))
+    before = standing(guard)
+    with pytest.raises(NotReady, match=r"cable '\w+' would change by [+-]0\.\d+ m; allowed: 0.1 m"):
+        guard.home(wrong)
+    assert guard.state is DriveState.CONNECTED
+    assert standing(guard) == pytest.approx(before, abs=2e-3)
+    guard.home(wrong, anew=True)
+    assert guard.state is DriveState.HOMED
+    assert guard.home_change == pytest.approx((lengths_at(wrong.position[0]) - before)[0], abs=2e-3)
+    guard.close()
+    with pytest.raises(NotReady, match="home anew"):
+        at_once = guarded(start_position=tuple(wrong.position[0]))
+        at_once.connect()
+    assert at_once.state is DriveState.DISCONNECTED
+    connected(start_position=tuple(wrong.position[0]), home_anew=True).close()
+
+
+def test_only_a_simulated_robot_is_set_down_where_it_is_homed():
+    place = (0.5, -1.5, 2.4)
+    ads = GuardedAds.build(ROBOT, GuardedAdsSettings(start_position=place, motion=True))
+    assert ads.inner._settings.start_position is None
+    asked = GuardedAdsSettings(inner={"start_position": place})
+    assert GuardedAds.build(ROBOT, asked).inner._settings.start_position == place
+    settings = GuardSettings(driver="quasi_static", start_position=place)
+    assert GuardedDriver.build(ROBOT, settings).inner._settings.start_position == place
 
 
 def test_a_recording_that_fails_is_a_fault():

@@ -58,9 +58,11 @@ def plc():
         yield found
 
 
-def guard_of(plc, **changes):
-    """Patient with a busy machine."""
+def guard_of(plc, place=False, **changes):
+    """Patient with a busy machine; `place`: the PLC sets its robot down at home."""
     inner = {"lost_after": 0.5}
+    if place:
+        inner["start_position"] = tuple(plc.robot.home_position)
     return GuardedAds.build(
         plc.robot,
         GuardedAdsSettings(
@@ -104,7 +106,7 @@ def test_a_dry_run_writes_nothing_to_the_plc(plc):
 
 
 def test_an_enabled_run_moves_the_robot_within_all_limits_and_ends_at_rest(plc):
-    guard = guard_of(plc, motion=True, start_position=tuple(plc.robot.home_position))
+    guard = guard_of(plc, motion=True, place=True)
     before = counters(plc)
     log = follow(guard, plc, duration=3.0)
     after = counters(plc)
@@ -117,7 +119,7 @@ def test_an_enabled_run_moves_the_robot_within_all_limits_and_ends_at_rest(plc):
 
 
 def test_a_drive_that_trips_is_named_and_needs_a_reset(plc):
-    guard = guard_of(plc, motion=True, start_position=tuple(plc.robot.home_position))
+    guard = guard_of(plc, motion=True, place=True)
 
     def trip():
         with plc.client() as client:
@@ -141,7 +143,7 @@ def test_a_drive_that_trips_is_named_and_needs_a_reset(plc):
         time.sleep(0.1)
         again.reset_fault()
         assert again.state is DriveState.CONNECTED
-        again.home(home_pose(plc.robot))
+        again.home(home_pose(plc.robot), anew=True)  # it was stopped on its way
         assert again.state is DriveState.HOMED
     finally:
         again.close()
