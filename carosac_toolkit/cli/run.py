@@ -80,6 +80,9 @@ class Options(CommonOptions):
     home: Place = None
     """Where the platform stands at the start [m]; by default the home position of the robot, and
     asked for where --enable moves a robot behind a PLC."""
+    reset: tyro.conf.FlagCreatePairsOff[bool] = False
+    """With --enable, first clear a fault that the PLC holds from an earlier run, once you know why
+    it came; the platform is homed anew."""
     home_anew: tyro.conf.FlagCreatePairsOff[bool] = False
     """Home also where that changes an offset by more than 0.1 m; only at a pose that was
     measured."""
@@ -199,7 +202,8 @@ def _guard(robot: Robot, options: Options, chosen: dict[str, Any], period: float
     home = options.home or tuple(float(x) for x in robot.home_position)
     wanted = {
         "period": period, "suite": options.suite, "motion": options.enable,
-        "start_position": home, "home_anew": options.home_anew, "real_time": True, **asked,
+        "start_position": home, "home_anew": options.home_anew,
+        "reset_at_once": options.reset, "real_time": True, **asked,
     }  # fmt: skip
     made = filled("driver.guard", settings, wanted)
     guard: GuardedDriver = kind.build(robot, made, seed=options.seed)

@@ -41,6 +41,8 @@ class GuardSettings:
             and not sent.
         enable_at_once: Home and enable in `connect`, where motion is allowed; else it is up to
             calls of `home` and `enable`.
+        reset_at_once: Whether `connect` clears a fault that the driver behind holds from an earlier
+            run, where motion is allowed; one whose cause remains stays.
         home_anew: Whether `enable_at_once` may change offsets by more than `home_change_max`.
         real_time: Whether the driver's time is that of the wall; a simulator then waits for it.
             None: True for drivers that have no such setting, which are real, else False.
@@ -84,6 +86,7 @@ class GuardSettings:
     start_position: Point | None = None
     motion: bool = False
     enable_at_once: bool = True
+    reset_at_once: bool = False
     home_anew: bool = False
     real_time: bool | None = None
     wind_force: float = 0.0

@@ -142,6 +142,8 @@ class GuardedDriver:
             self.inner.connect()
             self._life.go(DriveState.CONNECTED)
             try:
+                if self.settings.reset_at_once and self.settings.motion:
+                    self._reset_inner()
                 self.measure()
                 if self.settings.enable_at_once and self.settings.motion:
                     self.home(self._start(), anew=self.settings.home_anew)
@@ -155,6 +157,13 @@ class GuardedDriver:
                     period, lambda: self._time.waited, self._miss, self._miss_failed
                 )
                 self._watchdog.start()
+
+    def _reset_inner(self) -> None:
+        """Clear the fault that the driver behind holds from an earlier run; it must be homed."""
+        held = inner_finding(self.inner)
+        if held is not None and hasattr(self.inner, "reset_fault"):
+            self._event("reset", f"{held.fault}: {held.text}")
+            self.inner.reset_fault()
 
     def home(self, position: State, *, anew: bool = False) -> None:
         """Find the offset of each cable; the platform stands still at this pose.

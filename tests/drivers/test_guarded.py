@@ -15,12 +15,14 @@ from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.drivers.guarded_ads import GuardedAds, GuardedAdsSettings
 from carosac_toolkit.drivers.lifecycle import IllegalTransition, NotReady
+from carosac_toolkit.drivers.quasi_static import QuasiStaticSettings
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.loop import BadPlugin, run
 from carosac_toolkit.values import Belief, Command
 from tests.drivers.guards import (
     PERIOD,
     ROBOT,
+    FailingDriver,
     ask,
     connected,
     drive,
@@ -622,3 +624,29 @@ def test_settings_are_checked_and_a_recording_needs_no_guard():
         GuardedDriver.build(ROBOT, GuardSettings(driver="replay"))
     with pytest.raises(InvalidField, match=r"inner\.segment"):
         GuardedDriver.build(ROBOT, GuardSettings(driver="quasi_static", inner={"segment": 3}))
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_a_fault_of_an_earlier_run_is_cleared_where_that_is_asked_for_only(asked):
+    class Held(FailingDriver):
+        resets = 0
+
+        def connect(self):
+            super().connect()
+            self.trip = True
+
+        def reset_fault(self):
+            Held.resets += 1
+            self.trip = False
+
+    inner = Held.build(ROBOT, QuasiStaticSettings(period=PERIOD))
+    settings = GuardSettings(period=PERIOD, motion=True, reset_at_once=asked)
+    guard = GuardedDriver(inner, ROBOT, settings, real_time=False)
+    if asked:
+        guard.connect()
+        assert guard.state is DriveState.ENABLED
+    else:
+        with pytest.raises(CarosacError):
+            guard.connect()
+    assert Held.resets == int(asked)
+    guard.close()
