@@ -60,7 +60,7 @@ for (name, log), color in zip(logs.items(), COLORS, strict=True):
     late = where[log.time > path.duration + LATE]
     sway = 1e3 * np.linalg.norm(late.std(axis=0))
     rmse = 1e3 * np.sqrt((error**2).sum(axis=1).mean())
-    said.append(f"{name}: tracking RMSE {rmse:.0f} mm, sway after the move {sway:.0f} mm")
+    said.append(f"{name} {rmse:.0f} / {sway:.0f} mm")
     space.plot(where[:, 0], where[:, 2], color=color, lw=1.2, label=name)
     time.plot(log.time, 1e3 * error[:, 0], color=color, lw=1.4, label=name)
 target = logs["learned in real time"].reference[:, 0]
@@ -70,4 +70,4 @@ time.axvspan(0.0, path.duration, color="0.93", zorder=0)
 time.set(xlabel="time [s]", ylabel="x, platform minus path [mm]", title="What is left of the sway")
 figure.legend(*space.get_legend_handles_labels(), loc="outside lower center", ncols=4)
 figure.savefig("08_learned_control.png", dpi=120)
-print("\n".join(said))
+print("tracking RMSE / sway after the move: " + ", ".join(said))

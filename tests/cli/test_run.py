@@ -253,8 +253,9 @@ def test_a_target_moved_by_hand_is_approached_smoothly_and_stays_in_the_box():
 def test_no_thread_is_left_behind(tmp_path):
     import threading
 
+    handler = signal.getsignal(signal.SIGINT)
     before = set(threading.enumerate())
     assert main(words(tmp_path, "--duration", "0.2", "--enable")) == 0
     assert set(threading.enumerate()) <= before
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is handler
     assert os.path.exists(tmp_path / "run.jsonl")

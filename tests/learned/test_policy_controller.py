@@ -189,7 +189,7 @@ def test_what_the_belief_lacks_is_said(tmp_path):
 
 def test_policies_go_by_name_or_path(tmp_path):
     robot = ct.load_robot("carosac")
-    assert policy_of(robot) == "carosac-settle"
+    assert policy_of(robot) == "carosac-residual"
     assert set(DEFAULTS.values()) <= set(list_policies())
     for name, default in DEFAULTS.items():
         assert Policy.load(find_policy(default)).description.robot.name == name
