@@ -20,6 +20,7 @@ from carosac_toolkit.values import Belief, Command
 from tests.plc_process import home_pose, plc_process
 
 PERIOD = 0.02
+WATCHDOG = 0.6  # [s] patient with a busy machine, as the guards below
 OVER = ("over_length", "over_speed", "over_acceleration", "over_jerk", "not_finite", "jumps")
 
 
@@ -54,7 +55,7 @@ class Kinematics:
 
 @pytest.fixture(scope="module")
 def plc():
-    with plc_process() as found:
+    with plc_process("--watchdog", str(WATCHDOG)) as found:
         yield found
 
 
@@ -66,7 +67,14 @@ def guard_of(plc, place=False, **changes):
     return GuardedAds.build(
         plc.robot,
         GuardedAdsSettings(
-            period=PERIOD, inner=inner, overrun_share=1.0, hang_time=2.0, stale_time=0.4, **changes
+            period=PERIOD,
+            inner=inner,
+            overrun_share=1.0,
+            hang_time=2.0,
+            stale_time=0.5,
+            following_max=0.5,
+            jump_max=0.3,
+            **changes,
         ),
     )
 
@@ -129,6 +137,7 @@ def test_a_drive_that_trips_is_named_and_needs_a_reset(plc):
     assert not log.completed
     assert guard.fault.fault is Fault.DRIVE_TRIP
     assert at_rest(plc)
+    time.sleep(2.0 * WATCHDOG)  # it obeys the first host until that is silent
     again = guard_of(plc, motion=True, enable_at_once=False)
     again.connect()
     try:
