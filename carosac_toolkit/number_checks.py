@@ -35,6 +35,12 @@ def check_whole(name: str, value: object, lowest: int, highest: int | None = Non
         raise InvalidField(name, repr(value), f"a whole number from {lowest}{top}")
 
 
+def check_period(duration: float, period: float, whose: str) -> None:
+    """Refuse to wait for another duration [s] than the period, for which limits count."""
+    if not abs(duration - period) <= 1e-9 * period:
+        raise InvalidField("duration", f"{duration} s", f"the {whose}'s period, {period} s")
+
+
 def check_fields(
     settings: object, *, positive: Iterable[str] = (), not_negative: Iterable[str] = ()
 ) -> None:

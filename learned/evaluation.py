@@ -14,7 +14,7 @@ from carosac_toolkit.physics import statics
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.trajectories import Trajectory, random_minimum_snap
 from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import ATTEMPTS, Path, PathSettings
+from learned.episodes import ATTEMPTS, Path, PathSettings, sampled
 from learned.moving_worlds import MovingSettings
 from learned.policy_file import Policy
 from learned.scores import Act, Scores, score
@@ -172,8 +172,7 @@ def _drawn(robot: Robot, rng: np.random.Generator) -> Trajectory | None:
 def timed(trajectory: Trajectory, period: float) -> Path:
     """A whole path and a second of rest, one target each period."""
     steps = int(np.ceil((trajectory.duration + REST) / period - 1e-9))
-    found = trajectory.sample(period * np.arange(steps + 1))
-    return Path(position=found.position, velocity=found.velocity, acceleration=found.acceleration)
+    return sampled(trajectory, PathSettings(steps=steps, period=period))
 
 
 def solved(robot: Robot, paths: list[Path]) -> Scores:

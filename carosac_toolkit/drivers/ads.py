@@ -26,6 +26,7 @@ from carosac_toolkit.drivers.imu_udp import ImuListener
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.hardware import Hardware
 from carosac_toolkit.limits import Limiter
+from carosac_toolkit.number_checks import check_period
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Command, LimitHit, Measurement, Stamped, State
 
@@ -347,8 +348,7 @@ class AdsDriver:
         """
         self._connected()
         period = self._settings.period
-        if not abs(duration - period) <= 1e-9 * period:
-            raise InvalidField("duration", f"{duration} s", f"the driver's period, {period} s")
+        check_period(duration, period, "driver")
         elapsed = time.monotonic() - self._origin
         self._ticks += 1
         missed = max(0, math.ceil(elapsed / period) - self._ticks)

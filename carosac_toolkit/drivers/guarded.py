@@ -32,6 +32,7 @@ from carosac_toolkit.drivers.guard_watch import Punctuality, Watchdog
 from carosac_toolkit.drivers.journal import Journal, Silence
 from carosac_toolkit.drivers.lifecycle import UNHOMED, FaultReport, Lifecycle, NotReady
 from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.number_checks import check_period
 from carosac_toolkit.protocols import TruthSource
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Belief, Command, Measurement, State
@@ -311,9 +312,7 @@ class GuardedDriver:
         """
         with self._lock:
             self._check_connected()
-            period = self.settings.period
-            if not abs(duration - period) <= 1e-9 * period:
-                raise InvalidField("duration", f"{duration} s", f"the guard's period, {period} s")
+            check_period(duration, self.settings.period, "guard")
             if self._live and not self._out.sent:
                 self._brake(None)
             found = self._time.end_cycle()

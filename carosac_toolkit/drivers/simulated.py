@@ -16,6 +16,7 @@ from carosac_toolkit.arrays import Array, as_floats, frozen_array
 from carosac_toolkit.drivers.plant import Plant
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.limits import Limiter, LimitSettings
+from carosac_toolkit.number_checks import check_period
 from carosac_toolkit.physics.winch import WinchSettings
 from carosac_toolkit.sensor_suite import SensorSuite
 from carosac_toolkit.sensors import SensorSettings, check_suite
@@ -135,8 +136,7 @@ class SimulatedDriver:
         """
         self._check_connected()
         period = self._settings.period
-        if not abs(duration - period) <= 1e-9 * period:
-            raise InvalidField("duration", f"{duration} s", f"the driver's period, {period} s")
+        check_period(duration, period, "driver")
         if self._stopping:
             self._brake()
         elif not self._sent:
