@@ -38,7 +38,7 @@ demo: $(STAMP)  ## compare two controllers on a sagging-cable robot, with pictur
 
 test: $(STAMP)  ## run the whole test suite
 	@$(BIN)/python -m tests.warm_kernels
-	$(BIN)/python -m pytest -q -rs -n $(JOBS) --dist loadfile
+	$(BIN)/python -m pytest -q -rs -n $(JOBS) --dist loadgroup
 
 lint: $(STAMP)  ## check style, formatting and types
 	$(BIN)/ruff check

@@ -20,7 +20,15 @@ from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.report_page import commit_of_code
 from carosac_toolkit.robot import Robot
-from learned.curve import CURVE, EPISODES, Episode, measured, write_curve, write_episodes
+from learned.curve import (
+    CURVE,
+    EPISODES,
+    Episode,
+    measured,
+    read_curve,
+    write_curve,
+    write_episodes,
+)
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.episodes import Path as TargetPath
 from learned.policy_file import PolicyDescription, write_policy
@@ -69,6 +77,11 @@ class Job:
             "environment": asdict(self.stage.environment), "td3": asdict(self.stage.td3),
         }  # fmt: skip
 
+    def settings_as_json(self) -> dict[str, Any]:
+        """All settings as they are read back from a file: without tuples."""
+        found: dict[str, Any] = json.loads(json.dumps(self.settings()))
+        return found
+
 
 def train(
     job: Job, folder: Path, *, report: Report | None = None, stop_after: int | None = None
@@ -91,14 +104,23 @@ def train(
     """
     import torch
 
+    if _finished(job, folder):
+        return folder / POLICY  # as the code that trained it wrote it
     torch.set_num_threads(1)  # small networks: a second thread costs more than it gives
     run = _Run(job, folder, report)
     run.begin()
-    if run.done and (folder / POLICY).is_file():
-        return folder / POLICY  # as the code that trained it wrote it
     if not run.go(stop_after):
         return None
     return run.export()
+
+
+def _finished(job: Job, folder: Path) -> bool:
+    """Whether a folder holds the policy of all steps of this very training."""
+    check_settings(job.settings_as_json(), folder)
+    if not all((folder / name).is_file() for name in (POLICY, CHECKPOINT, CURVE)):
+        return False
+    rows = read_curve(folder / CURVE)
+    return bool(rows) and rows[-1]["steps"] >= job.stage.td3.steps
 
 
 class _Run:
@@ -138,7 +160,7 @@ class _Run:
         """Take up what is in the folder, or begin."""
         from stable_baselines3.common.logger import configure
 
-        settings = json.loads(json.dumps(self.job.settings()))
+        settings = self.job.settings_as_json()
         known = check_settings(settings, self.folder)
         checkpoint, earlier = self.folder / CHECKPOINT, None
         if self.job.start is not None and not checkpoint.exists():

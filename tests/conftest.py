@@ -12,6 +12,15 @@ DOT = bytes.fromhex(  # a picture of one pixel
     "0000000b4944415478da6364f80f00010501012718e3660000000049454e44ae426082"
 )
 
+ALONE = ("test_examples.py",)  # whose tests are slow and share nothing
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Keep the tests of a file on one worker, where they share fixtures; not those of `ALONE`."""
+    for number, item in enumerate(items):
+        group = f"{item.path.name}-{number}" if item.path.name in ALONE else str(item.path)
+        item.add_marker(pytest.mark.xdist_group(group))
+
 
 @pytest.fixture(scope="module")
 def quick_pictures():

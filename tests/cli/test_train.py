@@ -16,7 +16,7 @@ from learned.curve import COLUMNS
 def trained(tmp_path_factory):
     """A policy that has hardly learned anything, in both stages."""
     folder = tmp_path_factory.mktemp("train")
-    status = main(["train", "--steps", "1200", "--output", str(folder / "out"),
+    status = main(["train", "--steps", "700", "--output", str(folder / "out"),
                    "--json", str(folder / "train.json")])  # fmt: skip
     assert status == 0
     return folder
@@ -36,20 +36,20 @@ def test_both_stages_leave_a_policy_and_a_curve(trained):
         } <= files
     settings = json.loads((trained / "out" / "sag" / "settings.json").read_text())
     assert settings["environment"]["world"] == "settle"
-    assert settings["td3"]["steps"] == 1200
+    assert settings["td3"]["steps"] == 700
     assert settings["started_from"]["checkpoint"] == "no_sag/checkpoint.pt"
-    assert settings["started_from"]["steps"] >= 1200
+    assert settings["started_from"]["steps"] >= 700
 
 
 def test_the_same_command_again_has_nothing_to_do(trained, capsys):
     before = (trained / "out" / "no_sag" / "curve.csv").read_text()
-    assert main(["train", "--steps", "1200", "--output", str(trained / "out")]) == 0
+    assert main(["train", "--steps", "700", "--output", str(trained / "out")]) == 0
     assert (trained / "out" / "no_sag" / "curve.csv").read_text() == before
 
 
 def test_a_later_stage_of_another_seed_is_refused(trained, tmp_path, capsys):
     shutil.copytree(trained / "out" / "no_sag", tmp_path / "no_sag")
-    words = ["train", "--steps", "1200", "--stage", "sag", "--output", str(tmp_path)]
+    words = ["train", "--steps", "700", "--stage", "sag", "--output", str(tmp_path)]
     assert main([*words, "--seed", "1"]) == 2
     assert "seed differ" in capsys.readouterr().err
     assert not (tmp_path / "sag").exists()

@@ -16,7 +16,7 @@ from tests.studies.functions import some_cases
 from tests.studies.processes import cluster, wait_until
 
 SCORE = "tests.studies.functions:score"
-CASES = some_cases(80, duration=0.05)
+CASES = some_cases(40, duration=0.05)
 
 
 @pytest.fixture(autouse=True)
