@@ -130,8 +130,11 @@ def run(options: Options) -> CommandResult:
             completed, error = _run(options, guard, estimator, controller, path, statistics)
     finally:
         sys.setswitchinterval(usual)
-        recorder.close()
+        whole = recorder.close()
         statistics.end_line()
+    if guard.fault is None and error is None and (guard.unrecorded or not whole):
+        error = CarosacError(f"the recording lacks {guard.unrecorded} rows: the disk did not take "
+                             "them")  # fmt: skip
     return _result(guard, statistics, recorder, ending, completed, error)
 
 
@@ -304,6 +307,7 @@ def _result(
         **statistics.data(guard.settings.period),
         "recording": str(recorder.path),
         "rows": recorder.rows,
+        "unrecorded_rows": guard.unrecorded,
     }
     print(f"{reason}\n{statistics.cycles} cycles, {guard.overruns} late; limited: "
           f"{dict(statistics.limits) or 'none'}")  # fmt: skip

@@ -241,7 +241,7 @@ class Checks:
             return None
         text = f"the platform is {far:.2f} m outside the workspace box; allowed: "
         text += f"{self._settings.workspace_margin:g} m"
-        return Finding(fault=Fault.CLOSURE, text=text, lasting=self._settings.lasting)
+        return Finding(fault=Fault.WORKSPACE, text=text, lasting=self._settings.lasting)
 
     def _ripe(self, findings: list[Finding]) -> Finding | None:
         """The first finding that counts; those that must last are counted."""

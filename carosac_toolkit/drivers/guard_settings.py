@@ -23,6 +23,7 @@ _SECONDS = (
     "stop_time_max",
     "lasting",
     "slack_time",
+    "record_lag",
 )
 
 
@@ -76,6 +77,7 @@ class GuardSettings:
         lasting: How long following error, closure, too much tension, or leaving the workspace must
             last to count [s].
         slack_time: How long a tension may be below its limit [s]; sway takes it there for moments.
+        record_lag: How far the recording may be behind, in real time [s].
         homing_samples: Samples of which the mean is homed.
     """
 
@@ -110,6 +112,7 @@ class GuardSettings:
     warm_up: int = 5
     lasting: float = 0.03
     slack_time: float = 0.5
+    record_lag: float = 2.0
     homing_samples: int = 10
 
     def __post_init__(self) -> None:

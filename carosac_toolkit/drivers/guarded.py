@@ -31,6 +31,7 @@ from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.drivers.guard_watch import Punctuality, Watchdog
 from carosac_toolkit.drivers.journal import Journal, Silence
 from carosac_toolkit.drivers.lifecycle import UNHOMED, FaultReport, Lifecycle, NotReady
+from carosac_toolkit.drivers.scribe import Scribe
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.number_checks import check_period
 from carosac_toolkit.protocols import TruthSource
@@ -53,12 +54,14 @@ class GuardedDriver:
         inner: The driver behind the guard.
         settings: As they were given.
         real_time: Whether the clock on the wall counts.
-        journal: Hears of everything; set it before `connect`.
+        journal: Hears of everything; set it before `connect`. In real time it is called from a
+            thread of its own: one that blocks holds nobody up, and is a fault after `record_lag`.
         finding: What the last measurement showed, latched or not.
         home_change: By how much the last homing changed the readings [m], shape (n,), or None.
         refused: What would have been a fault in a dry run, counted by text.
         ending: Why `end` was called, or None.
         on_hang: Called by the watchdog once it has stopped the winches of a hanging controller.
+        unrecorded: What the journal never heard of [rows]; counted in `close`.
     """
 
     Settings: ClassVar[type[GuardSettings]] = GuardSettings
@@ -100,6 +103,10 @@ class GuardedDriver:
         self._watchdog: Watchdog | None = None
         self._live = self._ended = False
         self._gone = 0.0
+        self._scribe = Scribe(
+            lag=self.settings.record_lag, threaded=self.real_time, describe=_why_not_written
+        )
+        self.unrecorded = 0
         self.finding: Finding | None = None
         self.home_change: Array | None = None
         self.ending: str | None = None
@@ -347,6 +354,11 @@ class GuardedDriver:
         finally:
             if watchdog is not None:
                 watchdog.end()
+            self.end_recording()
+
+    def end_recording(self) -> None:
+        """Give the journal some seconds for its last rows; nothing is recorded afterwards."""
+        self.unrecorded = self._scribe.end()
 
     def end(self, reason: str) -> None:
         """Have `wait` say False, so that the loop stops; safe in a signal handler."""
@@ -611,13 +623,18 @@ class GuardedDriver:
         self._note(self.journal.event, float(self._now()[0]), name, text)
 
     def _note(self, method: Callable[..., None], *arguments: Any, **named: Any) -> None:
-        """Journal; a journal that cannot write is a fault, and hears no more."""
-        try:
-            method(*arguments, **named)
-        except Exception as error:  # whatever it is, it must not keep the winches from braking
-            self.journal = Silence()
-            text = f"the recording failed: {getattr(error, 'strerror', None) or described(error)}"
-            self.latch(Finding(fault=Fault.UNKNOWN, text=text))
+        """Journal; a recording that is none any more is a fault."""
+        self._scribe.put(method, *arguments, **named)
+        if self.fault is None:
+            trouble = self._scribe.trouble
+            if trouble is not None:
+                text = f"the recording failed: {trouble}"
+                self.latch(Finding(fault=Fault.RECORDING, text=text))
+
+
+def _why_not_written(error: Exception) -> str:
+    """An error of a journal in words, those of the system where it has some."""
+    return getattr(error, "strerror", None) or described(error)
 
 
 def _check_shape(lengths: Array, n: int) -> None:

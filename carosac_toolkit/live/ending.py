@@ -28,7 +28,7 @@ class Ending:
         signal: The signal that asked for the end, or None.
     """
 
-    def __init__(self, guard: GuardedDriver, last_words: Callable[[], None]) -> None:
+    def __init__(self, guard: GuardedDriver, last_words: Callable[[], object]) -> None:
         """Watch a guard; `last_words` is called before the process ends the hard way."""
         self._guard = guard
         self._last_words = last_words
@@ -55,6 +55,7 @@ class Ending:
         """End the process, unless the controller comes back in time."""
         if self._over.wait(PATIENCE):
             return
+        self._guard.end_recording()
         self._last_words()
         print("carosac: the controller cannot be interrupted; the process ends", file=sys.stderr)
         sys.stderr.flush()
@@ -66,7 +67,7 @@ class Ending:
 
 
 @contextlib.contextmanager
-def ending_of(guard: GuardedDriver, last_words: Callable[[], None]) -> Iterator[Ending]:
+def ending_of(guard: GuardedDriver, last_words: Callable[[], object]) -> Iterator[Ending]:
     """Stop a guarded run in good order at SIGINT and SIGTERM, and where its controller hangs."""
     ending = Ending(guard, last_words)
     before = {number: signal.signal(number, ending.heard) for number in SIGNALS}

@@ -23,6 +23,7 @@ from tests.drivers.guards import (
     PERIOD,
     ROBOT,
     FailingDriver,
+    Notes,
     ask,
     connected,
     drive,
@@ -312,6 +313,7 @@ def test_leaving_the_workspace_is_a_fault():
     for k in range(200):
         if not ask(guard, start + 0.1 * PERIOD * k * down)[0]:
             break
+    assert guard.fault.fault is Fault.WORKSPACE
     assert "outside the workspace box" in guard.fault.text
     guard.close()
 
@@ -518,7 +520,68 @@ def test_a_recording_that_fails_is_a_fault():
     guard.journal.measured = full
     assert not ask(guard, standing(guard))[0]
     assert "the recording failed: No space left" in guard.fault.text
+    assert guard.fault.fault is Fault.RECORDING
     guard.close()
+
+
+class Stuck(Notes):
+    """A journal on a disk that hangs from now on, until it is let go."""
+
+    def __init__(self):
+        super().__init__()
+        self.free = threading.Event()
+        self.free.set()
+
+    def measured(self, measurement):
+        self.free.wait()
+        super().measured(measurement)
+
+
+def stuck(**changes):
+    guard = guarded(real_time=True, overrun_share=1.0, warm_up=1, **changes)
+    guard.journal = Stuck()
+    guard.connect()
+    drive(guard, 30)
+    guard.journal.free.clear()
+    return guard
+
+
+def test_a_recording_that_blocks_holds_nobody_up_and_ends_the_run_by_its_name():
+    guard = stuck(record_lag=0.3, hang_time=60.0)
+    asked = standing(guard)
+    for _ in range(1000):
+        if not ask(guard, asked)[0]:
+            break
+    assert guard.fault.fault is Fault.RECORDING
+    assert "behind; allowed: 0.3 s" in guard.fault.text
+    guard.stop("fault")
+    seen = np.array(guard.inner.seen)
+    assert seen[-1] == pytest.approx(seen[-2], abs=1e-12)
+    assert within_limits(seen)
+    with pytest.raises(NotReady, match="the recording failed"):
+        guard.reset_fault()
+    guard.journal.free.set()
+    guard.close()
+    assert guard.unrecorded == 0
+    lengths = [x for x in guard.journal.lengths]
+    assert (np.diff([float(x.time[0]) for x in lengths]) >= 0.0).all()  # in order, none lost
+    assert "at_rest" in guard.journal.names()
+
+
+def test_the_watchdog_brakes_while_a_recording_blocks():
+    guard = stuck(record_lag=60.0, hang_time=0.6)
+    hung = threading.Event()
+    guard.on_hang = hung.set
+    guard.measure()  # the journal has it, and does not come back
+    assert hung.wait(20.0)  # nobody calls the guard meanwhile
+    assert guard.fault.fault is Fault.CONTROLLER
+    seen = np.array(guard.inner.seen)
+    assert seen[-1] == pytest.approx(seen[-2], abs=1e-12)
+    assert within_limits(seen)
+    guard._scribe.end(0.1)
+    guard.close()
+    assert guard.unrecorded > 0  # counted, not silently lost
+    guard.journal.free.set()
 
 
 # --- In the loop ----------------------------------------------------------------------------------
