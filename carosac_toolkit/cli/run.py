@@ -46,6 +46,8 @@ from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.studies.chosen_settings import check_types, chosen_settings
 from carosac_toolkit.studies.run_case import own_settings
 
+WINCH = 1.5  # rate of a winch over the speed of the platform: 1 by geometry, 1.11 with the tilt at
+# rest anywhere in the boxes of the bundled robots, the rest for controllers that damp sway
 REST = 1.0  # [s] before each part of the way, and after the last
 GUARD = "guard"
 PLC = "ads"
@@ -87,7 +89,9 @@ class Options(CommonOptions):
     """Home also where that changes an offset by more than 0.1 m; only at a pose that was
     measured."""
     speed: float = 0.3
-    """Largest speed of the platform [m/s]."""
+    """Largest speed of the platform [m/s]. No winch is asked for more than 1.5 times that: cables
+    of a platform that moves at v change their lengths at v at most, and a little more where it
+    tilts; driver.guard.speed_max says otherwise."""
     acceleration: float = 0.3
     """Largest acceleration of the platform [m/s^2]."""
     duration: float | None = None
@@ -114,8 +118,8 @@ def run(options: Options) -> CommandResult:
     )
     controller = _plugin("controllers", options.controller, robot, options, chosen)
     estimator = _plugin("estimators", options.estimator, robot, options, chosen)
-    guard = _guard(robot, options, chosen["driver_settings"], float(controller.period))
     path = _path(robot, options)
+    guard = _guard(robot, options, chosen["driver_settings"], float(controller.period))
     rehearse(robot, estimator, controller, path, suite=options.suite)
     recorder = _recorder(options)
     guard.journal = recorder
@@ -206,7 +210,8 @@ def _guard(robot: Robot, options: Options, chosen: dict[str, Any], period: float
     wanted = {
         "period": period, "suite": options.suite, "motion": options.enable,
         "start_position": home, "home_anew": options.home_anew,
-        "reset_at_once": options.reset, "real_time": True, **asked,
+        "reset_at_once": options.reset, "real_time": True, "speed_max": WINCH * options.speed,
+        **asked,
     }  # fmt: skip
     made = filled("driver.guard", settings, wanted)
     guard: GuardedDriver = kind.build(robot, made, seed=options.seed)
@@ -256,6 +261,8 @@ def _what(options: Options, guard: GuardedDriver, recorder: CrashSafeRecorder) -
     if settings.motion and not settings.enable_at_once:
         how = "dry run: nothing is sent, as enable_at_once is false"
     what = HELP if options.by_hand else f"trajectory {options.trajectory}"
+    if settings.motion and settings.speed_max is not None:
+        how += f", at {settings.speed_max:g} m/s of cable at most"
     return (
         f"{options.robot} on {options.driver}: {options.controller} with {options.estimator} at "
         f"{1.0 / period:g} Hz; {how}\n{what}\nrecording: {recorder.path}"

@@ -114,12 +114,12 @@ class Checks:
             text = f"{asked[0, i]:.3f} m asked; allowed: {low[i]:g} m to {high[i]:g} m"
             return Finding(fault=Fault.COMMAND, text=text, cable=i)
         far = np.abs(asked[0] - standing)
-        i = int(np.argmax(far))
-        most, which = settings.step_max, "a command"
+        most, which = settings.step(robot), "a command"
         if first:
-            most, which = min(settings.first_max, most), "the first command"
-        if far[i] > most:
-            text = f"{which} is {far[i]:.3f} m from where the winch stands; allowed: {most:g} m"
+            most, which = np.minimum(settings.first_max, most), "the first command"
+        i = int(np.argmax(far - most))
+        if far[i] > most[i]:
+            text = f"{which} is {far[i]:.3f} m from where the winch stands; allowed: {most[i]:g} m"
             return Finding(fault=Fault.COMMAND, text=text, cable=i)
         return None
 

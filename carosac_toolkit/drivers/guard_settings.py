@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
+from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.limits import LimitSettings
 from carosac_toolkit.number_checks import check_positive, check_whole
+from carosac_toolkit.robot import Robot
 
+BEHIND = 0.1  # [s] that winches may lag behind: 50 ms of their own, network, sampling, a period
 Point = tuple[float, float, float]
 _METRES = (
-    "first_max", "step_max", "range_margin", "jump_max", "following_max", "closure_max",
+    "first_max", "range_margin", "jump_max", "following_max", "closure_max",
     "belief_max", "workspace_margin", "rest_max", "home_change_max",
 )  # fmt: skip
 _SECONDS = (
@@ -53,6 +58,9 @@ class GuardSettings:
         first_max: Largest distance of the first command from where the winches stand [m].
         step_max: Largest distance of any command from where the winches stand [m]; a command
             farther away is a fault of the controller, a nearer one is approached within the limits.
+            None: `first_max` and what winches at their largest rate lag behind in 0.1 s.
+        speed_max: Largest rate that is asked of a winch [m/s], such as for a slow first run; None:
+            that of the robot file, which holds as well.
         range_margin: How far a command may lie outside the lengths of the winches [m]; the limits
             hold it back.
         jump_max: Largest change of a length between two samples, beyond what the winch can turn
@@ -95,7 +103,8 @@ class GuardSettings:
     wind_time: float = 2.0
     limits: LimitSettings = field(default_factory=lambda: LimitSettings(box=False))
     first_max: float = 0.1
-    step_max: float = 1.0
+    step_max: float | None = None
+    speed_max: float | None = None
     range_margin: float = 0.05
     jump_max: float = 0.03
     following_max: float = 0.06
@@ -121,9 +130,24 @@ class GuardSettings:
             check_positive(name, getattr(self, name), "m")
         for name in _SECONDS:
             check_positive(name, getattr(self, name), "s")
+        for name, unit in (("step_max", "m"), ("speed_max", "m/s")):
+            if getattr(self, name) is not None:
+                check_positive(name, getattr(self, name), unit)
         check_whole("homing_samples", self.homing_samples, 1)
         check_whole("warm_up", self.warm_up, 0)
         if not 0.0 < self.overrun_share <= 1.0:
             raise InvalidField("overrun_share", f"{self.overrun_share}", "0 < share <= 1")
         if not isinstance(self.inner, Mapping):
             raise InvalidField("inner", repr(self.inner), "settings by name")
+
+    def slowed(self, robot: Robot) -> Robot:
+        """The robot as commands must treat it: its winches no faster than `speed_max`."""
+        if self.speed_max is None:
+            return robot
+        return replace(robot, speed_max=np.minimum(robot.speed_max, self.speed_max))
+
+    def step(self, robot: Robot) -> Array:
+        """Largest distance of a command from where each winch stands [m], shape (n,)."""
+        if self.step_max is not None:
+            return np.full(robot.n, self.step_max)
+        return np.asarray(self.first_max + BEHIND * self.slowed(robot).speed_max)

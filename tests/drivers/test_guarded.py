@@ -187,6 +187,24 @@ def test_a_command_within_the_limits_passes_and_the_others_are_named():
     guard.close()
 
 
+def test_a_slow_run_bounds_the_winches_and_how_far_a_command_may_be():
+    guard = connected(speed_max=0.1)
+    start = standing(guard)
+    home = ROBOT.home_position
+    away = lengths_at(home + np.array([0.05, 0.08, 0.05])) - lengths_at(home)
+    for _ in range(80):
+        assert ask(guard, start + away)[0]
+    rate = np.abs(np.diff(guard.inner.seen, axis=0)) / PERIOD
+    assert 0.099 < rate.max() < 0.1 * (1 + 1e-6)  # never faster, and as fast as allowed
+    assert standing(guard) == pytest.approx(start + away, abs=3e-3)
+    assert guard.fault is None
+    assert not ask(guard, start + away + 0.12)[0]  # 0.1 m, and 0.1 s behind
+    assert guard.fault.fault is Fault.COMMAND
+    assert "allowed: 0.11 m" in guard.fault.text
+    guard.close()
+    assert within_limits(guard.inner.seen, robot=replace(ROBOT, speed_max=np.full(4, 0.1)))
+
+
 @pytest.mark.parametrize(
     "lengths, said",
     [
