@@ -81,7 +81,8 @@ class Options(CommonOptions):
     """Let the winches move; without it the run is dry."""
     home: Place = None
     """Where the platform stands at the start [m]; by default the home position of the robot, and
-    asked for where --enable moves a robot behind a PLC."""
+    asked for where --enable moves a robot behind a PLC. With it a dry run is homed and checked
+    too, without anything being sent."""
     reset: tyro.conf.FlagCreatePairsOff[bool] = False
     """With --enable, first clear a fault that the PLC holds from an earlier run, once you know why
     it came; the platform is homed anew."""
@@ -210,6 +211,7 @@ def _guard(robot: Robot, options: Options, chosen: dict[str, Any], period: float
     wanted = {
         "period": period, "suite": options.suite, "motion": options.enable,
         "start_position": home, "home_anew": options.home_anew,
+        "rehearse": options.home is not None,
         "reset_at_once": options.reset, "real_time": True, "speed_max": WINCH * options.speed,
         **asked,
     }  # fmt: skip

@@ -49,6 +49,8 @@ class GuardSettings:
             calls of `home` and `enable`.
         reset_at_once: Whether `connect` clears a fault that the driver behind holds from an earlier
             run, where motion is allowed; one whose cause remains stays.
+        rehearse: Whether a dry run homes at `start_position` in `connect` too, and refuses what
+            `enable` would; offsets are numbers of this host, and no drive hears of it.
         home_anew: Whether `enable_at_once` may change offsets by more than `home_change_max`.
         real_time: Whether the driver's time is that of the wall; a simulator then waits for it.
             None: True for drivers that have no such setting, which are real, else False.
@@ -97,6 +99,7 @@ class GuardSettings:
     motion: bool = False
     enable_at_once: bool = True
     reset_at_once: bool = False
+    rehearse: bool = False
     home_anew: bool = False
     real_time: bool | None = None
     wind_force: float = 0.0

@@ -156,6 +156,9 @@ class GuardedDriver:
                 if self.settings.enable_at_once and self.settings.motion:
                     self.home(self._start(), anew=self.settings.home_anew)
                     self.enable()
+                elif self.settings.rehearse and not self.settings.motion:
+                    self.home(self._start(), anew=self.settings.home_anew)
+                    self._ready_to_enable()
             except BaseException:
                 self.close()
                 raise
@@ -217,16 +220,21 @@ class GuardedDriver:
             self._life.allow("enable")
             if not self.settings.motion:
                 raise NotReady("enable: this guard is read only; set motion=True on purpose")
-            standing = self._standing_still()
-            if self.finding is not None:
-                raise NotReady(f"enable: {self.finding.fault}: {self.finding.text}")
-            self._out.start(standing)
+            standing = self._ready_to_enable()
             if hasattr(self.inner, "enable"):
                 self.inner.enable()
             self._checks.standing(standing)
             self._time.warm_up()
             self._live, self._ended = True, False
             self._life.go(DriveState.ENABLED)
+
+    def _ready_to_enable(self) -> Array:
+        """Where the winches stand [m], shape (n,), once nothing speaks against enabling."""
+        standing = self._standing_still()
+        if self.finding is not None:
+            raise NotReady(f"enable: {self.finding.fault}: {self.finding.text}")
+        self._out.start(standing)
+        return standing
 
     def disable(self) -> None:
         """Come to rest along the path and let no command through; `enable` may follow."""

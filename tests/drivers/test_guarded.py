@@ -18,7 +18,7 @@ from carosac_toolkit.drivers.lifecycle import IllegalTransition, NotReady
 from carosac_toolkit.drivers.quasi_static import QuasiStaticSettings
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.loop import BadPlugin, run
-from carosac_toolkit.values import Belief, Command
+from carosac_toolkit.values import Belief, Command, Stamped
 from tests.drivers.guards import (
     PERIOD,
     ROBOT,
@@ -516,6 +516,32 @@ def test_homing_far_from_the_present_offsets_must_be_meant():
         at_once.connect()
     assert at_once.state is DriveState.DISCONNECTED
     connected(start_position=tuple(wrong.position[0]), home_anew=True).close()
+
+
+def test_a_dry_run_rehearses_homing_and_what_enabling_checks_and_sends_nothing():
+    guard = connected(motion=False, rehearse=True)
+    assert guard.state is DriveState.HOMED
+    truth = guard.truth().unstrained_length
+    assert standing(guard) == pytest.approx(truth, abs=1e-3)  # the offsets are found
+    assert np.abs(guard.home_change).max() > 2e-3
+    guard.inner.jump = 0.5  # a cable that slips shows in the pose
+    to_the_end(guard)
+    assert guard.fault.fault is Fault.ENCODER_JUMP
+    guard.close()
+    wrong = tuple(ROBOT.home_position + np.array([0.5, 0.0, 0.0]))
+    with pytest.raises(NotReady, match="home: the offset of cable"):
+        connected(motion=False, rehearse=True, start_position=wrong)
+    guard = guarded(motion=False, rehearse=True)
+    original = guard.inner.measure
+
+    def overloaded():
+        found = original()
+        return replace(found, tension=Stamped(time=found.time, value=np.full((1, 4), 900.0)))
+
+    guard.inner.measure = overloaded
+    with pytest.raises(NotReady, match=r"enable: tension: 900\.0 N measured; allowed: 5 N to 500"):
+        guard.connect()
+    assert guard.inner.seen == []
 
 
 def test_only_a_simulated_robot_is_set_down_where_it_is_homed():

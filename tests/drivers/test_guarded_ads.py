@@ -11,7 +11,7 @@ import pytest
 from carosac_toolkit import trajectories
 from carosac_toolkit.drivers.drive_state import DriveState, Fault
 from carosac_toolkit.drivers.guarded_ads import GuardedAds, GuardedAdsSettings
-from carosac_toolkit.drivers.lifecycle import IllegalTransition
+from carosac_toolkit.drivers.lifecycle import IllegalTransition, NotReady
 from carosac_toolkit.errors import CarosacError
 from carosac_toolkit.loop import run
 from carosac_toolkit.physics import statics
@@ -109,6 +109,24 @@ def test_a_dry_run_writes_nothing_to_the_plc(plc):
     after = counters(plc)
     assert log.completed
     assert {hit.limit for _, hit in log.limited} >= {"not_enabled"}
+    for name in ("commands", "ignored", "foreign"):
+        assert after[name] == before[name]
+
+
+def test_a_rehearsal_finds_a_wrong_home_and_writes_nothing_to_the_plc(plc):
+    before = counters(plc)
+    home = plc.robot.home_position
+    guard = guard_of(plc, rehearse=True, start_position=tuple(home))
+    guard.connect()
+    try:
+        assert guard.state is DriveState.HOMED
+        assert guard.inner.link.reading.values["owner"] == 0
+    finally:
+        guard.close()
+    guard = guard_of(plc, rehearse=True, start_position=tuple(home + np.array([0.0, 0.5, 0.0])))
+    with pytest.raises(NotReady, match="Is the platform at the pose that was given"):
+        guard.connect()
+    after = counters(plc)
     for name in ("commands", "ignored", "foreign"):
         assert after[name] == before[name]
 
