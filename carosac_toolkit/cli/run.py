@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Mapping
@@ -35,7 +36,7 @@ from carosac_toolkit.filled_settings import filled
 from carosac_toolkit.live.course import with_approach
 from carosac_toolkit.live.ending import Ending, ending_of
 from carosac_toolkit.live.hand_target import HELP, HandTarget
-from carosac_toolkit.live.keyboard import listening
+from carosac_toolkit.live.keyboard import check_input, listening
 from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.live.statistics import Statistics
 from carosac_toolkit.loop import Path as Followed
@@ -76,7 +77,8 @@ class Options(CommonOptions):
     trajectory: str = "line"
     """Trajectory of the catalogue."""
     by_hand: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Follow a target moved by keys, or by lines `x y z` [m] of the standard input, instead."""
+    """Follow a target moved by keys, or by lines `x y z` [m] of the standard input, instead; a
+    target outside the workspace box is refused."""
     enable: tyro.conf.FlagCreatePairsOff[bool] = False
     """Let the winches move; without it the run is dry."""
     home: Place = None
@@ -240,6 +242,7 @@ def _path(robot: Robot, options: Options) -> Followed:
         if not 0.0 < value < np.inf:
             raise InvalidField(f"--{name.removesuffix('_max')}", str(value), "> 0, finite")
     if options.by_hand:
+        check_input("--by-hand")
         return HandTarget(robot, start, **limits)
     path = trajectories.build(options.trajectory, robot, options.seed, **limits)
     return with_approach(path, start, rest=REST, **limits)
@@ -278,19 +281,35 @@ def _steered(path: Followed, guard: GuardedDriver) -> Any:
         yield
         return
 
+    over = threading.Event()
+
     def heard(word: str) -> None:
-        if not path.obey(word):
-            print(f"carosac: {word!r}: got no key or place; {HELP}", file=sys.stderr)
+        try:
+            path.obey(word)
+        except InvalidField as error:
+            _say(f"carosac: {error}")
+            return
         if path.over:
             guard.end("the end was asked for")
+        else:
+            _say(f"target {' '.join(f'{x:.3f}' for x in path.target)} m")
 
     def ended() -> None:
-        while not path.arrived and guard.ending is None:
-            time.sleep(0.05)
+        while not (path.arrived or guard.ending or guard.fault or over.wait(0.05)):
+            pass
         guard.end("the input has ended")
 
     with listening(heard, ended):
-        yield
+        try:
+            yield
+        finally:
+            over.set()
+
+
+def _say(text: str) -> None:
+    """A line of its own beside the status line."""
+    start = "\r\x1b[K" if sys.stderr.isatty() else ""
+    print(start + text, file=sys.stderr, flush=True)
 
 
 def _result(

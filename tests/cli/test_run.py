@@ -2,9 +2,11 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import signal
 import subprocess
 import sys
+import threading
 import time
 import warnings
 
@@ -13,8 +15,10 @@ import pytest
 
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.crash_safe import CutRecording, read_run
+from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.live.course import with_approach
 from carosac_toolkit.live.hand_target import HandTarget
+from carosac_toolkit.live.keyboard import Words, listening
 from carosac_toolkit.trajectories import line
 from tests.robots import simple_robot
 
@@ -102,14 +106,37 @@ def test_an_enabled_run_follows_the_trajectory_and_ends_at_rest(tmp_path):
     assert run.cut is None
 
 
+@pytest.fixture
+def typed(monkeypatch):
+    """Has the standard input say some lines; it stays open unless told otherwise."""
+    ends = []
+
+    def say(text, *, end=False):
+        out, into = os.pipe()
+        ends.append(into)
+        os.write(into, text.encode())
+        monkeypatch.setattr(sys, "stdin", os.fdopen(out))
+        if end:
+            os.close(ends.pop())
+
+    yield say
+    for one in ends:
+        os.close(one)
+
+
 @pytest.mark.parametrize(
-    "controller, fault, said",
-    [("Raising", "controller", "ZeroDivisionError: a bug"), ("Far", "command", "3.000 m from")],
+    "controller, fault, said, steered",
+    [
+        ("Raising", "controller", "ZeroDivisionError: a bug", "after the end of the input"),
+        ("Far", "command", "3.000 m from", "by an open input"),
+    ],
 )
 def test_a_controller_that_fails_ends_the_run_and_is_named(
-    tmp_path, capsys, controller, fault, said
+    tmp_path, capsys, controller, fault, said, steered, typed
 ):
-    more = ("--enable", "--controller", f"tests.live_controllers:{controller}")
+    """Also one that is steered by hand: nobody waits for the input, or for the target."""
+    typed("0.6 -1.7 2.3\n", end=steered.startswith("after"))
+    more = ("--enable", "--by-hand", "--controller", f"tests.live_controllers:{controller}")
     assert main(words(tmp_path, *more)) == 1
     found = numbers(tmp_path)
     assert not found["completed"]
@@ -165,12 +192,13 @@ def test_after_kill_9_the_recording_is_whole(tmp_path, started):
 
 def test_a_target_is_moved_by_lines_of_the_input(tmp_path, started):
     process = started("--enable", "--by-hand", "--speed", "0.5", "--acceleration", "0.5")
-    process.stdin.write("nonsense\n0.6 -1.7 2.3\n")
+    process.stdin.write("nonsense\n0.6 -1.7 2.3\n99 0 0\n")
     process.stdin.close()
     process.stdin = None
     said = process.communicate(timeout=90)[0]
     assert process.returncode == 0, said
-    assert "'nonsense': got no key or place" in said
+    assert "input: got 'nonsense'; allowed: arrows" in said
+    assert "target: got 99 0 0 m; allowed: [" in said
     assert numbers(tmp_path)["reason"] == "the input has ended"
     assert run_of(tmp_path).believed.value[-1] == pytest.approx([0.6, -1.7, 2.3], abs=0.03)
 
@@ -232,10 +260,19 @@ def test_a_target_moved_by_hand_is_approached_smoothly_and_stays_in_the_box():
     robot = simple_robot()
     start = np.array(robot.home_position)
     hand = HandTarget(robot, start, speed_max=0.4, acceleration_max=0.5)
-    assert hand.obey("\x1b[C")
+    hand.obey("\x1b[C")
     assert hand.target == pytest.approx(start + np.array([0.05, 0.0, 0.0]))
-    hand.obey("99 -1.8 2.2")
-    assert hand.target[0] == robot.workspace_max[0]
+    kept = hand.target
+    for word, said in (
+        ("99 -1.8 2.2", r"target: got 99 -1.8 2.2 m; allowed: .*, the workspace box; it stays at "),
+        ("0.4 -1.8 -5", r"the workspace box; it stays at 0\.450 -1\.800 2\.200 m"),
+        ("1 2", "input: got '1 2'; allowed: arrows"),
+        ("nan 0 0", "allowed: arrows"),
+    ):
+        with pytest.raises(InvalidField, match=said):
+            hand.obey(word)
+        assert (hand.target == kept).all()
+    hand.obey(" ".join(str(x) for x in (robot.workspace_max[0], -1.8, 2.2)))
     seen = [hand.window(0.02 * k, 0.2, 0.02) for k in range(1, 600)]
     speed = np.linalg.norm([one.velocity[0, 0] for one in seen], axis=1)
     acceleration = np.linalg.norm([one.acceleration[0, 0] for one in seen], axis=1)
@@ -245,14 +282,57 @@ def test_a_target_moved_by_hand_is_approached_smoothly_and_stays_in_the_box():
     assert seen[-1].position[0, 0] == pytest.approx(hand.target, abs=1e-3)
     assert max(one.position[0, :, 0].max() for one in seen) < hand.target[0] + 1e-3
     assert seen[10].position[0, 1] == pytest.approx(seen[11].position[0, 0])  # the window holds
-    assert not hand.obey("1 2")
     hand.obey("q")
     assert hand.over
 
 
-def test_no_thread_is_left_behind(tmp_path):
-    import threading
+def test_without_a_standard_input_nobody_steers(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", None)
+    assert main(words(tmp_path, "--by-hand")) == 2
+    assert "--by-hand: got none; allowed: a standard input" in capsys.readouterr().err
 
+
+def test_a_target_outside_the_box_may_only_come_back():
+    robot = simple_robot()
+    start = robot.workspace_max + np.array([0.1, 0.0, 0.0])
+    hand = HandTarget(robot, start, speed_max=0.4, acceleration_max=0.5)
+    with pytest.raises(InvalidField, match="it stays at"):
+        hand.obey("\x1b[C")
+    hand.obey("\x1b[D")
+    assert hand.target == pytest.approx(start - np.array([0.05, 0.0, 0.0]))
+
+
+def test_keys_and_lines_come_in_pieces_of_any_size():
+    typed = "u\x1b[A\x1b[A\x1bOC0.6 -1.7,2.37\x7f\r\n1.5d\x1b[5~q\x1b\x1b[B"
+    wanted = ["u", "\x1b[A", "\x1b[A", "\x1b[C", "0.6 -1.7,2.3", "d", "\x1b[5~", "q", "\x1b[B"]
+    for size in (1, 2, 3, 5, 100):
+        words = Words(keys=True)
+        pieces = [typed[k : k + size] for k in range(0, len(typed), size)]
+        assert [word for piece in pieces for word in words.feed(piece)] == wanted
+    words = Words(keys=False)
+    assert words.feed("1 2 3\nq") == ["1 2 3"]
+    assert words.feed("uit") == []
+    assert words.rest() == ["quit"]  # a last line without its end
+    assert words.rest() == []
+
+
+def test_keys_of_a_terminal_are_heard_and_the_end_of_the_input_is_seen():
+    leader, follower = pty.openpty()
+    heard, ended = [], threading.Event()
+    with os.fdopen(follower) as terminal, pytest.MonkeyPatch.context() as patched:
+        patched.setattr(sys, "stdin", terminal)
+        with listening(heard.append, ended.set):
+            os.write(leader, b"\x1b[A\x1b[A0.5 1 2\n")
+            for _ in range(500):
+                if len(heard) == 3:
+                    break
+                time.sleep(0.01)
+            os.close(leader)
+            assert ended.wait(10.0)
+    assert heard == ["\x1b[A", "\x1b[A", "0.5 1 2"]
+
+
+def test_no_thread_is_left_behind(tmp_path):
     handler = signal.getsignal(signal.SIGINT)
     before = set(threading.enumerate())
     assert main(words(tmp_path, "--duration", "0.2", "--enable")) == 0
