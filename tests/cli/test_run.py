@@ -128,7 +128,7 @@ def typed(monkeypatch):
     "controller, fault, said, steered",
     [
         ("Raising", "controller", "ZeroDivisionError: a bug", "after the end of the input"),
-        ("Far", "command", "3.000 m from", "by an open input"),
+        ("Far", "command", "from where the winch stands", "by an open input"),
     ],
 )
 def test_a_controller_that_fails_ends_the_run_and_is_named(
