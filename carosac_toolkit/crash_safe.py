@@ -46,6 +46,7 @@ class CrashSafeRecorder:
     Attributes:
         path: The file.
         rows: Rows written up to now.
+        samples: Measurements among them.
     """
 
     def __init__(
@@ -62,7 +63,7 @@ class CrashSafeRecorder:
             InvalidField: Another suffix, or a file that is there already.
         """
         self.path = Path(path)
-        self.rows = 0
+        self.rows = self.samples = 0
         if self.path.suffix != SUFFIX:
             raise InvalidField("recording", f"'{path}'", f"a file name ending in {SUFFIX}")
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | getattr(os, "O_CLOEXEC", 0)
@@ -104,6 +105,7 @@ class CrashSafeRecorder:
         if measurement.drive_status is not None:
             row["drive_status"] = list(measurement.drive_status)
         self._row(row)
+        self.samples += 1
 
     def sent(self, asked: Command | None, sent: Command, *, really: bool) -> None:
         """What was asked, None in a stop, and what was sent, or would have been."""

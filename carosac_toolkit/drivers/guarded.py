@@ -369,8 +369,11 @@ class GuardedDriver:
         self.unrecorded = self._scribe.end()
 
     def end(self, reason: str) -> None:
-        """Have `wait` say False, so that the loop stops; safe in a signal handler."""
-        self.ending = reason
+        """Have `wait` say False, so that the loop stops; safe in a signal handler.
+
+        The first reason is the one that counts.
+        """
+        self.ending = self.ending or reason
 
     def truth(self) -> State | None:
         """The truth, where the driver behind knows it."""

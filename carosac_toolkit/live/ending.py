@@ -12,9 +12,14 @@ from types import FrameType
 
 from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.live.saying import say
 
 PATIENCE = 3.0  # [s] for a hanging controller to be interrupted, before the process ends
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = tuple(
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+    if hasattr(signal, name)
+)
 
 
 class ControllerHung(CarosacError):
@@ -57,8 +62,7 @@ class Ending:
             return
         self._guard.end_recording()
         self._last_words()
-        print("carosac: the controller cannot be interrupted; the process ends", file=sys.stderr)
-        sys.stderr.flush()
+        say("carosac: the controller cannot be interrupted; the process ends", sys.stderr)
         os._exit(1)
 
     def over(self) -> None:
@@ -68,7 +72,7 @@ class Ending:
 
 @contextlib.contextmanager
 def ending_of(guard: GuardedDriver, last_words: Callable[[], object]) -> Iterator[Ending]:
-    """Stop a guarded run in good order at SIGINT and SIGTERM, and where its controller hangs."""
+    """Stop a guarded run in good order at `SIGNALS`, and where its controller hangs."""
     ending = Ending(guard, last_words)
     before = {number: signal.signal(number, ending.heard) for number in SIGNALS}
     guard.on_hang = ending.hang

@@ -19,12 +19,17 @@ from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.live.course import with_approach
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.keyboard import Words, listening
+from carosac_toolkit.live.library_noise import without_ads_lines
 from carosac_toolkit.trajectories import line
+from tests.plc_process import own_address
 from tests.robots import simple_robot
 
 # a slow machine must not end a run: these are about what ends it
 AWAY = ("--home", "0.4", "-1.8", "3.0", "--set")
 PATIENT = ("driver.guard.overrun_share=1.0", "driver.guard.hang_time=1.5", "driver.cables=catenary")
+
+
+QUICK = (PATIENT[0], "driver.guard.hang_time=0.8", PATIENT[2])  # where it is to hang
 
 
 def words(tmp_path, *more, settings=PATIENT):
@@ -53,57 +58,45 @@ def at_rest(run):
     return np.ptp(sent[-3:], axis=0).max() < 1e-9
 
 
+def until(condition, why, process=None):
+    for _ in range(1200):
+        if condition():
+            return
+        if process is not None and process.poll() is not None:
+            raise AssertionError(process.communicate()[0])
+        time.sleep(0.05)
+    raise AssertionError(f"not in time: {why}")
+
+
+def moving(tmp_path, rows=5):
+    """Whether a run has sent some commands on its way."""
+    path = tmp_path / "run.jsonl"
+    return path.exists() and path.read_text().partition('"following"')[2].count('"sent"') > rows
+
+
 @pytest.fixture
 def started(tmp_path):
     """Starts `carosac run` in a process and waits until it moves; ends what is left of it."""
     processes = []
 
-    def start(*more, until='"following"'):
+    def start(*more, settings=PATIENT):
+        chosen = words(tmp_path, *more, settings=settings)
         process = subprocess.Popen(
-            [sys.executable, "-m", "carosac_toolkit.cli.main", *words(tmp_path, *more)],
+            [sys.executable, "-m", "carosac_toolkit.cli.main", *chosen],
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.PIPE, text=True,
         )  # fmt: skip
         processes.append(process)
-        path = tmp_path / "run.jsonl"
-        for _ in range(1200):
-            if path.exists() and until in path.read_text():
-                return process
-            if process.poll() is not None:
-                raise AssertionError(process.communicate()[0])
-            time.sleep(0.05)
-        raise AssertionError("it did not start")
+        if "--by-hand" in more:
+            process.stdin.write("0.6 -1.7 2.3\n")
+            process.stdin.flush()
+        until(lambda: moving(tmp_path), "it moves", process)
+        return process
 
     yield start
     for process in processes:
         if process.poll() is None:
             process.kill()
         process.communicate()
-
-
-def test_a_run_is_dry_unless_it_is_enabled(tmp_path, capsys):
-    assert main(words(tmp_path, "--duration", "0.6")) == 0
-    said = capsys.readouterr().out
-    assert "dry run: nothing is sent; --enable moves" in said
-    run = run_of(tmp_path)
-    assert run.recording.command is None
-    assert len(run.would_send.time) == 15
-    assert np.ptp(run.recording.unstrained_length, axis=0).max() < 2e-3  # noise
-    assert numbers(tmp_path)["limited_cycles"]["not_enabled"] == 15
-    assert "enabled" not in names(run)
-
-
-def test_an_enabled_run_follows_the_trajectory_and_ends_at_rest(tmp_path):
-    more = ("--enable", "--speed", "1.0", "--acceleration", "1.0", "--duration", "3.5")
-    assert main(words(tmp_path, *more)) == 0
-    found = numbers(tmp_path)
-    assert found["completed"]
-    assert found["fault"] is None
-    assert found["tracking_rmse_m"] < 0.2
-    run = run_of(tmp_path)
-    assert names(run)[-5:] == ["stop", "stopping", "at_rest", "homed", "disconnected"]
-    assert at_rest(run)
-    assert np.ptp(run.recording.command.value, axis=0).max() > 0.3
-    assert run.cut is None
 
 
 @pytest.fixture
@@ -124,20 +117,55 @@ def typed(monkeypatch):
         os.close(one)
 
 
+def test_a_run_is_dry_unless_it_is_enabled(tmp_path, capsys):
+    assert main(words(tmp_path, "--duration", "0.6")) == 0
+    said = capsys.readouterr().out
+    assert "dry run: nothing is sent; --enable moves" in said
+    run = run_of(tmp_path)
+    assert run.recording.command is None
+    assert len(run.would_send.time) == 15
+    assert np.ptp(run.recording.unstrained_length, axis=0).max() < 2e-3  # noise
+    assert numbers(tmp_path)["limited_cycles"]["not_enabled"] == 15
+    assert "enabled" not in names(run)
+
+
+def test_an_enabled_run_goes_where_it_is_told_and_ends_at_rest(tmp_path, capsys):
+    more = ("--enable", "--speed", "0.5", "--acceleration", "1.0", "--to", "0.6", "-1.8", "2.3")
+    assert main(words(tmp_path, *more)) == 0
+    found = numbers(tmp_path)
+    assert found["completed"]
+    assert found["fault"] is None
+    assert found["tracking_rmse_m"] < 0.2
+    assert found["position_m"] == pytest.approx([0.6, -1.8, 2.3], abs=0.03)
+    said = capsys.readouterr().out
+    assert "straight to 0.600 -1.800 2.300 m" in said
+    x, y, z = (f"{value:.3f}" for value in found["position_m"])
+    assert f"end of the trajectory\nplatform at {x} {y} {z} m\n" in said
+    run = run_of(tmp_path)
+    assert names(run)[-5:] == ["stop", "stopping", "at_rest", "homed", "disconnected"]
+    assert at_rest(run)
+    command = run.recording.command
+    rate = np.abs(np.diff(command.value, axis=0) / 0.04).max()  # rates count by cycles of 40 ms
+    assert 0.2 < rate < 1.5 * 0.5
+    assert run.cut is None
+    assert found["unrecorded_rows"] == 0
+
+
 @pytest.mark.parametrize(
     "controller, fault, said, steered",
     [
         ("Raising", "controller", "ZeroDivisionError: a bug", "after the end of the input"),
         ("Far", "command", "from where the winch stands", "by an open input"),
+        ("Hanging", "controller", "the controller gave no command for", "by an open input"),
     ],
 )
-def test_a_controller_that_fails_ends_the_run_and_is_named(
+def test_a_controller_that_fails_or_hangs_ends_the_run_and_is_named(
     tmp_path, capsys, controller, fault, said, steered, typed
 ):
     """Also one that is steered by hand: nobody waits for the input, or for the target."""
     typed("0.6 -1.7 2.3\n", end=steered.startswith("after"))
     more = ("--enable", "--by-hand", "--controller", f"tests.live_controllers:{controller}")
-    assert main(words(tmp_path, *more)) == 1
+    assert main(words(tmp_path, *more, settings=QUICK)) == 1
     found = numbers(tmp_path)
     assert not found["completed"]
     assert found["fault"] == fault
@@ -147,16 +175,9 @@ def test_a_controller_that_fails_ends_the_run_and_is_named(
     assert "at_rest" in names(run)
 
 
-def test_a_controller_that_hangs_is_interrupted(tmp_path, started):
-    process = started("--enable", "--controller", "tests.live_controllers:Hanging")
-    said = process.communicate(timeout=60)[0]
-    assert process.returncode == 1, said
-    assert "the controller gave no command for" in numbers(tmp_path)["reason"]
-    assert at_rest(run_of(tmp_path))
-
-
 def test_a_controller_that_cannot_be_interrupted_takes_no_process_along(tmp_path, started):
-    process = started("--enable", "--controller", "tests.live_controllers:Stubborn")
+    more = ("--enable", "--by-hand", "--controller", "tests.live_controllers:Stubborn")
+    process = started(*more, settings=QUICK)
     said = process.communicate(timeout=60)[0]
     assert process.returncode == 1
     assert "the controller cannot be interrupted; the process ends" in said
@@ -165,22 +186,47 @@ def test_a_controller_that_cannot_be_interrupted_takes_no_process_along(tmp_path
     assert run.cut is None
 
 
-@pytest.mark.parametrize("number, status", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_signals_stop_it_in_good_order(tmp_path, started, number, status):
-    process = started("--enable")
-    time.sleep(1.5)
-    process.send_signal(number)
-    said = process.communicate(timeout=60)[0]
-    assert process.returncode == status, said
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT])
+def test_signals_stop_it_in_good_order(tmp_path, typed, number):
+    typed("0.6 -1.7 2.3\n")
+    late = []
+    before = signal.signal(number, lambda *_: late.append(number))  # tests must not end of it
+
+    def send():
+        until(lambda: moving(tmp_path), "it moves")
+        os.kill(os.getpid(), number)
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    try:
+        status = main(words(tmp_path, "--enable", "--by-hand"))
+    finally:
+        sender.join()
+        signal.signal(number, before)
+    assert not late
+    assert status == 128 + number
     run = run_of(tmp_path)
     assert at_rest(run)
     assert names(run)[-4:] == ["stopping", "at_rest", "homed", "disconnected"]
     assert numbers(tmp_path)["reason"] == number.name
 
 
+def test_a_terminal_that_is_closed_stops_it_in_good_order(tmp_path, started):
+    """SIGHUP comes, and nobody reads any more what is printed."""
+    process = started("--enable", "--by-hand")
+    process.stdout.close()
+    process.stdout = None
+    process.send_signal(signal.SIGHUP)
+    process.communicate(timeout=60)
+    assert process.returncode == 128 + signal.SIGHUP
+    run = run_of(tmp_path)
+    assert at_rest(run)
+    assert names(run)[-4:] == ["stopping", "at_rest", "homed", "disconnected"]
+    assert numbers(tmp_path)["reason"] == "SIGHUP"
+
+
 def test_after_kill_9_the_recording_is_whole(tmp_path, started):
-    process = started("--enable")
-    time.sleep(1.0)
+    process = started("--enable", "--by-hand")
     process.kill()
     process.communicate()
     assert process.returncode == -signal.SIGKILL
@@ -190,17 +236,37 @@ def test_after_kill_9_the_recording_is_whole(tmp_path, started):
     assert np.diff(run.recording.time).max() < 1.0
 
 
-def test_a_target_is_moved_by_lines_of_the_input(tmp_path, started):
-    process = started("--enable", "--by-hand", "--speed", "0.5", "--acceleration", "0.5")
-    process.stdin.write("nonsense\n0.6 -1.7 2.3\n99 0 0\n")
-    process.stdin.close()
-    process.stdin = None
-    said = process.communicate(timeout=90)[0]
-    assert process.returncode == 0, said
+def test_a_target_is_moved_by_lines_of_the_input(tmp_path, capsys, typed):
+    typed("nonsense\n0.5 -1.75 2.25\n99 0 0\n", end=True)
+    more = ("--enable", "--by-hand", "--speed", "0.5", "--acceleration", "1.0")
+    assert main(words(tmp_path, *more)) == 0
+    said = capsys.readouterr().err
     assert "input: got 'nonsense'; allowed: arrows" in said
+    assert "target 0.500 -1.750 2.250 m" in said
     assert "target: got 99 0 0 m; allowed: [" in said
     assert numbers(tmp_path)["reason"] == "the input has ended"
-    assert run_of(tmp_path).believed.value[-1] == pytest.approx([0.6, -1.7, 2.3], abs=0.03)
+    assert run_of(tmp_path).believed.value[-1] == pytest.approx([0.5, -1.75, 2.25], abs=0.03)
+
+
+def test_nothing_is_left_of_a_run_that_could_not_connect(tmp_path, capfd, monkeypatch):
+    """And the user reads one message, not what the ADS library says on its own."""
+    monkeypatch.chdir(tmp_path)
+    ip = own_address()
+    more = ["--driver", "ads", "--set", f"driver.inner.ip={ip}", "--duration", "1"]
+    assert main(["run", *more]) == 2
+    said = capfd.readouterr().err
+    assert said.count("\n") == 1
+    assert f"PLC {ip}.1.1 at {ip}: cannot connect" in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_lines_of_the_ads_library_are_dropped_and_no_others(capfd):
+    with without_ads_lines():
+        os.write(2, b"2026-11-22T04:07:59+0000 Error: write frame failed with error: Broken pipe\n")
+        os.write(2, b"kernel: something\n2026-11-22T04:07:59+0000 Info: conn")
+        os.write(2, b"ection closed by remote\nlast")
+    os.write(2, b" words\n")
+    assert capfd.readouterr().err == "kernel: something\nlast words\n"
 
 
 def test_bad_input_is_refused_before_anything_moves(tmp_path, capsys):
@@ -220,6 +286,9 @@ def test_bad_input_is_refused_before_anything_moves(tmp_path, capsys):
         (("--driver", "ads", "--enable"), "--home: got none; allowed: --home X Y Z"),
         (("--rate", "0"), "--rate: got 0.0 Hz"),
         (("--speed", "-1"), "--speed"),
+        (("--to", "9", "9", "9"), "--to: got 9 9 9 m; allowed: [-1.6, -3.8, 1.0] to"),
+        (("--to", "0.4", "-1.8", "2.2"), "another place than where the platform stands"),
+        (("--to", "0", "0", "2", "--by-hand"), "--to: got also --by-hand or --trajectory"),
     ):
         assert main([*words(tmp_path), *more]) == 2
         assert said in capsys.readouterr().err
