@@ -142,7 +142,7 @@ def obey(emulator: Emulator, line: str) -> str:
     if word == "state":
         machine = emulator.machine
         found = {"state": machine.state, "fault": machine.fault, "axis": machine.fault_axis}
-        return json.dumps(found | {"owner": bool(machine.counters.commands)})
+        return json.dumps(found | {"owner": machine.owner or None})  # the session it obeys
     kinds = {kind.name.lower().replace("_", "-"): kind for kind in Injection if kind}
     if word not in kinds:
         raise InvalidField("control", repr(line.strip()), f"{', '.join(kinds)}, state, quit")

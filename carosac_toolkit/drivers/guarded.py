@@ -154,6 +154,7 @@ class GuardedDriver:
                     self._reset_inner()
                 self.measure()
                 if self.settings.enable_at_once and self.settings.motion:
+                    self._check_held()
                     self.home(self._start(), anew=self.settings.home_anew)
                     self.enable()
                 elif self.settings.rehearse and not self.settings.motion:
@@ -175,6 +176,15 @@ class GuardedDriver:
         if held is not None and hasattr(self.inner, "reset_fault"):
             self._event("reset", f"{held.fault}: {held.text}")
             self.inner.reset_fault()
+
+    def _check_held(self) -> None:
+        """Refuse to move drives that hold a fault, as one of an earlier run or case."""
+        held = inner_finding(self.inner)
+        if held is not None:
+            raise NotReady(
+                f"enable: the drives hold a fault of before: {held.fault}: {held.text}. "
+                f"{held.fault.meaning} Find out why, then reset it (--reset, reset_at_once=True)"
+            )
 
     def home(self, position: State, *, anew: bool = False) -> None:
         """Find the offset of each cable; the platform stands still at this pose.

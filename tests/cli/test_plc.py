@@ -40,7 +40,8 @@ def test_lines_of_the_standard_input_do_what_they_say(emulator):
     assert obey(emulator, "trip 2") == "ok"
     emulator.step()
     assert (machine.fault, machine.fault_axis) == (Fault.DRIVE_TRIP, 2)
-    assert json.loads(obey(emulator, "state"))["fault"] == "drive_trip"
+    said = json.loads(obey(emulator, "state"))
+    assert said == {"state": "fault", "fault": "drive_trip", "axis": 2, "owner": None}
     assert obey(emulator, "trip 2 off") == "ok"
     assert not machine.wires.tripped.any()
     obey(emulator, "network 0.02 0.01")

@@ -753,7 +753,8 @@ def test_a_fault_of_an_earlier_run_is_cleared_where_that_is_asked_for_only(asked
         guard.connect()
         assert guard.state is DriveState.ENABLED
     else:
-        with pytest.raises(CarosacError):
+        with pytest.raises(NotReady, match=r"hold a fault of before: drive_trip: .*--reset"):
             guard.connect()
+        assert guard.state is DriveState.DISCONNECTED
     assert Held.resets == int(asked)
     guard.close()
