@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 WINCH = 1.5  # rate of a winch over the speed of the platform: 1 by geometry, 1.11 with the tilt at
 # rest anywhere in the boxes of the bundled robots, the rest for controllers that damp sway
+SLOW, SHIFT = 0.05, 0.15  # [m/s] up to which tensions show a wrong sign, by this share
 REST = 1.0  # [s] before each part of the way, and after the last
 LINE = "line"  # trajectory without --trajectory
 GUARD = "guard"
@@ -97,6 +98,7 @@ def make_guard(
         "start_position": home, "home_anew": options.home_anew,
         "rehearse": options.home is not None,
         "reset_at_once": options.reset, "real_time": True, "speed_max": WINCH * options.speed,
+        "tension_shift_max": SHIFT if options.speed <= SLOW else None,
         **asked,
     }  # fmt: skip
     made = filled("driver.guard", settings, wanted)

@@ -19,7 +19,7 @@ import numpy as np
 
 from carosac_toolkit.drivers.ads_block import Answer, DriveStatus, Request
 from carosac_toolkit.drivers.ads_link import AdsLink, LinkCounters, Reading
-from carosac_toolkit.drivers.ads_settings import AdsSettings, Point
+from carosac_toolkit.drivers.ads_settings import DESK, PLANT, AdsSettings, Point
 from carosac_toolkit.drivers.drive_state import DriveState, Fault, fault_of, state_of
 from carosac_toolkit.drivers.guard_inner import homing_lengths
 from carosac_toolkit.drivers.imu_udp import ImuListener
@@ -249,16 +249,24 @@ class AdsDriver:
         return DriveState.HOMED if said is DriveState.CONNECTED and self._homed else said
 
     @property
+    def lost_after(self) -> float:
+        """Silence after which the connection counts as lost [s]."""
+        asked = self._settings.lost_after
+        if asked is not None:
+            return asked
+        return DESK if self.link is not None and self.link.emulated else PLANT
+
+    @property
     def fault(self) -> Fault:
         """What is wrong, by the PLC or by the connection to it."""
         link = self.link
         if link is None or link.reading is None:
             return Fault.NONE
-        if link.age > self._settings.lost_after:
+        if link.age > self.lost_after:
             return Fault.LOST_CONNECTION
         if link.counters.restarts != self._restarts:
             return Fault.LOST_CONNECTION
-        if time.monotonic() - link.reading.advanced > self._settings.lost_after:
+        if time.monotonic() - link.reading.advanced > self.lost_after:
             return Fault.STALE_DATA
         if self._enabled and link.other:
             return Fault.OWNER
@@ -271,7 +279,7 @@ class AdsDriver:
         if link is None or link.reading is None:
             return "not connected"
         if fault is Fault.LOST_CONNECTION:
-            if link.age <= self._settings.lost_after:
+            if link.age <= self.lost_after:
                 return "lost connection: the PLC was started anew; home again"
             return f"lost connection: no answer for {link.age:.2f} s ({link.error})"
         axis = link.reading.values["fault_axis"]

@@ -14,15 +14,15 @@ from carosac_toolkit.limits import LimitSettings
 from carosac_toolkit.number_checks import check_positive, check_whole
 from carosac_toolkit.robot import Robot
 
+STALE = 0.08  # [s]
 BEHIND = 0.1  # [s] that winches may lag behind: 50 ms of their own, network, sampling, a period
 Point = tuple[float, float, float]
 _METRES = (
-    "first_max", "range_margin", "jump_max", "following_max", "closure_max",
+    "first_max", "range_margin", "jump_max", "following_max", "direction_max", "closure_max",
     "belief_max", "workspace_margin", "rest_max", "home_change_max",
 )  # fmt: skip
 _SECONDS = (
     "period",
-    "stale_time",
     "hang_time",
     "hang_time_at_rest",
     "stop_time_max",
@@ -69,6 +69,11 @@ class GuardSettings:
             meanwhile or was asked for; where a fault holds the winches they may not turn [m].
         following_max: Largest distance of a length from where it should be by now [m], besides
             the motion of 30 ms and of the age of the sample.
+        direction_max: How far a winch may turn the other way than it was told to [m], besides the
+            motion of 30 ms and of the age of the sample.
+        tension_shift_max: By how much the share of the measured tension in the one that belongs to
+            the lengths at rest may differ from its value at `enable`; with load cells and six
+            cables or fewer. None: not looked at, as sway shifts tensions too; for slow runs.
         closure_max: Largest root mean square of the lengths that no straight-line pose explains
             [m]. Sag and tilt take up to 12 mm of it on the bundled robots.
         belief_max: Largest distance of the believed position from that of the lengths [m].
@@ -76,7 +81,8 @@ class GuardSettings:
         rest_max: Largest change of the lengths over the samples that count as standing still [m].
         home_change_max: Largest change of the offset of a cable by homing, unless it is told that
             the robot is homed anew [m].
-        stale_time: How long measurements may stay the same [s].
+        stale_time: How long measurements may stay the same [s]. None: as long as the driver behind
+            waits for its robot (`lost_after`) where it says so, else `STALE`.
         hang_time: How long a controller may keep the guard waiting while the winches move [s]
             before that is a fault; they slow down from the third period on.
         hang_time_at_rest: The same while they stand still, such as in the first cycle [s].
@@ -111,12 +117,14 @@ class GuardSettings:
     range_margin: float = 0.05
     jump_max: float = 0.03
     following_max: float = 0.06
+    direction_max: float = 0.004
+    tension_shift_max: float | None = None
     closure_max: float = 0.03
     belief_max: float = 0.7
     workspace_margin: float = 0.3
     rest_max: float = 0.003
     home_change_max: float = 0.1
-    stale_time: float = 0.08
+    stale_time: float | None = None
     hang_time: float = 0.25
     hang_time_at_rest: float = 10.0
     stop_time_max: float = 5.0
@@ -133,7 +141,8 @@ class GuardSettings:
             check_positive(name, getattr(self, name), "m")
         for name in _SECONDS:
             check_positive(name, getattr(self, name), "s")
-        for name, unit in (("step_max", "m"), ("speed_max", "m/s")):
+        for name, unit in (("step_max", "m"), ("speed_max", "m/s"), ("stale_time", "s"),
+                           ("tension_shift_max", "")):  # fmt: skip
             if getattr(self, name) is not None:
                 check_positive(name, getattr(self, name), unit)
         check_whole("homing_samples", self.homing_samples, 1)

@@ -96,7 +96,7 @@ class GuardedDriver:
     def _forget(self) -> None:
         """Know nothing of the robot."""
         self._life.fault = None
-        self._checks = Checks(self._robot, self.settings)
+        self._checks = self._new_checks()
         self._out = Commander(self._robot, self.settings, self._send)
         self._time = Punctuality(self.settings, real_time=self.real_time)
         self._measured: Measurement | None = None
@@ -111,6 +111,13 @@ class GuardedDriver:
         self.home_change: Array | None = None
         self.ending: str | None = None
         self.refused: dict[str, int] = {}
+
+    def _new_checks(self) -> Checks:
+        """Checks that know nothing yet."""
+        checks = Checks(self._robot, self.settings)
+        if self.settings.stale_time is None:
+            checks.patience = max(checks.patience, getattr(self.inner, "lost_after", 0.0))
+        return checks
 
     @property
     def state(self) -> DriveState:
@@ -148,6 +155,7 @@ class GuardedDriver:
             self._forget()
             self._checks.prepare()
             self.inner.connect()
+            self._checks = self._new_checks()  # the driver now knows how patient it must be
             self._life.go(DriveState.CONNECTED)
             try:
                 if self.settings.reset_at_once and self.settings.motion:
@@ -210,7 +218,7 @@ class GuardedDriver:
                 self.inner.home(replace(position, unstrained_length=lengths[None]))
             else:
                 self._out.offset = self._out.offset + (lengths - standing)
-            self._checks = Checks(self._robot, self.settings)
+            self._checks = self._new_checks()
             self._life.go(DriveState.HOMED)
             self.home_change = lengths - standing
             said = ", ".join(f"{x:+.4f}" for x in self.home_change)
@@ -267,7 +275,7 @@ class GuardedDriver:
                 self.inner.reset_fault()
             self.measure()  # a length that jumped since the last one costs the homing
             latched, self._life.fault = self._life.fault, None
-            self._checks = Checks(self._robot, self.settings)
+            self._checks = self._new_checks()
             try:
                 self._standing_still()
                 if self.finding is not None:
