@@ -10,7 +10,6 @@ is limited here as in every driver, and by the PLC again; faults are watched by 
 from __future__ import annotations
 
 import contextlib
-import math
 import time
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -23,6 +22,7 @@ from carosac_toolkit.drivers.ads_settings import DESK, PLANT, AdsSettings, Point
 from carosac_toolkit.drivers.drive_state import DriveState, Fault, fault_of, state_of
 from carosac_toolkit.drivers.guard_inner import homing_lengths
 from carosac_toolkit.drivers.imu_udp import ImuListener
+from carosac_toolkit.drivers.tick_schedule import TickSchedule
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.hardware import Hardware
 from carosac_toolkit.limits import Limiter
@@ -45,7 +45,6 @@ class AdsDriver:
     Attributes:
         link: The connection; None before `connect` and after `close`.
         link_counters: What happened on it, also after `close`.
-        overruns: Ticks of the wall clock that were missed since `connect`.
     """
 
     Settings: ClassVar[type[AdsSettings]] = AdsSettings
@@ -66,7 +65,7 @@ class AdsDriver:
         self._limiter = Limiter(robot, self._settings.limits, period=self._settings.period)
         self._homed = self._enabled = self._stopped = False
         self._restarts = 0
-        self.overruns = 0
+        self._ticks = TickSchedule(self._settings.period)
 
     @classmethod
     def build(
@@ -74,6 +73,11 @@ class AdsDriver:
     ) -> AdsDriver:
         """Make one; nothing is random here."""
         return cls(robot, settings)
+
+    @property
+    def overruns(self) -> int:
+        """Ticks of the wall clock that were missed since `connect`."""
+        return self._ticks.missed
 
     # --- Lifecycle -------------------------------------------------------------------------------
 
@@ -108,8 +112,8 @@ class AdsDriver:
         self._hardware = self._named
         self._homed = self._enabled = self._stopped = False
         self._restarts = link.counters.restarts
-        self.overruns, self._ticks = 0, 0
-        self._origin = time.monotonic()
+        # between connecting and the first cycle any time may pass
+        self._ticks = TickSchedule(settings.period, forgiving=True)
 
     def home(self, position: State) -> None:
         """Find the offset of each cable: the platform stands still at this pose.
@@ -294,17 +298,17 @@ class AdsDriver:
         """The newest data that came from the PLC."""
         reading, hardware = self._reading(), self._hardware
         values = reading.values
-        stamp = np.array([reading.measured - self._origin])
+        stamp = np.array([self._ticks.since(reading.measured)])
         rate = hardware.unit * values["rate"]
         tension = None
         if values["has_tension"]:
             tension = Stamped(time=stamp, value=values["tension"][None])
         return Measurement(
-            time=np.array([time.monotonic() - self._origin]),
+            time=np.array([self._ticks.elapsed]),
             unstrained_length=hardware.length(values["length"])[None],
             length_rate=Stamped(time=stamp, value=rate[None]),
             tension=tension,
-            imu=None if self._imu is None else self._imu.take(self._origin),
+            imu=None if self._imu is None else self._imu.take(self._ticks.origin),
             drive_status=tuple(_drive(x) for x in values["drive_status"]),
         )
 
@@ -355,16 +359,8 @@ class AdsDriver:
             InvalidField: Another duration than the period, for which the limits count.
         """
         self._connected()
-        period = self._settings.period
-        check_period(duration, period, "driver")
-        elapsed = time.monotonic() - self._origin
-        self._ticks += 1
-        missed = max(0, math.ceil(elapsed / period) - self._ticks)
-        if self._ticks == 1:  # between connecting and the first cycle any time may pass
-            missed, self._ticks = 0, self._ticks + missed
-        self.overruns += missed
-        self._ticks += missed
-        time.sleep(max(0.0, self._ticks * period - (time.monotonic() - self._origin)))
+        check_period(duration, self._settings.period, "driver")
+        self._ticks.wait()
         return not self._stopped and self.state not in (DriveState.FAULT, DriveState.ESTOP)
 
     def truth(self) -> State | None:
@@ -380,7 +376,7 @@ class AdsDriver:
         if known is None:
             return None
         return State(
-            time=np.array([reading.received - self._origin]),
+            time=np.array([self._ticks.since(reading.received)]),
             position=known["position"][None],
             rotation=known["rotation"].reshape(1, 3, 3),
             twist=known["twist"][None],
