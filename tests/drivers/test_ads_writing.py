@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carosac_toolkit.drivers import ads, ads_block
+from carosac_toolkit.drivers import ads_block, ads_reader
 from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
 from carosac_toolkit.drivers.ads_link import AdsLink
 from carosac_toolkit.drivers.drive_state import DriveState, Fault
@@ -70,7 +70,7 @@ def program(monkeypatch):
         return True
 
     monkeypatch.setattr(AdsLink, "_connect", connect)
-    monkeypatch.setattr(ads, "_ANSWER", 0.3)
+    monkeypatch.setattr(ads_reader, "ANSWER", 0.3)
     return found
 
 
@@ -195,11 +195,11 @@ def test_a_disable_without_answer_stays_and_the_watchdog_stops_the_winches(progr
 
 
 def test_a_disable_that_is_heard_late_is_obeyed(program, host, monkeypatch):
-    monkeypatch.setattr(ads, "_ANSWER", 0.02)
+    monkeypatch.setattr(ads_reader, "ANSWER", 0.02)
     driver = host()
-    monkeypatch.setattr(ads, "_ANSWER", 0.3)
+    monkeypatch.setattr(ads_reader, "ANSWER", 0.3)
     driver.enable()
-    monkeypatch.setattr(ads, "_ANSWER", 0.02)
+    monkeypatch.setattr(ads_reader, "ANSWER", 0.02)
     program.deaf = True
     driver.disable()
     program.deaf = False
