@@ -98,7 +98,7 @@ def run(options: Options) -> CommandResult:
     with_signals(emulator)
     sys.setswitchinterval(_SWITCH)
     if options.control:
-        threading.Thread(target=_listen, args=(emulator,), daemon=True).start()
+        threading.Thread(target=listen, args=(emulator,), daemon=True).start()
     ads = emulator.hardware.ads
     print(f"carosac plc: ready: {nominal.name} at {emulator.ip}:48898, net id {emulator.ip}.1.1, "
           f"{ads.from_host}, {ads.to_host}", flush=True)  # fmt: skip
@@ -194,7 +194,7 @@ def _arguments(kind: Injection, words: list[str]) -> dict[str, Any]:
     return {"value": values[0] if values else 1.0}
 
 
-def _listen(emulator: Emulator) -> None:
+def listen(emulator: Emulator) -> None:
     """Obey the standard input until it ends."""
     for line in sys.stdin:
         if not line.strip():
