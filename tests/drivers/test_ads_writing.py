@@ -70,7 +70,7 @@ def program(monkeypatch):
         return True
 
     monkeypatch.setattr(AdsLink, "_connect", connect)
-    monkeypatch.setattr(ads_reader, "ANSWER", 0.3)
+    monkeypatch.setattr(ads_reader, "ANSWER", 0.6)
     return found
 
 
@@ -195,9 +195,7 @@ def test_a_disable_without_answer_stays_and_the_watchdog_stops_the_winches(progr
 
 
 def test_a_disable_that_is_heard_late_is_obeyed(program, host, monkeypatch):
-    monkeypatch.setattr(ads_reader, "ANSWER", 0.02)
     driver = host()
-    monkeypatch.setattr(ads_reader, "ANSWER", 0.3)
     driver.enable()
     monkeypatch.setattr(ads_reader, "ANSWER", 0.02)
     program.deaf = True
