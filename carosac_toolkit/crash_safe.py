@@ -1,8 +1,11 @@
 """A recording that survives the process: rows of JSON, each handed to the system at once.
 
 The first row says what the file is. Every other row is complete or it is the last one: the reader
-drops a row that was cut and says so. ``kill -9`` costs no row, a power failure those since the last
-``fsync`` (once a second). A file that is there is never written over.
+drops a row that was cut and says so. ``kill -9`` costs no row that was handed over, a power failure
+those since the last ``fsync`` (once a second). A file that is there is never written over.
+
+A disk may block every call here; the guard calls it from a thread that nobody waits for
+(`carosac_toolkit.drivers.scribe`).
 """
 
 from __future__ import annotations
@@ -30,6 +33,7 @@ from carosac_toolkit.values import Belief, Command, Imu, Measurement, Stamped
 SCHEMA = "carosac-run/1"
 SUFFIX = ".jsonl"
 SYNC = 1.0  # [s] between two calls of fsync
+PATIENCE = 5.0  # [s] for the disk at the end
 
 
 class CutRecording(UserWarning):
@@ -42,6 +46,7 @@ class CrashSafeRecorder:
     Attributes:
         path: The file.
         rows: Rows written up to now.
+        samples: Measurements among them.
     """
 
     def __init__(
@@ -58,7 +63,7 @@ class CrashSafeRecorder:
             InvalidField: Another suffix, or a file that is there already.
         """
         self.path = Path(path)
-        self.rows = 0
+        self.rows = self.samples = 0
         if self.path.suffix != SUFFIX:
             raise InvalidField("recording", f"'{path}'", f"a file name ending in {SUFFIX}")
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | getattr(os, "O_CLOEXEC", 0)
@@ -68,6 +73,7 @@ class CrashSafeRecorder:
             allowed = f"a new file in an existing folder: {error.strerror}"
             raise InvalidField("recording", f"'{path}'", allowed) from error
         self._lock = threading.Lock()
+        self._error: OSError | None = None
         self._closing = threading.Event()
         metadata = RecordingMetadata(
             robot=robot, description=description, created_by=f"carosac-toolkit {__version__}"
@@ -99,6 +105,7 @@ class CrashSafeRecorder:
         if measurement.drive_status is not None:
             row["drive_status"] = list(measurement.drive_status)
         self._row(row)
+        self.samples += 1
 
     def sent(self, asked: Command | None, sent: Command, *, really: bool) -> None:
         """What was asked, None in a stop, and what was sent, or would have been."""
@@ -129,28 +136,51 @@ class CrashSafeRecorder:
         """A change of state, a fault, a stop."""
         self._row({"row": "event", "time": time, "name": name, "text": text})
 
-    def close(self) -> None:
-        """Bring everything to the disk; safe to call twice."""
+    def close(self, patience: float = PATIENCE) -> bool:
+        """Bring everything to the disk; safe to call twice.
+
+        Args:
+            patience: How long to wait for a disk that blocks [s].
+
+        Returns:
+            Whether everything is there.
+        """
         self._closing.set()
-        self._sync.join()
-        with self._lock:
-            if self._file >= 0:
-                os.fsync(self._file)
-                os.close(self._file)
-                self._file = -1
+        self._sync.join(patience)
+        return self._error is None and not self._sync.is_alive()
+
+    def discard(self) -> None:
+        """Close, and remove the file: nothing happened that anybody wants to read."""
+        self.close()
+        self.path.unlink(missing_ok=True)
 
     def _row(self, row: Mapping[str, Any]) -> None:
-        """Hand a row to the system; after `close` there is none."""
+        """Hand a row to the system; after `close` there is none.
+
+        Raises:
+            OSError: The disk has failed, now or in the last `fsync`.
+        """
         data = memoryview((json.dumps(row, separators=(",", ":")) + "\n").encode())
+        if self._error is not None:
+            raise self._error
         with self._lock:
-            while self._file >= 0 and data:
+            if self._file < 0:
+                return
+            while data:
                 data = data[os.write(self._file, data) :]
             self.rows += 1
 
     def _sync_often(self) -> None:
-        """Until closed; a disk that is too slow must not hold up the rows."""
-        while not self._closing.wait(SYNC):
+        """Until closed, and once more then; a disk that is slow in this must not hold up rows."""
+        try:
+            while not self._closing.wait(SYNC):
+                os.fsync(self._file)
             os.fsync(self._file)
+        except OSError as error:
+            self._error = error
+        with self._lock:
+            os.close(self._file)
+            self._file = -1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, MutableSequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import Protocol
 
 import numpy as np
@@ -105,7 +106,7 @@ class Log:
 def run(
     driver: Driver, estimator: Estimator, controller: Controller, trajectory: Path, *,
     duration: float | None = None, watch: Callable[[Step], None] | None = None,
-    keep: int | None = None,
+    keep: int | None = None, by_clock: bool = False,
 ) -> Log:  # fmt: skip
     """Run one controller and one estimator on one driver along one trajectory.
 
@@ -119,6 +120,8 @@ def run(
         duration: How long [s]; None: to the end of the trajectory and one second of rest.
         watch: Called after each command, before the wait.
         keep: How many of the last cycles the log holds; None: all of them.
+        by_clock: Whether `duration` counts by the clock of the driver, also where it misses ticks;
+            else by cycles, one period each.
 
     Returns:
         The log of all cycles that were kept.
@@ -130,12 +133,13 @@ def run(
     """
     period = _positive("controller.period", getattr(controller, "period", None))
     total = trajectory.duration + 1.0 if duration is None else _positive("duration", duration)
-    count = max(1, round(total / period))
+    cycles = max(1, round(total / period))
     steps: MutableSequence[Step] = deque(maxlen=_kept(keep)) if keep is not None else []
     reason = "end of the trajectory"
     try:
         driver.connect()
-        alive = _cycles(driver, estimator, controller, trajectory, count, steps, watch)
+        over = _Over(cycles, total - 1.5 * period if by_clock else None)
+        alive = _cycles(driver, estimator, controller, trajectory, over, steps, watch)
         reason = reason if alive else "end of data"
     except BaseException as error:
         reason = f"{type(error).__name__}: {error}"
@@ -150,14 +154,15 @@ def run(
 
 def _cycles(
     driver: Driver, estimator: Estimator, controller: Controller, trajectory: Path,
-    count: int, steps: MutableSequence[Step], watch: Callable[[Step], None] | None,
+    over: Callable[[int, float], bool], steps: MutableSequence[Step],
+    watch: Callable[[Step], None] | None,
 ) -> bool:  # fmt: skip
-    """Run `count` cycles; False where the driver ended earlier."""
+    """Run until it is over; False where the driver ended earlier."""
     measurement = driver.measure()
     start = float(measurement.time[0])
     applied = Command(time=measurement.time, unstrained_length=measurement.unstrained_length)
     belief: Belief | None = None
-    for k in range(count):
+    for k in count():
         if k > 0:
             measurement = driver.measure()
         truth = driver.truth() if isinstance(driver, TruthSource) else None
@@ -187,9 +192,21 @@ def _cycles(
         steps.append(step)
         if watch is not None:
             watch(step)
-        if not driver.wait(controller.period):
-            return k == count - 1
-    return True
+        last = over(k, now)
+        if not driver.wait(controller.period) or last:
+            return last
+    raise AssertionError("cycles have no end of their own")
+
+
+@dataclass(frozen=True)
+class _Over:
+    """Whether a cycle is the last: the `cycles`-th, or the first at `time` [s] or after it."""
+
+    cycles: int
+    time: float | None
+
+    def __call__(self, k: int, now: float) -> bool:
+        return k == self.cycles - 1 if self.time is None else now >= self.time
 
 
 @contextmanager

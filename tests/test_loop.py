@@ -117,6 +117,26 @@ def loop(calls, driver, duration=0.3):
     return run(driver, estimator, controller, PATH, duration=duration), estimator, controller
 
 
+class Late(Driver):
+    """Misses every second tick."""
+
+    def wait(self, duration):
+        return super().wait(2.0 * duration)
+
+
+@pytest.mark.parametrize("kind, by_clock, cycles", [
+    (Driver, False, 10), (Driver, True, 10), (Late, False, 10), (Late, True, 6),
+])  # fmt: skip
+def test_a_duration_counts_cycles_or_the_clock_of_the_driver(kind, by_clock, cycles):
+    controller = Controller([])
+    log = run(
+        kind([]), Estimator([]), controller, PATH,
+        duration=10 * controller.period, by_clock=by_clock,
+    )  # fmt: skip
+    assert len(log.time) == cycles
+    assert log.completed
+
+
 def test_order_of_calls(calls):
     loop(calls, Knowing(calls))
     cycle = ["control", "send", "wait"]

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from difflib import get_close_matches
 from pathlib import Path
-from types import ModuleType, NoneType
-from typing import Any, get_args, get_type_hints
+from types import ModuleType, NoneType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
@@ -53,7 +53,8 @@ def parse_options(module: ModuleType, name: str, words: Sequence[str]) -> Any:
 
 def _number_or_nothing(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
     """How numbers and optional values are read and shown: never as ``{None}|INT``."""
-    kinds = set(get_args(info.type)) or {info.type}
+    union = get_origin(info.type) in (Union, UnionType)  # the arguments of a tuple are no choices
+    kinds = set(get_args(info.type)) if union else {info.type}
     plain = kinds - {NoneType}
     kind = plain.pop() if len(plain) == 1 else None
     if kind not in _WORDS or (kinds == {kind} and kind not in (int, float)):

@@ -29,10 +29,12 @@ from carosac_toolkit.perturbations import draw_plant, find_condition
 from carosac_toolkit.plc.emulator import Emulator
 from carosac_toolkit.plc.machine_blocks import Injection
 from carosac_toolkit.plc.settings import PlcSettings
+from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import load_robot
 
 _PRIORITY = 5  # of SCHED_FIFO, 1 to 99
 _SWITCH = 0.5e-3  # [s] after which a thread lets the others run
+WIRED = ("wrong_sign", "reversed_drive")
 _MISSED = 0.1  # share of late cycles above which it was no PLC
 
 
@@ -54,8 +56,9 @@ class Options(CommonOptions):
     """Where the platform is at power-on, x y z in m; by default at home."""
     cycle: float = 0.005
     """Cycle of the PLC in s."""
-    watchdog: float = 0.1
-    """Silence of the host in s after which the winches ramp to rest."""
+    watchdog: float = 0.5
+    """Silence of the host in s after which the winches ramp to rest: what a busy desk needs; a
+    plant wants 0.1."""
     shift: float = 0.0
     """Standard deviation in m of what the encoders say too much after power-on."""
     load_cells: bool = True
@@ -66,6 +69,12 @@ class Options(CommonOptions):
     """Run before all ordinary processes, as a PLC does; on Linux, and with the right to it."""
     duration: float | None = None
     """How long to run in s; by default until Ctrl-C or SIGTERM."""
+    fault: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="KIND=CABLE"), tyro.conf.UseAppendAction
+    ] = ()
+    """What is wired otherwise than the robot file says: `wrong_sign=CABLE` (encoder and drive) or
+    `reversed_drive=CABLE` (the drive alone); a cable by name or number; may be given several
+    times."""
     control: bool = False
     """Read lines of the standard input that do something to the machine."""
 
@@ -78,6 +87,8 @@ def run(options: Options) -> CommandResult:
     condition = find_condition(options.condition)
     plant = draw_plant(nominal, condition, np.random.default_rng(options.seed))
     settings = PlcSettings(
+        wrong_sign=_cables(options.fault, "wrong_sign", nominal),
+        reversed_drive=_cables(options.fault, "reversed_drive", nominal),
         plant=options.plant, cables=options.cables, cycle=options.cycle,
         watchdog=options.watchdog, shift=options.shift, has_tension=options.load_cells,
         encoder_check=options.encoder_check, start_position=options.start,
@@ -87,7 +98,7 @@ def run(options: Options) -> CommandResult:
     with_signals(emulator)
     sys.setswitchinterval(_SWITCH)
     if options.control:
-        threading.Thread(target=_listen, args=(emulator,), daemon=True).start()
+        threading.Thread(target=listen, args=(emulator,), daemon=True).start()
     ads = emulator.hardware.ads
     print(f"carosac plc: ready: {nominal.name} at {emulator.ip}:48898, net id {emulator.ip}.1.1, "
           f"{ads.from_host}, {ads.to_host}", flush=True)  # fmt: skip
@@ -99,6 +110,20 @@ def run(options: Options) -> CommandResult:
     print(f"carosac plc: {summary(found)}")
     late = found["overruns"] > _MISSED * max(1, found["cycles"])
     return CommandResult(found, status=int(late))
+
+
+def _cables(faults: tuple[str, ...], wanted: str, robot: Robot) -> tuple[int, ...]:
+    """Cables of one kind of fault, from 0."""
+    found = []
+    for text in faults:
+        kind, _, cable = text.partition("=")
+        names = [*robot.cable_names, *(str(i + 1) for i in range(robot.n))]
+        if kind not in WIRED or cable not in names:
+            allowed = f"{' or '.join(WIRED)}, '=' and one of {', '.join(names)}"
+            raise InvalidField("--fault", repr(text), allowed)
+        if kind == wanted:
+            found.append(names.index(cable) % robot.n)
+    return tuple(found)
 
 
 def with_signals(emulator: Emulator) -> None:
@@ -142,7 +167,7 @@ def obey(emulator: Emulator, line: str) -> str:
     if word == "state":
         machine = emulator.machine
         found = {"state": machine.state, "fault": machine.fault, "axis": machine.fault_axis}
-        return json.dumps(found | {"owner": bool(machine.counters.commands)})
+        return json.dumps(found | {"owner": machine.owner or None})  # the session it obeys
     kinds = {kind.name.lower().replace("_", "-"): kind for kind in Injection if kind}
     if word not in kinds:
         raise InvalidField("control", repr(line.strip()), f"{', '.join(kinds)}, state, quit")
@@ -169,7 +194,7 @@ def _arguments(kind: Injection, words: list[str]) -> dict[str, Any]:
     return {"value": values[0] if values else 1.0}
 
 
-def _listen(emulator: Emulator) -> None:
+def listen(emulator: Emulator) -> None:
     """Obey the standard input until it ends."""
     for line in sys.stdin:
         if not line.strip():

@@ -5,55 +5,45 @@ sends nothing. With it the robot is homed at --home, where its platform must sta
 where the trajectory begins, and follows it. The guard watches all of it. Everything is recorded as
 it happens; the recording survives the process.
 
-Ctrl-C and SIGTERM stop in good order (exit status 130 and 143). Exit status 1 means that a fault or
-an error has ended the run.
+Ctrl-C, SIGTERM, SIGHUP (the terminal is closed) and SIGQUIT stop in good order; the exit status is
+then 128 and the number of the signal, such as 130. Exit status 1 means that a fault or an error has
+ended the run. A first motion of 10 cm, dry and then for real:
+
+  carosac run --home 0.4 -1.8 2.2 --to 0.5 -1.8 2.2 --speed 0.05
+  carosac run --home 0.4 -1.8 2.2 --to 0.5 -1.8 2.2 --speed 0.05 --enable
 """
 
 from __future__ import annotations
 
 import contextlib
 import sys
-import time
 import traceback
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from pathlib import Path
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
 import tyro
 
-from carosac_toolkit import registry, trajectories
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.cli.place import Place
 from carosac_toolkit.cli.plc import take_priority
+from carosac_toolkit.cli.run_parts import LINE, REST, make_guard, make_path, make_plugin, recorded
 from carosac_toolkit.crash_safe import CrashSafeRecorder
-from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.drivers.guarded import GuardedDriver
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.filled_settings import filled
-from carosac_toolkit.live.course import with_approach
+from carosac_toolkit.errors import CarosacError
 from carosac_toolkit.live.ending import Ending, ending_of
-from carosac_toolkit.live.hand_target import HELP, HandTarget
-from carosac_toolkit.live.keyboard import listening
+from carosac_toolkit.live.hand_target import HELP
+from carosac_toolkit.live.library_noise import without_ads_lines
 from carosac_toolkit.live.rehearsal import rehearse
+from carosac_toolkit.live.saying import say
 from carosac_toolkit.live.statistics import Statistics
+from carosac_toolkit.live.steering import place, steered
 from carosac_toolkit.loop import Path as Followed
 from carosac_toolkit.loop import run as run_loop
-from carosac_toolkit.protocols import replays
-from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import load_robot
-from carosac_toolkit.studies.chosen_settings import check_types, chosen_settings
-from carosac_toolkit.studies.run_case import own_settings
+from carosac_toolkit.studies.chosen_settings import chosen_settings
 
-REST = 1.0  # [s] before each part of the way, and after the last
-GUARD = "guard"
-PLC = "ads"
-OPTIONS = {
-    "motion": "--enable",
-    "period": "--rate, or controller.NAME.period",
-    "real_time": "no other value: a live run takes the time of the wall",
-}  # what no setting may say behind an option's back
 SWITCH = 1e-3  # [s] after which a thread lets the others run
 
 
@@ -71,15 +61,19 @@ class Options(CommonOptions):
     """Estimator by name, or `module:Class`."""
     suite: str = "lengths"
     """Sensor suite of the driver."""
-    trajectory: str = "line"
+    trajectory: str = LINE
     """Trajectory of the catalogue."""
+    to: Place = None
+    """Go straight there from --home [m] instead, from rest to rest (minimum snap): a first path."""
     by_hand: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Follow a target moved by keys, or by lines `x y z` [m] of the standard input, instead."""
+    """Follow a target moved by keys, or by lines `x y z` [m] of the standard input, instead; a
+    target outside the workspace box is refused."""
     enable: tyro.conf.FlagCreatePairsOff[bool] = False
     """Let the winches move; without it the run is dry."""
     home: Place = None
     """Where the platform stands at the start [m]; by default the home position of the robot, and
-    asked for where --enable moves a robot behind a PLC."""
+    asked for where --enable moves a robot behind a PLC. With it a dry run is homed and checked
+    too, without anything being sent."""
     reset: tyro.conf.FlagCreatePairsOff[bool] = False
     """With --enable, first clear a fault that the PLC holds from an earlier run, once you know why
     it came; the platform is homed anew."""
@@ -87,11 +81,15 @@ class Options(CommonOptions):
     """Home also where that changes an offset by more than 0.1 m; only at a pose that was
     measured."""
     speed: float = 0.3
-    """Largest speed of the platform [m/s]."""
+    """Largest speed of the platform [m/s]. No winch is asked for more than 1.5 times that: cables
+    of a platform that moves at v change their lengths at v at most, and a little more where it
+    tilts; driver.guard.speed_max says otherwise."""
     acceleration: float = 0.3
     """Largest acceleration of the platform [m/s^2]."""
     duration: float | None = None
-    """How long the run lasts [s]; by default to the end of the trajectory."""
+    """How long the run lasts, by the clock of the driver from its first cycle on [s]; by default
+    to the end of the trajectory and a second of rest. The clock of a PLC is that of the wall; that
+    of the simulator stays behind it where cycles are late."""
     rate: float = 100.0
     """Commands a second, for a controller whose period can be chosen."""
     priority: tyro.conf.FlagCreatePairsOff[bool] = False
@@ -112,27 +110,37 @@ def run(options: Options) -> CommandResult:
     chosen = chosen_settings(
         options.settings, controllers=[options.controller], estimators=[options.estimator]
     )
-    controller = _plugin("controllers", options.controller, robot, options, chosen)
-    estimator = _plugin("estimators", options.estimator, robot, options, chosen)
-    guard = _guard(robot, options, chosen["driver_settings"], float(controller.period))
-    path = _path(robot, options)
+    controller = make_plugin("controllers", options.controller, robot, options, chosen)
+    estimator = make_plugin("estimators", options.estimator, robot, options, chosen)
+    path = make_path(robot, options)
+    guard = make_guard(robot, options, chosen["driver_settings"], float(controller.period))
     rehearse(robot, estimator, controller, path, suite=options.suite)
-    recorder = _recorder(options)
-    guard.journal = recorder
-    print(_what(options, guard, recorder), flush=True)
     statistics = Statistics(guard)
+    with recorded(options) as recorder, _prepared(options):
+        guard.journal = recorder
+        say(_what(options, guard, recorder))
+        with ending_of(guard, recorder.close) as ending, steered(path, guard):
+            completed, error = _run(options, guard, estimator, controller, path, statistics)
+        statistics.end_line()
+        whole = recorder.close()
+    if guard.fault is None and error is None and (guard.unrecorded or not whole):
+        text = f"the recording lacks {guard.unrecorded} rows, as the disk did not take them"
+        error = CarosacError(text)
+    return _result(guard, statistics, recorder, ending, completed, error)
+
+
+@contextlib.contextmanager
+def _prepared(options: Options) -> Iterator[None]:
+    """Quick changes of threads, priority where it was asked for, and no words of libraries."""
     usual = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH)
     if options.priority:
         take_priority()
     try:
-        with ending_of(guard, recorder.close) as ending, _steered(path, guard):
-            completed, error = _run(options, guard, estimator, controller, path, statistics)
+        with without_ads_lines():
+            yield
     finally:
         sys.setswitchinterval(usual)
-        recorder.close()
-        statistics.end_line()
-    return _result(guard, statistics, recorder, ending, completed, error)
 
 
 def _run(
@@ -145,7 +153,8 @@ def _run(
         duration = path.duration + REST
     try:
         log = run_loop(
-            guard, estimator, controller, path, duration=duration, watch=statistics, keep=1
+            guard, estimator, controller, path, duration=duration, watch=statistics, keep=1,
+            by_clock=True,
         )  # fmt: skip
     except Exception as error:
         if guard.fault is None and statistics.cycles == 0:
@@ -156,96 +165,6 @@ def _run(
     return log.completed, None
 
 
-def _plugin(kind: Any, name: str, robot: Robot, options: Options, chosen: dict[str, Any]) -> Any:
-    """Make a controller or estimator with its settings."""
-    plugin = registry.load(kind, name)
-    asked = dict(chosen[f"{kind[:-1]}_settings"].get(name, {}))
-    settings = getattr(plugin, "Settings", None)
-    if settings is None:
-        if asked:
-            raise InvalidField("--set", repr(asked), f"nothing: {name} has no Settings")
-        return plugin.build(robot, None, seed=options.seed)
-    if kind == "controllers" and "period" in {field.name for field in fields(settings)}:
-        asked.setdefault("period", 1.0 / _rate(options))
-    check_types(f"{kind[:-1]}.{name}", settings(), asked)
-    made = filled(f"{kind[:-1]}.{name}", settings(), asked)
-    return plugin.build(robot, made, seed=options.seed)
-
-
-def _rate(options: Options) -> float:
-    """Commands a second."""
-    if not 0.0 < options.rate < np.inf:
-        raise InvalidField("--rate", f"{options.rate} Hz", "> 0 Hz, finite")
-    return options.rate
-
-
-def _guard(robot: Robot, options: Options, chosen: dict[str, Any], period: float) -> GuardedDriver:
-    """The driver, guarded."""
-    plugin = registry.load("drivers", options.driver)
-    if replays(plugin):
-        allowed = "a driver that moves; for a recording: carosac compare --driver replay"
-        raise InvalidField("--driver", repr(options.driver), allowed)
-    guarded = isinstance(plugin, type) and issubclass(plugin, GuardedDriver)
-    kind = plugin if guarded else GuardedDriver
-    own = own_settings(options.driver, chosen)
-    asked = dict(own.pop(GUARD, {}))
-    if guarded:
-        asked |= own
-    else:
-        asked |= {"driver": options.driver, "inner": own}
-    settings: GuardSettings = kind.Settings()
-    _refuse_reserved(asked)
-    if options.enable and options.home is None and getattr(plugin, "name", "") == PLC:
-        allowed = "--home X Y Z, where the platform stands: homing believes it"
-        raise InvalidField("--home", "none", allowed)
-    check_types("driver.guard", settings, asked)
-    home = options.home or tuple(float(x) for x in robot.home_position)
-    wanted = {
-        "period": period, "suite": options.suite, "motion": options.enable,
-        "start_position": home, "home_anew": options.home_anew,
-        "reset_at_once": options.reset, "real_time": True, **asked,
-    }  # fmt: skip
-    made = filled("driver.guard", settings, wanted)
-    guard: GuardedDriver = kind.build(robot, made, seed=options.seed)
-    return guard
-
-
-def _refuse_reserved(asked: dict[str, Any]) -> None:
-    """Refuse settings of the guard, or of the driver behind it, that are an option's to say."""
-    inner = asked.get("inner", {})
-    inner = inner if isinstance(inner, Mapping) else {}
-    for name, option in OPTIONS.items():
-        for values in (asked, inner):
-            if name in values:
-                raise InvalidField("--set", f"driver ... {name}={values[name]!r}", option)
-    if "start_position" in asked:
-        raise InvalidField("--set", "start_position of the guard", "--home X Y Z")
-
-
-def _path(robot: Robot, options: Options) -> Followed:
-    """What is followed."""
-    start = np.asarray(options.home or robot.home_position, dtype=float)
-    limits = {"speed_max": options.speed, "acceleration_max": options.acceleration}
-    for name, value in limits.items():
-        if not 0.0 < value < np.inf:
-            raise InvalidField(f"--{name.removesuffix('_max')}", str(value), "> 0, finite")
-    if options.by_hand:
-        return HandTarget(robot, start, **limits)
-    path = trajectories.build(options.trajectory, robot, options.seed, **limits)
-    return with_approach(path, start, rest=REST, **limits)
-
-
-def _recorder(options: Options) -> CrashSafeRecorder:
-    """Where the run is recorded."""
-    path = options.recording
-    if path is None:
-        folder = Path("carosac-results/run")
-        folder.mkdir(parents=True, exist_ok=True)
-        path = folder / time.strftime("%Y%m%d-%H%M%S.jsonl")
-    words = f"{options.controller} with {options.estimator} on {options.driver}"
-    return CrashSafeRecorder(path, robot=options.robot, description=words)
-
-
 def _what(options: Options, guard: GuardedDriver, recorder: CrashSafeRecorder) -> str:
     """What is about to happen, by the settings of the guard."""
     settings, period = guard.settings, guard.settings.period
@@ -253,32 +172,14 @@ def _what(options: Options, guard: GuardedDriver, recorder: CrashSafeRecorder) -
     if settings.motion and not settings.enable_at_once:
         how = "dry run: nothing is sent, as enable_at_once is false"
     what = HELP if options.by_hand else f"trajectory {options.trajectory}"
+    if options.to is not None:
+        what = f"straight to {place(np.array(options.to))}"
+    if settings.motion and settings.speed_max is not None:
+        how += f", at {settings.speed_max:g} m/s of cable at most"
     return (
         f"{options.robot} on {options.driver}: {options.controller} with {options.estimator} at "
         f"{1.0 / period:g} Hz; {how}\n{what}\nrecording: {recorder.path}"
     )
-
-
-@contextlib.contextmanager
-def _steered(path: Followed, guard: GuardedDriver) -> Any:
-    """Let somebody steer, where that is what is followed."""
-    if not isinstance(path, HandTarget):
-        yield
-        return
-
-    def heard(word: str) -> None:
-        if not path.obey(word):
-            print(f"carosac: {word!r}: got no key or place; {HELP}", file=sys.stderr)
-        if path.over:
-            guard.end("the end was asked for")
-
-    def ended() -> None:
-        while not path.arrived and guard.ending is None:
-            time.sleep(0.05)
-        guard.end("the input has ended")
-
-    with listening(heard, ended):
-        yield
 
 
 def _result(
@@ -304,9 +205,11 @@ def _result(
         **statistics.data(guard.settings.period),
         "recording": str(recorder.path),
         "rows": recorder.rows,
+        "unrecorded_rows": guard.unrecorded,
     }
-    print(f"{reason}\n{statistics.cycles} cycles, {guard.overruns} late; limited: "
-          f"{dict(statistics.limits) or 'none'}")  # fmt: skip
+    where = "" if statistics.position is None else f"platform at {place(statistics.position)}\n"
+    say(f"{reason}\n{where}{statistics.cycles} cycles, {guard.overruns} late; limited: "
+        f"{dict(statistics.limits) or 'none'}")  # fmt: skip
     if ending.signal is not None and fault is None and error is None:
         return CommandResult(data, status=128 + ending.signal)
     return CommandResult(data, status=0 if good else 1)

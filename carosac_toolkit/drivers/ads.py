@@ -10,33 +10,33 @@ is limited here as in every driver, and by the PLC again; faults are watched by 
 from __future__ import annotations
 
 import contextlib
-import math
 import time
 from dataclasses import replace
-from typing import Any, ClassVar
 
 import numpy as np
 
+from carosac_toolkit.drivers import ads_reader
 from carosac_toolkit.drivers.ads_block import Answer, DriveStatus, Request
-from carosac_toolkit.drivers.ads_link import AdsLink, LinkCounters, Reading
+from carosac_toolkit.drivers.ads_link import AdsLink
+from carosac_toolkit.drivers.ads_reader import AdsReader
 from carosac_toolkit.drivers.ads_settings import AdsSettings, Point
-from carosac_toolkit.drivers.drive_state import DriveState, Fault, fault_of, state_of
+from carosac_toolkit.drivers.drive_state import DriveState, Fault
 from carosac_toolkit.drivers.guard_inner import homing_lengths
 from carosac_toolkit.drivers.imu_udp import ImuListener
+from carosac_toolkit.drivers.tick_schedule import TickSchedule
 from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.hardware import Hardware
-from carosac_toolkit.limits import Limiter
 from carosac_toolkit.number_checks import check_period
 from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Command, LimitHit, Measurement, Stamped, State
+from carosac_toolkit.values import Command, LimitHit, State
+
+__all__ = ["AdsDriver", "AdsSettings"]
 
 _HOMING = 10  # readings of which the mean is homed
-_ANSWER = 1.0  # [s] in which the PLC must answer a request
 _AFTER_STOP = 1.0  # [s] beyond what braking from full speed takes
 _ON = (DriveState.ENABLED, DriveState.FOLLOWING)
 
 
-class AdsDriver:
+class AdsDriver(AdsReader):
     """One robot behind a PLC, in real time.
 
     The clock is that of this host, from `connect` on. The lengths of a measurement are the newest
@@ -45,28 +45,7 @@ class AdsDriver:
     Attributes:
         link: The connection; None before `connect` and after `close`.
         link_counters: What happened on it, also after `close`.
-        overruns: Ticks of the wall clock that were missed since `connect`.
     """
-
-    Settings: ClassVar[type[AdsSettings]] = AdsSettings
-    name: ClassVar[str] = "ads"
-
-    def __init__(self, robot: Robot, settings: AdsSettings | None = None) -> None:
-        """Set up; nothing is connected yet."""
-        self._robot = robot
-        self._settings = settings or AdsSettings()
-        self._named = robot.hardware or Hardware.loopback(robot.n)
-        if self._settings.ip is not None:
-            ads = replace(self._named.ads, ip=self._settings.ip, net_id=f"{self._settings.ip}.1.1")
-            self._named = replace(self._named, ads=ads)
-        self._hardware = self._named
-        self.link: AdsLink | None = None
-        self.link_counters = LinkCounters()
-        self._imu: ImuListener | None = None
-        self._limiter = Limiter(robot, self._settings.limits, period=self._settings.period)
-        self._homed = self._enabled = self._stopped = False
-        self._restarts = 0
-        self.overruns = 0
 
     @classmethod
     def build(
@@ -74,8 +53,6 @@ class AdsDriver:
     ) -> AdsDriver:
         """Make one; nothing is random here."""
         return cls(robot, settings)
-
-    # --- Lifecycle -------------------------------------------------------------------------------
 
     def connect(self) -> None:
         """Connect to the PLC and read; nothing is enabled, and no offset is homed.
@@ -98,7 +75,7 @@ class AdsDriver:
         try:
             if settings.motion and settings.start_position is not None and link.emulated:
                 self._place(settings.start_position)
-                link.wait_for_data(time.monotonic() + 0.05, _ANSWER)
+                link.wait_for_data(time.monotonic() + 0.05, ads_reader.ANSWER)
             if "imu" in settings.suite and self._named.imu is not None:
                 self._imu = ImuListener(self._named.imu)
         except BaseException:
@@ -108,8 +85,8 @@ class AdsDriver:
         self._hardware = self._named
         self._homed = self._enabled = self._stopped = False
         self._restarts = link.counters.restarts
-        self.overruns, self._ticks = 0, 0
-        self._origin = time.monotonic()
+        # between connecting and the first cycle any time may pass
+        self._ticks = TickSchedule(settings.period, forgiving=True)
 
     def home(self, position: State) -> None:
         """Find the offset of each cable: the platform stands still at this pose.
@@ -128,7 +105,7 @@ class AdsDriver:
         lengths = homing_lengths(self._robot, position)
         numbers = []
         for _ in range(_HOMING):
-            if not link.wait_for_data(time.monotonic(), _ANSWER):
+            if not link.wait_for_data(time.monotonic(), ads_reader.ANSWER):
                 raise CarosacError(f"{self.name}: no data from the PLC to home with: {link.error}")
             numbers.append(self._reading().values["length"])
         said = self._hardware.length(np.mean(numbers, axis=0))
@@ -153,7 +130,7 @@ class AdsDriver:
         self._enabled = True  # from here on the PLC may obey, whatever happens
         try:
             self._asked(Request.ENABLE)
-            if not link.wait_for_data(time.monotonic(), _ANSWER):
+            if not link.wait_for_data(time.monotonic(), ads_reader.ANSWER):
                 raise CarosacError(f"{self.name}: no data from the PLC: {link.error}")
             held = self._hardware.length(self._reading().values["set_length"])
             self._limiter.reset(held[None])
@@ -177,7 +154,7 @@ class AdsDriver:
             return
         self._enabled = False
         if not link.other:
-            answer = link.request(Request.DISABLE, _ANSWER)
+            answer = link.request(Request.DISABLE, ads_reader.ANSWER)
             if answer is Answer.NONE:
                 return
             if answer is not Answer.NOT_OWNER:
@@ -207,7 +184,7 @@ class AdsDriver:
         finally:
             if not self._enabled:
                 link.quiet()
-        link.wait_for_data(time.monotonic(), _ANSWER)
+        link.wait_for_data(time.monotonic(), ads_reader.ANSWER)
 
     def stop(self, reason: str) -> None:
         """Have the PLC ramp all winches to rest together; no command passes until `enable`."""
@@ -232,73 +209,6 @@ class AdsDriver:
             if self._imu is not None:
                 self._imu.close()
                 self._imu = None
-
-    def status(self) -> str:
-        """State of the drive system in one word, as `DriveState`."""
-        return str(self.state)
-
-    @property
-    def state(self) -> DriveState:
-        """Where the drive system stands."""
-        link = self.link
-        if link is None or link.reading is None:
-            return DriveState.DISCONNECTED
-        if self.fault in (Fault.LOST_CONNECTION, Fault.STALE_DATA, Fault.OWNER):
-            return DriveState.FAULT
-        said = state_of(link.reading.values["state"])
-        return DriveState.HOMED if said is DriveState.CONNECTED and self._homed else said
-
-    @property
-    def fault(self) -> Fault:
-        """What is wrong, by the PLC or by the connection to it."""
-        link = self.link
-        if link is None or link.reading is None:
-            return Fault.NONE
-        if link.age > self._settings.lost_after:
-            return Fault.LOST_CONNECTION
-        if link.counters.restarts != self._restarts:
-            return Fault.LOST_CONNECTION
-        if time.monotonic() - link.reading.advanced > self._settings.lost_after:
-            return Fault.STALE_DATA
-        if self._enabled and link.other:
-            return Fault.OWNER
-        return fault_of(link.reading.values["fault"])
-
-    @property
-    def fault_text(self) -> str:
-        """The same for people, with the cable where it is that of one."""
-        link, fault = self.link, self.fault
-        if link is None or link.reading is None:
-            return "not connected"
-        if fault is Fault.LOST_CONNECTION:
-            if link.age <= self._settings.lost_after:
-                return "lost connection: the PLC was started anew; home again"
-            return f"lost connection: no answer for {link.age:.2f} s ({link.error})"
-        axis = link.reading.values["fault_axis"]
-        names = self._robot.cable_names
-        where = f" of cable {names[axis - 1]}" if 1 <= axis <= len(names) else ""
-        number = link.reading.values["fault"] if fault is Fault.UNKNOWN else ""
-        return f"{fault}{number}{where}: {fault.meaning}"
-
-    # --- The cycle -------------------------------------------------------------------------------
-
-    def measure(self) -> Measurement:
-        """The newest data that came from the PLC."""
-        reading, hardware = self._reading(), self._hardware
-        values = reading.values
-        stamp = np.array([reading.measured - self._origin])
-        rate = hardware.unit * values["rate"]
-        tension = None
-        if values["has_tension"]:
-            tension = Stamped(time=stamp, value=values["tension"][None])
-        return Measurement(
-            time=np.array([time.monotonic() - self._origin]),
-            unstrained_length=hardware.length(values["length"])[None],
-            length_rate=Stamped(time=stamp, value=rate[None]),
-            tension=tension,
-            imu=None if self._imu is None else self._imu.take(self._origin),
-            drive_status=tuple(_drive(x) for x in values["drive_status"]),
-        )
 
     def command(self, command: Command) -> Command:
         """Limit a command and send it at once.
@@ -347,58 +257,15 @@ class AdsDriver:
             InvalidField: Another duration than the period, for which the limits count.
         """
         self._connected()
-        period = self._settings.period
-        check_period(duration, period, "driver")
-        elapsed = time.monotonic() - self._origin
-        self._ticks += 1
-        missed = max(0, math.ceil(elapsed / period) - self._ticks)
-        if self._ticks == 1:  # between connecting and the first cycle any time may pass
-            missed, self._ticks = 0, self._ticks + missed
-        self.overruns += missed
-        self._ticks += missed
-        time.sleep(max(0.0, self._ticks * period - (time.monotonic() - self._origin)))
+        check_period(duration, self._settings.period, "driver")
+        self._ticks.wait()
         return not self._stopped and self.state not in (DriveState.FAULT, DriveState.ESTOP)
-
-    def truth(self) -> State | None:
-        """The state of the robot of an emulated PLC at its newest cycle; None of a real one."""
-        link = self._connected()
-        if not link.emulated:
-            return None
-        if not link.wants_truth:
-            link.wants_truth = True
-            link.wait_for_data(time.monotonic() + self._settings.io_period, _ANSWER)
-        reading = self._reading()
-        known = reading.truth
-        if known is None:
-            return None
-        return State(
-            time=np.array([reading.received - self._origin]),
-            position=known["position"][None],
-            rotation=known["rotation"].reshape(1, 3, 3),
-            twist=known["twist"][None],
-            unstrained_length=known["length"][None],
-            tension=known["tension"][None],
-        )
-
-    # --- Helpers ---------------------------------------------------------------------------------
-
-    def _connected(self) -> AdsLink:
-        """Refuse to work before `connect` and after `close`."""
-        if self.link is None:
-            raise CarosacError(f"{self.name}: not connected; call connect() first")
-        return self.link
-
-    def _reading(self) -> Reading:
-        """The newest data."""
-        reading = self._connected().reading
-        assert reading is not None  # `connect` waited for it
-        return reading
 
     def _alone(self) -> None:
         """Refuse to write where the PLC obeys another host."""
         link = self._connected()
         if link.other:  # perhaps it has let go since
-            link.wait_for_data(time.monotonic(), _ANSWER)
+            link.wait_for_data(time.monotonic(), ads_reader.ANSWER)
         other = link.other
         if other:
             raise CarosacError(
@@ -407,7 +274,7 @@ class AdsDriver:
 
     def _asked(self, request: Request) -> None:
         """Ask the PLC; refuse everything but that it is done."""
-        answer = self._connected().request(request, _ANSWER)
+        answer = self._connected().request(request, ads_reader.ANSWER)
         if answer is Answer.DONE:
             return
         raise CarosacError(
@@ -425,7 +292,7 @@ class AdsDriver:
                 DriveState.STOPPING.number
             ):
                 return
-            if not link.wait_for_data(time.monotonic(), _ANSWER):
+            if not link.wait_for_data(time.monotonic(), ads_reader.ANSWER):
                 return
 
     def _place(self, position: Point) -> None:
@@ -444,8 +311,3 @@ _WHY = {
     Answer.CAUSE_REMAINS: "the cause of the fault is still there",
     Answer.UNKNOWN: "it does not know this request",
 }
-
-
-def _drive(number: Any) -> str:
-    """Status of a drive in one word."""
-    return DriveStatus(int(number)).name.lower() if int(number) <= max(DriveStatus) else "unknown"

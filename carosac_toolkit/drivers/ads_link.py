@@ -13,11 +13,11 @@ import secrets
 import socket
 import threading
 import time
-from dataclasses import dataclass
 from typing import Any
 
 from carosac_toolkit.drivers import ads_block
 from carosac_toolkit.drivers.ads_block import Answer, Request
+from carosac_toolkit.drivers.ads_reading import LinkCounters, Reading
 from carosac_toolkit.drivers.clock_offset import ClockOffset
 from carosac_toolkit.errors import CarosacError
 from carosac_toolkit.hardware import TCP_PORT, AdsAddress
@@ -26,53 +26,6 @@ from carosac_toolkit.plc.machine_blocks import TRUTH, truth
 _AGAIN = 0.2  # [s] between two attempts to connect
 _REOPEN = 4  # calls in a row that failed, after which the connection is opened anew
 _BY_HANDLE = 0xF005
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Reading:
-    """What the PLC said.
-
-    Attributes:
-        values: By name, as in `ads_block.to_host`.
-        received: When, by `time.monotonic` [s].
-        measured: When its lengths were measured, by the same clock [s]; stays the same where the
-            heartbeat or the clock of the PLC does.
-        advanced: When that was last seen to advance, by the same clock [s].
-        truth: What an emulated PLC knows of its robot, or None.
-    """
-
-    values: dict[str, Any]
-    received: float
-    measured: float
-    advanced: float
-    truth: dict[str, Any] | None = None
-
-
-@dataclass
-class LinkCounters:
-    """What happened on a link.
-
-    Attributes:
-        cycles: Reads, and writes if any, that went well.
-        errors: Calls that failed.
-        torn: Data that were not of one PLC cycle.
-        reconnects: How often the connection was opened anew.
-        restarts: How often the PLC started anew: another ``boot``, or its clock went back.
-        missed: Cycles of the thread that came a whole period late.
-        round_trip: Wall time of the newest cycle, read and write [s].
-        round_trip_max: The longest one [s].
-        gap_max: Longest time from the end of one cycle to that of the next [s].
-    """
-
-    cycles: int = 0
-    errors: int = 0
-    torn: int = 0
-    reconnects: int = 0
-    restarts: int = 0
-    missed: int = 0
-    round_trip: float = 0.0
-    round_trip_max: float = 0.0
-    gap_max: float = 0.0
 
 
 class AdsLink:

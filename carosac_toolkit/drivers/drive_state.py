@@ -50,6 +50,8 @@ class Fault(StrEnum):
     OVER_LIMIT = "over_limit"
     OWNER = "owner"
     UNKNOWN = "unknown"
+    WORKSPACE = "workspace"  # those of the host alone stand last: the numbers of a PLC stay
+    RECORDING = "recording"
 
     @property
     def number(self) -> int:
@@ -140,5 +142,13 @@ _TEXTS: dict[Fault, tuple[str, str]] = {
     Fault.UNKNOWN: (
         "The PLC reports a fault that has no name here.",
         "Look the number up in the PLC program.",
+    ),
+    Fault.WORKSPACE: (
+        "The platform is outside its workspace box.",
+        "Bring it back with the panel of the PLC, check path and home pose, then reset.",
+    ),
+    Fault.RECORDING: (
+        "The run could no longer be recorded, so that nobody could explain it.",
+        "Free the disk or record on a local one, then start a new run.",
     ),
 }

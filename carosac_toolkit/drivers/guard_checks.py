@@ -9,7 +9,7 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.drivers.drive_state import Fault
-from carosac_toolkit.drivers.guard_settings import GuardSettings
+from carosac_toolkit.drivers.guard_settings import STALE, GuardSettings
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics import statics, straight_line
 from carosac_toolkit.physics.braking import Motion
@@ -17,6 +17,7 @@ from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Belief, Command, Measurement
 
 DELAY = 0.03  # motion that differing lags may explain [s], besides the age of a sample
+STEADY = 0.5  # [s] over which tensions are averaged: the platform tilts to and fro at some Hz
 FREE = 6  # cables up to which lengths and weight say the tensions
 
 
@@ -38,17 +39,27 @@ class Finding:
 
 
 class Checks:
-    """Watches one robot of n cables; what is sent is told by `sent`."""
+    """Watches one robot of n cables; what is sent is told by `sent`.
+
+    Attributes:
+        patience: How long measurements may stay the same [s].
+        position: Of the platform by the newest lengths in W [m], shape (3,), or None.
+        tension: Of the cables at rest there [N], shape (n,), or None.
+    """
 
     def __init__(self, robot: Robot, settings: GuardSettings) -> None:
         self._robot = robot
         self._settings = settings
+        self.patience = STALE if settings.stale_time is None else settings.stale_time
         self._last: Measurement | None = None
         self._held = False
         self._silent = 0
         self._count: Counter[Fault] = Counter()
         self._expected: Array | None = None
         self._before: Array | None = None
+        self._start: tuple[Array, Array] | None = None  # where it was told to be, and was
+        self._shares: list[Array] = []  # newest measured tensions over those of rest
+        self._usual: Array | None = None  # their mean at the start
         self._speed = np.zeros(robot.n)
         self._equilibrium: statics.Equilibrium | None = None
         self.position: Array | None = None
@@ -68,6 +79,7 @@ class Checks:
         """The winches now stand there and are told to, lengths [m] of shape (n,); None: untold."""
         self._expected = None if length is None else length.copy()
         self._before = None
+        self._start = None
         self._speed = np.zeros(self._robot.n)
         self._count.clear()
 
@@ -93,6 +105,7 @@ class Checks:
         findings = [
             self._stale(measurement),
             self._jump(measurement, still=still),
+            self._direction(measurement),
             self._following(measurement),
         ]
         if homed:
@@ -114,12 +127,12 @@ class Checks:
             text = f"{asked[0, i]:.3f} m asked; allowed: {low[i]:g} m to {high[i]:g} m"
             return Finding(fault=Fault.COMMAND, text=text, cable=i)
         far = np.abs(asked[0] - standing)
-        i = int(np.argmax(far))
-        most, which = settings.step_max, "a command"
+        most, which = settings.step(robot), "a command"
         if first:
-            most, which = min(settings.first_max, most), "the first command"
-        if far[i] > most:
-            text = f"{which} is {far[i]:.3f} m from where the winch stands; allowed: {most:g} m"
+            most, which = np.minimum(settings.first_max, most), "the first command"
+        i = int(np.argmax(far - most))
+        if far[i] > most[i]:
+            text = f"{which} is {far[i]:.3f} m from where the winch stands; allowed: {most[i]:g} m"
             return Finding(fault=Fault.COMMAND, text=text, cable=i)
         return None
 
@@ -139,9 +152,9 @@ class Checks:
         advanced = last is None or _sampled(measurement) > _sampled(last)
         self._silent = 0 if advanced else self._silent + 1
         silent = self._silent * settings.period
-        if self._silent < 2 or silent <= settings.stale_time:
+        if self._silent < 2 or silent <= self.patience:
             return None
-        text = f"no new sample for {silent:.3f} s; allowed: {settings.stale_time:g} s"
+        text = f"no new sample for {silent:.3f} s; allowed: {self.patience:g} s"
         return Finding(fault=Fault.STALE_DATA, text=text)
 
     def _jump(self, measurement: Measurement, *, still: bool) -> Finding | None:
@@ -166,13 +179,36 @@ class Checks:
         text = f"the length jumped by {change[i]:+.3f} m; allowed: {allowed[i]:.3f} m"
         return Finding(fault=Fault.ENCODER_JUMP, text=text, cable=i)
 
+    def _direction(self, measurement: Measurement) -> Finding | None:
+        """Winches must turn the way they were told to, since they stood."""
+        if self._expected is None:
+            return None
+        measured = measurement.unstrained_length[0]
+        if self._start is None:
+            self._start = (self._expected.copy(), measured.copy())
+        told, done = self._expected - self._start[0], measured - self._start[1]
+        allowed = self._settings.direction_max + self._late(measurement)
+        against = np.where(told * done < 0.0, np.minimum(np.abs(told), np.abs(done)), 0.0)
+        i = int(np.argmax(against - allowed))
+        if against[i] <= allowed[i]:
+            return None
+        text = f"told to change by {told[i]:+.3f} m, and changed by {done[i]:+.3f} m: it turns the "
+        return Finding(
+            fault=Fault.FOLLOWING_ERROR, text=text + "other way", cable=i,
+            lasting=self._settings.lasting,
+        )  # fmt: skip
+
+    def _late(self, measurement: Measurement) -> Array:
+        """Motion that differing lags and the age of a sample may explain [m], shape (n,)."""
+        age = max(float(measurement.time[0]) - _sampled(measurement), 0.0)
+        return np.asarray((DELAY + age) * np.abs(self._speed))
+
     def _following(self, measurement: Measurement) -> Finding | None:
         """Winches must be where they were told to be, after their lag."""
         if self._expected is None:
             return None
         error = np.abs(measurement.unstrained_length[0] - self._expected)
-        age = max(float(measurement.time[0]) - _sampled(measurement), 0.0)
-        allowed = self._settings.following_max + (DELAY + age) * np.abs(self._speed)
+        allowed = self._settings.following_max + self._late(measurement)
         i = int(np.argmax(error - allowed))
         if error[i] <= allowed[i]:
             return None
@@ -190,7 +226,8 @@ class Checks:
                 self._rest(lengths)
         except InvalidField as error:  # no length at all
             return [Finding(fault=Fault.CLOSURE, text=str(error))]
-        return [closure, self._tension(measurement), self._workspace()]
+        shift = self._tension_shift(measurement)
+        return [closure, shift, self._tension(measurement), self._workspace()]
 
     def _closure(self, lengths: Array) -> Finding | None:
         """One straight-line pose must explain all lengths."""
@@ -211,6 +248,31 @@ class Checks:
         self.tension = found.tension[0] if good else None
         if good:
             self.position = found.position[0]
+
+    def _tension_shift(self, measurement: Measurement) -> Finding | None:
+        """Measured tensions must go with those of the lengths, where somebody wants to know.
+
+        Lengths that follow their commands to the millimetre may still be wrong: a winch that turns
+        the other way than the robot file says tilts the platform, and loads its cables crosswise.
+        """
+        most, measured = self._settings.tension_shift_max, measurement.tension
+        if most is None or measured is None or self.tension is None:
+            return None
+        span = max(1, round(STEADY / self._settings.period))
+        self._shares = [*self._shares[1 - span :], measured.value[0] / self.tension]
+        mean = np.mean(self._shares, axis=0)
+        if self._expected is None or self._usual is None:
+            self._usual = mean  # standing still
+        change = mean / self._usual - 1.0
+        i = int(np.argmax(np.abs(change)))
+        if abs(change[i]) <= most:
+            return None
+        text = (
+            f"the tension of cable '{self._robot.cable_names[i]}' is {100 * change[i]:+.0f} % off "
+            f"what the lengths say; allowed: {100 * most:g} %. Does a winch turn the other way "
+            "than its sign in the robot file, or by another scale?"
+        )
+        return Finding(fault=Fault.CLOSURE, text=text)
 
     def _tension(self, measurement: Measurement) -> Finding | None:
         """Measured tensions, or those of rest where lengths and weight determine them."""
@@ -241,7 +303,7 @@ class Checks:
             return None
         text = f"the platform is {far:.2f} m outside the workspace box; allowed: "
         text += f"{self._settings.workspace_margin:g} m"
-        return Finding(fault=Fault.CLOSURE, text=text, lasting=self._settings.lasting)
+        return Finding(fault=Fault.WORKSPACE, text=text, lasting=self._settings.lasting)
 
     def _ripe(self, findings: list[Finding]) -> Finding | None:
         """The first finding that counts; those that must last are counted."""

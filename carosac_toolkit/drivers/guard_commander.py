@@ -30,7 +30,8 @@ class Commander:
         self, robot: Robot, settings: GuardSettings, send: Callable[[Command], Command]
     ) -> None:
         """Set up; `send` hands a command to the driver and returns what it sent."""
-        self._limiter = Limiter(robot, settings.limits, period=settings.period)
+        slowed = settings.slowed(robot)
+        self._limiter = Limiter(slowed, settings.limits, period=settings.period)
         self._share = min(1.0, settings.period / MEMORY)
         self._hand_over = send
         self._bend = np.zeros(robot.n)

@@ -6,7 +6,6 @@ one sample of a sensor to the next.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -14,6 +13,7 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array, as_floats, frozen_array
 from carosac_toolkit.drivers.plant import Plant
+from carosac_toolkit.drivers.tick_schedule import TickSchedule
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.limits import Limiter, LimitSettings
 from carosac_toolkit.number_checks import check_period
@@ -66,9 +66,6 @@ class SimulatedDriver:
     `connect` and does not drift. Where the cycle took longer than a period, it waits for the next
     tick that lies ahead and counts those missed in `overruns`. Simulated time goes on by one period
     a cycle all the same: it then stays behind the wall clock, and no burst of cycles makes up.
-
-    Attributes:
-        overruns: Ticks of the wall clock that were missed since `connect`, in real time.
     """
 
     Settings: ClassVar[type[SimulatedSettings]] = SimulatedSettings
@@ -80,7 +77,12 @@ class SimulatedDriver:
         self._settings = settings
         self._seed = seed
         self._connected = False
-        self.overruns = 0
+        self._ticks = TickSchedule(settings.period)
+
+    @property
+    def overruns(self) -> int:
+        """Ticks of the wall clock that were missed since `connect`, in real time."""
+        return self._ticks.missed
 
     def connect(self) -> None:
         """Set the robots down at rest at their start.
@@ -100,9 +102,7 @@ class SimulatedDriver:
         self._connected = True
         self._stopping = False
         self._sent = False
-        self.overruns = 0
-        self._ticks = 0
-        self._origin = time.monotonic()
+        self._ticks = TickSchedule(settings.period)
 
     def measure(self) -> Measurement:
         """Newest samples that have arrived; the same again at the same time."""
@@ -145,7 +145,7 @@ class SimulatedDriver:
         self._pass_time(duration)
         self._sent = False
         if self._settings.real_time:
-            self._wait_for_tick()
+            self._ticks.wait()
         return not self._stopping
 
     def stop(self, reason: str) -> None:
@@ -191,16 +191,6 @@ class SimulatedDriver:
         if not self._sent:
             self._command = np.array(self._limiter.brake().unstrained_length)
             self._sent = True
-
-    def _wait_for_tick(self) -> None:
-        """Sleep to the next tick that lies ahead; count those that passed."""
-        period = self._settings.period
-        elapsed = time.monotonic() - self._origin
-        self._ticks += 1
-        missed = max(0, int(np.ceil(elapsed / period)) - self._ticks)
-        self.overruns += missed
-        self._ticks += missed
-        time.sleep(max(0.0, self._ticks * period - elapsed))
 
     def _check_connected(self) -> None:
         """Refuse to work before `connect` and after `close`."""

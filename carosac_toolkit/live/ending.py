@@ -12,9 +12,14 @@ from types import FrameType
 
 from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.live.saying import say
 
 PATIENCE = 3.0  # [s] for a hanging controller to be interrupted, before the process ends
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = tuple(
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+    if hasattr(signal, name)
+)
 
 
 class ControllerHung(CarosacError):
@@ -28,7 +33,7 @@ class Ending:
         signal: The signal that asked for the end, or None.
     """
 
-    def __init__(self, guard: GuardedDriver, last_words: Callable[[], None]) -> None:
+    def __init__(self, guard: GuardedDriver, last_words: Callable[[], object]) -> None:
         """Watch a guard; `last_words` is called before the process ends the hard way."""
         self._guard = guard
         self._last_words = last_words
@@ -55,9 +60,9 @@ class Ending:
         """End the process, unless the controller comes back in time."""
         if self._over.wait(PATIENCE):
             return
+        self._guard.end_recording()
         self._last_words()
-        print("carosac: the controller cannot be interrupted; the process ends", file=sys.stderr)
-        sys.stderr.flush()
+        say("carosac: the controller cannot be interrupted; the process ends", sys.stderr)
         os._exit(1)
 
     def over(self) -> None:
@@ -66,8 +71,8 @@ class Ending:
 
 
 @contextlib.contextmanager
-def ending_of(guard: GuardedDriver, last_words: Callable[[], None]) -> Iterator[Ending]:
-    """Stop a guarded run in good order at SIGINT and SIGTERM, and where its controller hangs."""
+def ending_of(guard: GuardedDriver, last_words: Callable[[], object]) -> Iterator[Ending]:
+    """Stop a guarded run in good order at `SIGNALS`, and where its controller hangs."""
     ending = Ending(guard, last_words)
     before = {number: signal.signal(number, ending.heard) for number in SIGNALS}
     guard.on_hang = ending.hang

@@ -8,10 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Reference
 
 STEP = 0.05  # [m] of one key
+BOX_MARGIN = 1e-9  # [m]
 KEYS = {
     "\x1b[A": (0, 1, 0), "\x1b[B": (0, -1, 0), "\x1b[C": (1, 0, 0), "\x1b[D": (-1, 0, 0),
     "\x1b[5~": (0, 0, 1), "\x1b[6~": (0, 0, -1), "u": (0, 0, 1), "d": (0, 0, -1),
@@ -64,34 +66,43 @@ class HandTarget:
             return bool(near and np.abs(self._here.velocity).max() < 1e-3)
 
     def go_to(self, position: Array) -> Array:
-        """Set the target; a place outside the box becomes the nearest in it, which is returned."""
-        with self._lock:
-            self._target = np.clip(np.asarray(position, dtype=float), *self._box)
-            return self._target.copy()
-
-    def obey(self, word: str) -> bool:
-        """Take a key, or a line of three numbers.
+        """Set the target.
 
         Returns:
-            Whether it meant something.
+            The target in W [m], shape (3,).
+
+        Raises:
+            InvalidField: It lies outside the workspace box, and not on the way back into it; the
+                old target stays.
+        """
+        asked = np.asarray(position, dtype=float)
+        low, high = self._box
+        with self._lock:
+            outside = np.maximum(low - asked, asked - high)
+            before = np.maximum(low - self._target, self._target - high)
+            if (outside > np.maximum(before, BOX_MARGIN)).any():
+                kept = " ".join(f"{x:.3f}" for x in self._target)
+                box = f"{low.tolist()} to {high.tolist()} m, the workspace box"
+                got = " ".join(f"{x:g}" for x in asked)
+                raise InvalidField("target", f"{got} m", f"{box}; it stays at {kept} m")
+            self._target = asked.copy()
+            return asked
+
+    def obey(self, word: str) -> None:
+        """Take a key, or a line of three numbers.
+
+        Raises:
+            InvalidField: It means nothing, or a place that is not allowed; the target stays.
         """
         if word in KEYS:
             self.go_to(self.target + STEP * np.array(KEYS[word]))
-            return True
-        if word == " ":
-            self.go_to(self._here.position)
-            return True
-        if word.strip() == "q":
+        elif word == " ":
+            with self._lock:
+                self._target = self._here.position.copy()
+        elif word.strip() == "q":
             self.over = True
-            return True
-        try:
-            numbers = [float(x) for x in word.replace(",", " ").split()]
-        except ValueError:
-            return False
-        if len(numbers) != 3 or not np.isfinite(numbers).all():
-            return False
-        self.go_to(np.array(numbers))
-        return True
+        else:
+            self.go_to(_place(word))
 
     def window(self, time: float, horizon: float, period: float) -> Reference:
         """What to follow from `time` on, which must not go back; see `Trajectory.window`."""
@@ -124,3 +135,14 @@ class HandTarget:
         change = change * min(1.0, acceleration_max / size) if size > 0.0 else change
         velocity = here.velocity + change * period
         return _Here(here.position + velocity * period, velocity, change)
+
+
+def _place(word: str) -> Array:
+    """Three numbers of a line."""
+    try:
+        numbers = [float(x) for x in word.replace(",", " ").split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3 or not np.isfinite(numbers).all():
+        raise InvalidField("input", repr(word), HELP)
+    return np.array(numbers)

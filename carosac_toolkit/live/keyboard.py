@@ -4,10 +4,32 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import select
 import sys
 import threading
+from codecs import getincrementaldecoder
 from collections.abc import Callable, Iterator
+
+from carosac_toolkit.errors import InvalidField
+
+_KEY = re.compile(r"\x1b\[[0-9;]*[A-Za-z~]|\x1bO[A-Za-z]")  # what a terminal sends for one key
+_PART = re.compile(r"\x1b(\[[0-9;]*|O)?")
+_NUMBERS = "0123456789+-."
+_BETWEEN = " ,\teE"  # in a line of numbers
+
+
+def check_input(option: str) -> None:
+    """Refuse to listen where there is no standard input.
+
+    Raises:
+        InvalidField: There is none; it names the option that wants it.
+    """
+    try:
+        sys.stdin.fileno()
+    except (AttributeError, OSError, ValueError) as error:
+        allowed = "a standard input: a terminal, a pipe or a file"
+        raise InvalidField(option, "none", allowed) from error
 
 
 @contextlib.contextmanager
@@ -49,7 +71,8 @@ def _single_keys(descriptor: int) -> Iterator[None]:
     try:
         yield
     finally:
-        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+        with contextlib.suppress(termios.error):  # where the terminal is gone
+            termios.tcsetattr(descriptor, termios.TCSANOW, before)
 
 
 def _read(
@@ -57,31 +80,65 @@ def _read(
     ended: Callable[[], None],
 ) -> None:  # fmt: skip
     """Read until the end of the input, or until told."""
-    text = ""
+    words = Words(keys=terminal)
+    decoder = getincrementaldecoder("utf-8")("replace")
     while done not in select.select([descriptor, done], [], [])[0]:
-        data = os.read(descriptor, 256)
+        try:
+            data = os.read(descriptor, 256)
+        except OSError:  # the terminal is gone
+            data = b""
+        for word in words.feed(decoder.decode(data)) if data else words.rest():
+            heard(word)
         if not data:
             ended()
             return
-        text += data.decode(errors="replace")
-        for word in _words(text, terminal):
-            heard(word)
-        text = _left(text, terminal)
 
 
-def _words(text: str, terminal: bool) -> list[str]:
-    """Whole lines; on a terminal also single keys, but not the digits of a line not yet ended."""
-    if not terminal:
-        return text.split("\n")[:-1]
-    if text.startswith("\x1b"):
-        return [text]
-    if text[0] in "0123456789-+.":
-        return text.split("\n")[:-1]
-    return list(text.replace("\n", ""))
+class Words:
+    """From what comes in, in pieces of any size, to lines and, on a terminal, keys."""
 
+    def __init__(self, *, keys: bool) -> None:
+        """Begin; `keys`: each key is a word, but for those of a line of numbers."""
+        self._keys = keys
+        self._text = ""
+        self._line = ""
 
-def _left(text: str, terminal: bool) -> str:
-    """What has not been handed over."""
-    if terminal and text[0] not in "0123456789-+.":
-        return ""
-    return text.rpartition("\n")[2]
+    def feed(self, text: str) -> list[str]:
+        """Take what came; the words that are whole now."""
+        self._text += text
+        if not self._keys:
+            *lines, self._text = self._text.split("\n")
+            return lines
+        found: list[str] = []
+        while self._text:
+            key = _KEY.match(self._text)
+            if key is None and _PART.fullmatch(self._text):
+                break  # the rest of an escape sequence is still to come
+            word = self._text[0] if key is None else key.group()
+            self._text = self._text[len(word) :]
+            found += self._take(word)
+        return found
+
+    def rest(self) -> list[str]:
+        """The last line, where it has no end."""
+        left = self._line if self._keys else self._text
+        self._line = self._text = ""
+        return [left] if left.strip() else []
+
+    def _take(self, word: str) -> list[str]:
+        """One key."""
+        if word in "\r\n":
+            return self._ended_line()
+        if word in "\b\x7f":
+            self._line = self._line[:-1]
+            return []
+        if word in _NUMBERS or (self._line and word in _BETWEEN):
+            self._line += word
+            return []
+        self._line = ""  # a key gives a half line up
+        return [] if word == "\x1b" else [word.replace("\x1bO", "\x1b[")]
+
+    def _ended_line(self) -> list[str]:
+        """The line of numbers that Enter has ended."""
+        line, self._line = self._line, ""
+        return [line] if line.strip() else []

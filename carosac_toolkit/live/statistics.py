@@ -11,6 +11,7 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.drivers.guarded import GuardedDriver
+from carosac_toolkit.live.saying import put, say
 from carosac_toolkit.loop import Step
 
 TERMINAL, FILE = 0.2, 2.0  # [s] between two lines
@@ -22,12 +23,14 @@ class Statistics:
 
     Attributes:
         limits: How often each limit changed a command, by cycles.
+        position: Where the platform was believed last in W [m], shape (3,); None before the first
+            cycle.
     """
 
     def __init__(self, guard: GuardedDriver, stream: TextIO | None = None) -> None:
         """Print to `stream`, by default the standard error."""
         self._guard = guard
-        self._stream = stream or sys.stderr
+        self._given = stream
         self._every = TERMINAL if self._stream.isatty() else FILE
         self._began = self._printed = time.monotonic()
         self._last: float | None = None
@@ -37,6 +40,12 @@ class Statistics:
         self._interval: list[float] = []
         self._squares: Array = np.zeros(2)
         self._known = 0
+        self.position: Array | None = None
+
+    @property
+    def _stream(self) -> TextIO:
+        """Where to print."""
+        return self._given or sys.stderr
 
     def __call__(self, step: Step) -> None:
         """Take one cycle in."""
@@ -50,6 +59,7 @@ class Statistics:
             if self._last is not None:
                 self._interval.append(now - self._last)
         self._last = now
+        self.position = step.belief.position[0]
         reference = step.reference.position[0, 0]
         if step.truth is not None:
             wrong = (
@@ -65,7 +75,7 @@ class Statistics:
     def end_line(self) -> None:
         """Leave the line that is written over and over."""
         if self._stream.isatty() and self._printed > self._began:
-            print(file=self._stream)
+            put(self._stream, "\n")
 
     def data(self, period: float) -> dict[str, Any]:
         """Numbers of the whole run."""
@@ -82,6 +92,7 @@ class Statistics:
             "limited_cycles": dict(self.limits),
             "tracking_rmse_m": rms[0],
             "estimation_rmse_m": rms[1],
+            "position_m": None if self.position is None else self.position.tolist(),
         }
 
     def _say_home(self) -> None:
@@ -89,7 +100,7 @@ class Statistics:
         change = self._guard.home_change
         if change is not None:
             said = ", ".join(f"{1e3 * x:+.1f}" for x in change)
-            print(f"homed: the offsets of the cables changed by {said} mm", flush=True)
+            say(f"homed: the offsets of the cables changed by {said} mm")
 
     def _print(self, step: Step, reference: Array) -> None:
         """One line: state, time, belief, distance to the reference, latency, limits."""
@@ -102,8 +113,7 @@ class Statistics:
             f"limited {sum(self.limits.values())}  late {self._guard.overruns}"
         )
         start, end = ("\r", "\x1b[K") if self._stream.isatty() else ("", "\n")
-        self._stream.write(start + text + end)
-        self._stream.flush()
+        put(self._stream, start + text + end)
 
 
 def _quantile(values: Any, share: float) -> float | None:

@@ -116,6 +116,11 @@ class Machine:
         """Clock of the PLC [s]: its cycles."""
         return self._ticks * self._cycle
 
+    @property
+    def owner(self) -> int:
+        """Session that it obeys; 0: nobody."""
+        return self._host.session
+
     def cycle(self, host: dict[str, Any] | None, inputs: Inputs) -> None:
         """One cycle: listen, check, move the set points.
 
@@ -142,7 +147,7 @@ class Machine:
         tension = inputs.tension
         found = heartbeat | {
             "layout": LAYOUT, "cables": len(inputs.length), "echo": self._host.sequence,
-            "owner": self._host.session, "state": self.state.number, "fault": self.fault.number,
+            "owner": self.owner, "state": self.state.number, "fault": self.fault.number,
             "fault_axis": self.fault_axis, "answered": self._answer[0], "answer": self._answer[1],
             "command_echo": self._host.command or 0, "has_tension": tension is not None,
             "time": self.time, "length": inputs.length, "rate": inputs.rate,

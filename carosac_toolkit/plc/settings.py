@@ -31,6 +31,9 @@ class PlcSettings:
         shift: Standard deviation of what the encoders say too much after power-on [m].
         start_position: Platform origin at power-on in W [m]; None is the home position.
         sensors: Noise of encoders, load cells and IMU; their rates are those of the PLC.
+        wrong_sign: Cables, from 0, whose encoder and drive are wired the other way than the robot
+            file says.
+        reversed_drive: Cables, from 0, whose drive alone is.
         wind_force: Standard deviation of the wind on the platform per horizontal axis [N].
     """
 
@@ -46,6 +49,8 @@ class PlcSettings:
     shift: float = 0.0
     start_position: tuple[float, float, float] | None = None
     sensors: SensorSettings = field(default_factory=lambda: SensorSettings(encoder_bias=0.0))
+    wrong_sign: tuple[int, ...] = ()
+    reversed_drive: tuple[int, ...] = ()
     wind_force: float = 0.0
 
     def __post_init__(self) -> None:

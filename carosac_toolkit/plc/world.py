@@ -26,7 +26,8 @@ class World:
     """One robot with encoders, load cells and an IMU.
 
     The encoders say `shift` too much: what they lost while they were switched off. The drives close
-    their loops on the motors, so that an encoder that jumps moves nothing.
+    their loops on the motors, so that an encoder that jumps moves nothing. What is wired the other
+    way goes the other way from where the robot was set down.
 
     Attributes:
         plant: The simulation.
@@ -49,6 +50,9 @@ class World:
         self._hardware, self._settings, self._seed = hardware, settings, seed
         rng = np.random.default_rng([seed, 1])
         self.shift = settings.shift * rng.standard_normal(robot.n)
+        self._read_sign, self._drive_sign = np.ones(robot.n), np.ones(robot.n)
+        self._read_sign[list(settings.wrong_sign)] = -1.0
+        self._drive_sign[[*settings.wrong_sign, *settings.reversed_drive]] = -1.0
 
     def place(self, position: Array) -> None:
         """Set the robot down at rest, platform origin at a position in W [m], shape (3,).
@@ -69,6 +73,8 @@ class World:
         self._lengths: deque[Array] = deque(maxlen=span + 1)
         self._imu: list[tuple[float, Array]] = []
         self._read()
+        self._down = self._hardware.number(self._lengths[-1] + self.shift)
+        self._down_standing = self.standing
 
     def jump(self, axis: int, distance: float) -> None:
         """Let the encoder of a cable, from 0, say so much more from now on [m]."""
@@ -76,6 +82,7 @@ class World:
 
     def advance(self, number: Array) -> None:
         """One PLC cycle with constant set positions, free of `shift` [unit], shape (n,)."""
+        number = self._down_standing + self._drive_sign * (number - self._down_standing)
         asked = self._hardware.length(number) - self._suite.encoder_bias[0]
         end = self.time + self._settings.cycle
         while self.time < end - 1e-9:
@@ -97,9 +104,10 @@ class World:
         span = (len(lengths) - 1) * self._settings.cycle
         rate = (lengths[-1] - lengths[0]) / span if span else np.zeros_like(lengths[-1])
         tension = self._measured.tension
+        number = self._hardware.number(lengths[-1] + self.shift)
         return Inputs(
-            length=self._hardware.number(lengths[-1] + self.shift),
-            rate=rate / self._hardware.unit,
+            length=self._down + self._read_sign * (number - self._down),
+            rate=self._read_sign * rate / self._hardware.unit,
             tension=None if tension is None else tension.value[0],
         )
 

@@ -1,5 +1,9 @@
+from dataclasses import dataclass
+from types import ModuleType
+
 import pytest
 
+from carosac_toolkit.cli.arguments import parse_options
 from carosac_toolkit.cli.main import main
 
 
@@ -45,3 +49,18 @@ def test_help_is_in_words(capsys, command):
 def test_numbers_are_read(capsys):
     assert main(["robots", "--seed", "7"]) == 0
     assert main(["robots", "--seed=-7"]) == 0
+
+
+def test_several_numbers_are_no_single_number():
+    @dataclass(frozen=True)
+    class Options:
+        box: tuple[float, float] = (0.0, 1.0)
+        maybe: tuple[int, int] | None = None
+        counts: tuple[int, ...] = ()
+
+    module = ModuleType("command")
+    module.Options = Options
+    words = ["--box", "2", "3.5", "--maybe", "1", "2", "--counts", "4", "5", "6"]
+    found = parse_options(module, "command", words)
+    assert found == Options(box=(2.0, 3.5), maybe=(1, 2), counts=(4, 5, 6))
+    assert parse_options(module, "command", []) == Options()

@@ -1,4 +1,5 @@
 import contextlib
+import io
 import json
 import signal
 import subprocess
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.cli.main import main
-from carosac_toolkit.cli.plc import obey
+from carosac_toolkit.cli.plc import listen, obey
 from carosac_toolkit.drivers.ads_block import from_host
 from carosac_toolkit.drivers.drive_state import DriveState, Fault
 from carosac_toolkit.errors import CarosacError, InvalidField
@@ -40,7 +41,8 @@ def test_lines_of_the_standard_input_do_what_they_say(emulator):
     assert obey(emulator, "trip 2") == "ok"
     emulator.step()
     assert (machine.fault, machine.fault_axis) == (Fault.DRIVE_TRIP, 2)
-    assert json.loads(obey(emulator, "state"))["fault"] == "drive_trip"
+    said = json.loads(obey(emulator, "state"))
+    assert said == {"state": "fault", "fault": "drive_trip", "axis": 2, "owner": None}
     assert obey(emulator, "trip 2 off") == "ok"
     assert not machine.wires.tripped.any()
     obey(emulator, "network 0.02 0.01")
@@ -147,8 +149,17 @@ def test_a_taken_address_is_one_message(emulator, address, capsys):
     assert f"plc: cannot listen on {address}:48898" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("end", ["sigterm", "end of input", "quit"])
-def test_every_way_out_ends_the_process_and_writes_the_counters(end, tmp_path):
+@pytest.mark.parametrize("typed", ["", "quit\n", "nonsense\nquit\ntrip 1\n"])
+def test_the_end_of_the_input_and_quit_end_the_cycle(emulator, monkeypatch, capsys, typed):
+    stops = []
+    monkeypatch.setattr(emulator, "stop", lambda: stops.append(True))
+    monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
+    listen(emulator)
+    assert stops
+    assert ("refused: control: got 'nonsense'" in capsys.readouterr().out) == ("non" in typed)
+
+
+def test_a_signal_ends_the_process_and_the_counters_are_written(tmp_path):
     report = tmp_path / "plc.json"
     process = subprocess.Popen(
         [sys.executable, "-m", "carosac_toolkit.cli.main", "plc", "--ip", own_address(),
@@ -157,11 +168,8 @@ def test_every_way_out_ends_the_process_and_writes_the_counters(end, tmp_path):
     )  # fmt: skip
     try:
         assert "ready: carosac" in process.stdout.readline()
-        if end == "sigterm":
-            process.send_signal(signal.SIGTERM)
-        elif end == "quit":
-            process.stdin.write("quit\n")
-        out, _ = process.communicate(timeout=20.0)
+        process.send_signal(signal.SIGTERM)
+        out, _ = process.communicate(timeout=60.0)
     finally:
         process.kill()
         process.wait()

@@ -2,9 +2,11 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import signal
 import subprocess
 import sys
+import threading
 import time
 import warnings
 
@@ -13,14 +15,21 @@ import pytest
 
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.crash_safe import CutRecording, read_run
+from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.live.course import with_approach
 from carosac_toolkit.live.hand_target import HandTarget
+from carosac_toolkit.live.keyboard import Words, listening
+from carosac_toolkit.live.library_noise import without_ads_lines
 from carosac_toolkit.trajectories import line
+from tests.plc_process import own_address
 from tests.robots import simple_robot
 
 # a slow machine must not end a run: these are about what ends it
 AWAY = ("--home", "0.4", "-1.8", "3.0", "--set")
 PATIENT = ("driver.guard.overrun_share=1.0", "driver.guard.hang_time=1.5", "driver.cables=catenary")
+
+
+QUICK = (PATIENT[0], "driver.guard.hang_time=0.8", PATIENT[2])  # where it is to hang
 
 
 def words(tmp_path, *more, settings=PATIENT):
@@ -49,31 +58,63 @@ def at_rest(run):
     return np.ptp(sent[-3:], axis=0).max() < 1e-9
 
 
+def until(condition, why, process=None):
+    for _ in range(1200):
+        if condition():
+            return
+        if process is not None and process.poll() is not None:
+            raise AssertionError(process.communicate()[0])
+        time.sleep(0.05)
+    raise AssertionError(f"not in time: {why}")
+
+
+def moving(tmp_path, rows=5):
+    """Whether a run has sent some commands on its way."""
+    path = tmp_path / "run.jsonl"
+    return path.exists() and path.read_text().partition('"following"')[2].count('"sent"') > rows
+
+
 @pytest.fixture
 def started(tmp_path):
     """Starts `carosac run` in a process and waits until it moves; ends what is left of it."""
     processes = []
 
-    def start(*more, until='"following"'):
+    def start(*more, settings=PATIENT):
+        chosen = words(tmp_path, *more, settings=settings)
         process = subprocess.Popen(
-            [sys.executable, "-m", "carosac_toolkit.cli.main", *words(tmp_path, *more)],
+            [sys.executable, "-m", "carosac_toolkit.cli.main", *chosen],
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.PIPE, text=True,
         )  # fmt: skip
         processes.append(process)
-        path = tmp_path / "run.jsonl"
-        for _ in range(1200):
-            if path.exists() and until in path.read_text():
-                return process
-            if process.poll() is not None:
-                raise AssertionError(process.communicate()[0])
-            time.sleep(0.05)
-        raise AssertionError("it did not start")
+        if "--by-hand" in more:
+            process.stdin.write("0.6 -1.7 2.3\n")
+            process.stdin.flush()
+        until(lambda: moving(tmp_path), "it moves", process)
+        return process
 
     yield start
     for process in processes:
         if process.poll() is None:
             process.kill()
         process.communicate()
+
+
+@pytest.fixture
+def typed(monkeypatch):
+    """Has the standard input say some lines; it stays open unless told otherwise."""
+    ends = []
+
+    def say(text, *, end=False):
+        out, into = os.pipe()
+        ends.append(into)
+        os.write(into, text.encode())
+        monkeypatch.setattr(sys, "stdin", os.fdopen(out))
+        if end:
+            os.close(ends.pop())
+
+    yield say
+    for one in ends:
+        os.close(one)
 
 
 def test_a_run_is_dry_unless_it_is_enabled(tmp_path, capsys):
@@ -88,29 +129,44 @@ def test_a_run_is_dry_unless_it_is_enabled(tmp_path, capsys):
     assert "enabled" not in names(run)
 
 
-def test_an_enabled_run_follows_the_trajectory_and_ends_at_rest(tmp_path):
-    more = ("--enable", "--speed", "1.0", "--acceleration", "1.0", "--duration", "3.5")
+def test_an_enabled_run_goes_where_it_is_told_and_ends_at_rest(tmp_path, capsys):
+    more = ("--enable", "--speed", "0.5", "--acceleration", "1.0", "--to", "0.6", "-1.8", "2.3")
     assert main(words(tmp_path, *more)) == 0
     found = numbers(tmp_path)
     assert found["completed"]
     assert found["fault"] is None
     assert found["tracking_rmse_m"] < 0.2
+    assert found["position_m"] == pytest.approx([0.6, -1.8, 2.3], abs=0.03)
+    said = capsys.readouterr().out
+    assert "straight to 0.600 -1.800 2.300 m" in said
+    x, y, z = (f"{value:.3f}" for value in found["position_m"])
+    assert f"end of the trajectory\nplatform at {x} {y} {z} m\n" in said
     run = run_of(tmp_path)
     assert names(run)[-5:] == ["stop", "stopping", "at_rest", "homed", "disconnected"]
     assert at_rest(run)
-    assert np.ptp(run.recording.command.value, axis=0).max() > 0.3
+    rows = [json.loads(row) for row in (tmp_path / "run.jsonl").read_text().splitlines()]
+    sent = [row["unstrained_length"] for row in rows if row.get("row") == "sent"]
+    rate = np.abs(np.diff(sent, axis=0) / 0.04).max()  # limits count by commands, one in 40 ms
+    assert 0.2 < rate < 1.5 * 0.5 + 1e-6
     assert run.cut is None
+    assert found["unrecorded_rows"] == 0
 
 
 @pytest.mark.parametrize(
-    "controller, fault, said",
-    [("Raising", "controller", "ZeroDivisionError: a bug"), ("Far", "command", "3.000 m from")],
+    "controller, fault, said, steered",
+    [
+        ("Raising", "controller", "ZeroDivisionError: a bug", "after the end of the input"),
+        ("Far", "command", "from where the winch stands", "by an open input"),
+        ("Hanging", "controller", "the controller gave no command for", "by an open input"),
+    ],
 )
-def test_a_controller_that_fails_ends_the_run_and_is_named(
-    tmp_path, capsys, controller, fault, said
+def test_a_controller_that_fails_or_hangs_ends_the_run_and_is_named(
+    tmp_path, capsys, controller, fault, said, steered, typed
 ):
-    more = ("--enable", "--controller", f"tests.live_controllers:{controller}")
-    assert main(words(tmp_path, *more)) == 1
+    """Also one that is steered by hand: nobody waits for the input, or for the target."""
+    typed("0.6 -1.7 2.3\n", end=steered.startswith("after"))
+    more = ("--enable", "--by-hand", "--controller", f"tests.live_controllers:{controller}")
+    assert main(words(tmp_path, *more, settings=QUICK)) == 1
     found = numbers(tmp_path)
     assert not found["completed"]
     assert found["fault"] == fault
@@ -120,16 +176,9 @@ def test_a_controller_that_fails_ends_the_run_and_is_named(
     assert "at_rest" in names(run)
 
 
-def test_a_controller_that_hangs_is_interrupted(tmp_path, started):
-    process = started("--enable", "--controller", "tests.live_controllers:Hanging")
-    said = process.communicate(timeout=60)[0]
-    assert process.returncode == 1, said
-    assert "the controller gave no command for" in numbers(tmp_path)["reason"]
-    assert at_rest(run_of(tmp_path))
-
-
 def test_a_controller_that_cannot_be_interrupted_takes_no_process_along(tmp_path, started):
-    process = started("--enable", "--controller", "tests.live_controllers:Stubborn")
+    more = ("--enable", "--by-hand", "--controller", "tests.live_controllers:Stubborn")
+    process = started(*more, settings=QUICK)
     said = process.communicate(timeout=60)[0]
     assert process.returncode == 1
     assert "the controller cannot be interrupted; the process ends" in said
@@ -138,22 +187,47 @@ def test_a_controller_that_cannot_be_interrupted_takes_no_process_along(tmp_path
     assert run.cut is None
 
 
-@pytest.mark.parametrize("number, status", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_signals_stop_it_in_good_order(tmp_path, started, number, status):
-    process = started("--enable")
-    time.sleep(1.5)
-    process.send_signal(number)
-    said = process.communicate(timeout=60)[0]
-    assert process.returncode == status, said
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGQUIT])
+def test_signals_stop_it_in_good_order(tmp_path, typed, number):
+    typed("0.6 -1.7 2.3\n")
+    late = []
+    before = signal.signal(number, lambda *_: late.append(number))  # tests must not end of it
+
+    def send():
+        until(lambda: moving(tmp_path), "it moves")
+        os.kill(os.getpid(), number)
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    try:
+        status = main(words(tmp_path, "--enable", "--by-hand"))
+    finally:
+        sender.join()
+        signal.signal(number, before)
+    assert not late
+    assert status == 128 + number
     run = run_of(tmp_path)
     assert at_rest(run)
     assert names(run)[-4:] == ["stopping", "at_rest", "homed", "disconnected"]
     assert numbers(tmp_path)["reason"] == number.name
 
 
+def test_a_terminal_that_is_closed_stops_it_in_good_order(tmp_path, started):
+    """SIGHUP comes, and nobody reads any more what is printed."""
+    process = started("--enable", "--by-hand")
+    process.stdout.close()
+    process.stdout = None
+    process.send_signal(signal.SIGHUP)
+    process.communicate(timeout=60)
+    assert process.returncode == 128 + signal.SIGHUP
+    run = run_of(tmp_path)
+    assert at_rest(run)
+    assert names(run)[-4:] == ["stopping", "at_rest", "homed", "disconnected"]
+    assert numbers(tmp_path)["reason"] == "SIGHUP"
+
+
 def test_after_kill_9_the_recording_is_whole(tmp_path, started):
-    process = started("--enable")
-    time.sleep(1.0)
+    process = started("--enable", "--by-hand")
     process.kill()
     process.communicate()
     assert process.returncode == -signal.SIGKILL
@@ -163,16 +237,37 @@ def test_after_kill_9_the_recording_is_whole(tmp_path, started):
     assert np.diff(run.recording.time).max() < 1.0
 
 
-def test_a_target_is_moved_by_lines_of_the_input(tmp_path, started):
-    process = started("--enable", "--by-hand", "--speed", "0.5", "--acceleration", "0.5")
-    process.stdin.write("nonsense\n0.6 -1.7 2.3\n")
-    process.stdin.close()
-    process.stdin = None
-    said = process.communicate(timeout=90)[0]
-    assert process.returncode == 0, said
-    assert "'nonsense': got no key or place" in said
+def test_a_target_is_moved_by_lines_of_the_input(tmp_path, capsys, typed):
+    typed("nonsense\n0.5 -1.75 2.25\n99 0 0\n", end=True)
+    more = ("--enable", "--by-hand", "--speed", "0.5", "--acceleration", "1.0")
+    assert main(words(tmp_path, *more)) == 0
+    said = capsys.readouterr().err
+    assert "input: got 'nonsense'; allowed: arrows" in said
+    assert "target 0.500 -1.750 2.250 m" in said
+    assert "target: got 99 0 0 m; allowed: [" in said
     assert numbers(tmp_path)["reason"] == "the input has ended"
-    assert run_of(tmp_path).believed.value[-1] == pytest.approx([0.6, -1.7, 2.3], abs=0.03)
+    assert run_of(tmp_path).believed.value[-1] == pytest.approx([0.5, -1.75, 2.25], abs=0.03)
+
+
+def test_nothing_is_left_of_a_run_that_could_not_connect(tmp_path, capfd, monkeypatch):
+    """And the user reads one message, not what the ADS library says on its own."""
+    monkeypatch.chdir(tmp_path)
+    ip = own_address()
+    more = ["--driver", "ads", "--set", f"driver.inner.ip={ip}", "--duration", "1"]
+    assert main(["run", *more]) == 2
+    said = capfd.readouterr().err
+    assert said.count("\n") == 1
+    assert f"PLC {ip}.1.1 at {ip}: cannot connect" in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_lines_of_the_ads_library_are_dropped_and_no_others(capfd):
+    with without_ads_lines():
+        os.write(2, b"2026-11-22T04:07:59+0000 Error: write frame failed with error: Broken pipe\n")
+        os.write(2, b"kernel: something\n2026-11-22T04:07:59+0000 Info: conn")
+        os.write(2, b"ection closed by remote\nlast")
+    os.write(2, b" words\n")
+    assert capfd.readouterr().err == "kernel: something\nlast words\n"
 
 
 def test_bad_input_is_refused_before_anything_moves(tmp_path, capsys):
@@ -192,6 +287,9 @@ def test_bad_input_is_refused_before_anything_moves(tmp_path, capsys):
         (("--driver", "ads", "--enable"), "--home: got none; allowed: --home X Y Z"),
         (("--rate", "0"), "--rate: got 0.0 Hz"),
         (("--speed", "-1"), "--speed"),
+        (("--to", "9", "9", "9"), "--to: got 9 9 9 m; allowed: [-1.6, -3.8, 1.0] to"),
+        (("--to", "0.4", "-1.8", "2.2"), "another place than where the platform stands"),
+        (("--to", "0", "0", "2", "--by-hand"), "--to: got also --by-hand or --trajectory"),
     ):
         assert main([*words(tmp_path), *more]) == 2
         assert said in capsys.readouterr().err
@@ -232,10 +330,19 @@ def test_a_target_moved_by_hand_is_approached_smoothly_and_stays_in_the_box():
     robot = simple_robot()
     start = np.array(robot.home_position)
     hand = HandTarget(robot, start, speed_max=0.4, acceleration_max=0.5)
-    assert hand.obey("\x1b[C")
+    hand.obey("\x1b[C")
     assert hand.target == pytest.approx(start + np.array([0.05, 0.0, 0.0]))
-    hand.obey("99 -1.8 2.2")
-    assert hand.target[0] == robot.workspace_max[0]
+    kept = hand.target
+    for word, said in (
+        ("99 -1.8 2.2", r"target: got 99 -1.8 2.2 m; allowed: .*, the workspace box; it stays at "),
+        ("0.4 -1.8 -5", r"the workspace box; it stays at 0\.450 -1\.800 2\.200 m"),
+        ("1 2", "input: got '1 2'; allowed: arrows"),
+        ("nan 0 0", "allowed: arrows"),
+    ):
+        with pytest.raises(InvalidField, match=said):
+            hand.obey(word)
+        assert (hand.target == kept).all()
+    hand.obey(" ".join(str(x) for x in (robot.workspace_max[0], -1.8, 2.2)))
     seen = [hand.window(0.02 * k, 0.2, 0.02) for k in range(1, 600)]
     speed = np.linalg.norm([one.velocity[0, 0] for one in seen], axis=1)
     acceleration = np.linalg.norm([one.acceleration[0, 0] for one in seen], axis=1)
@@ -245,14 +352,57 @@ def test_a_target_moved_by_hand_is_approached_smoothly_and_stays_in_the_box():
     assert seen[-1].position[0, 0] == pytest.approx(hand.target, abs=1e-3)
     assert max(one.position[0, :, 0].max() for one in seen) < hand.target[0] + 1e-3
     assert seen[10].position[0, 1] == pytest.approx(seen[11].position[0, 0])  # the window holds
-    assert not hand.obey("1 2")
     hand.obey("q")
     assert hand.over
 
 
-def test_no_thread_is_left_behind(tmp_path):
-    import threading
+def test_without_a_standard_input_nobody_steers(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "stdin", None)
+    assert main(words(tmp_path, "--by-hand")) == 2
+    assert "--by-hand: got none; allowed: a standard input" in capsys.readouterr().err
 
+
+def test_a_target_outside_the_box_may_only_come_back():
+    robot = simple_robot()
+    start = robot.workspace_max + np.array([0.1, 0.0, 0.0])
+    hand = HandTarget(robot, start, speed_max=0.4, acceleration_max=0.5)
+    with pytest.raises(InvalidField, match="it stays at"):
+        hand.obey("\x1b[C")
+    hand.obey("\x1b[D")
+    assert hand.target == pytest.approx(start - np.array([0.05, 0.0, 0.0]))
+
+
+def test_keys_and_lines_come_in_pieces_of_any_size():
+    typed = "u\x1b[A\x1b[A\x1bOC0.6 -1.7,2.37\x7f\r\n1.5d\x1b[5~q\x1b\x1b[B"
+    wanted = ["u", "\x1b[A", "\x1b[A", "\x1b[C", "0.6 -1.7,2.3", "d", "\x1b[5~", "q", "\x1b[B"]
+    for size in (1, 2, 3, 5, 100):
+        words = Words(keys=True)
+        pieces = [typed[k : k + size] for k in range(0, len(typed), size)]
+        assert [word for piece in pieces for word in words.feed(piece)] == wanted
+    words = Words(keys=False)
+    assert words.feed("1 2 3\nq") == ["1 2 3"]
+    assert words.feed("uit") == []
+    assert words.rest() == ["quit"]  # a last line without its end
+    assert words.rest() == []
+
+
+def test_keys_of_a_terminal_are_heard_and_the_end_of_the_input_is_seen():
+    leader, follower = pty.openpty()
+    heard, ended = [], threading.Event()
+    with os.fdopen(follower) as terminal, pytest.MonkeyPatch.context() as patched:
+        patched.setattr(sys, "stdin", terminal)
+        with listening(heard.append, ended.set):
+            os.write(leader, b"\x1b[A\x1b[A0.5 1 2\n")
+            for _ in range(500):
+                if len(heard) == 3:
+                    break
+                time.sleep(0.01)
+            os.close(leader)
+            assert ended.wait(10.0)
+    assert heard == ["\x1b[A", "\x1b[A", "0.5 1 2"]
+
+
+def test_no_thread_is_left_behind(tmp_path):
     handler = signal.getsignal(signal.SIGINT)
     before = set(threading.enumerate())
     assert main(words(tmp_path, "--duration", "0.2", "--enable")) == 0

@@ -1,17 +1,20 @@
 """When a host writes and when not: hosts and a PLC program in one process, no network."""
 
+import socket
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from carosac_toolkit.drivers import ads, ads_block
+from carosac_toolkit.drivers import ads_block, ads_reader
 from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
 from carosac_toolkit.drivers.ads_link import AdsLink
 from carosac_toolkit.drivers.drive_state import DriveState, Fault
+from carosac_toolkit.drivers.imu_udp import imu_line
 from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.hardware import Hardware
+from carosac_toolkit.hardware import Hardware, ImuSource
 from carosac_toolkit.plc.machine import Inputs, Machine
 from carosac_toolkit.plc.settings import PlcSettings, limits_of
 from tests.plc_process import home_pose
@@ -67,7 +70,7 @@ def program(monkeypatch):
         return True
 
     monkeypatch.setattr(AdsLink, "_connect", connect)
-    monkeypatch.setattr(ads, "_ANSWER", 0.3)
+    monkeypatch.setattr(ads_reader, "ANSWER", 0.6)
     return found
 
 
@@ -192,11 +195,9 @@ def test_a_disable_without_answer_stays_and_the_watchdog_stops_the_winches(progr
 
 
 def test_a_disable_that_is_heard_late_is_obeyed(program, host, monkeypatch):
-    monkeypatch.setattr(ads, "_ANSWER", 0.02)
     driver = host()
-    monkeypatch.setattr(ads, "_ANSWER", 0.3)
     driver.enable()
-    monkeypatch.setattr(ads, "_ANSWER", 0.02)
+    monkeypatch.setattr(ads_reader, "ANSWER", 0.02)
     program.deaf = True
     driver.disable()
     program.deaf = False
@@ -224,3 +225,40 @@ def test_a_plc_that_starts_anew_with_a_clock_that_goes_on_is_seen(program, host)
     assert driver.state is DriveState.CONNECTED
     with pytest.raises(CarosacError, match="not homed"):
         driver.enable()
+
+
+def test_inertial_samples_reach_the_measurement_at_the_times_of_the_sensor(program):
+    """The sensor has a clock of its own, and some datagrams come late; the spacing is exact."""
+    ahead, late, count = 1234.5, 0.03, 40  # [s] of its clock, [s], samples
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    source = ImuSource(port=port)
+    robot = replace(ROBOT, hardware=replace(Hardware.loopback(N), imu=source))
+    driver = AdsDriver(robot, AdsSettings(suite="lengths+imu", lost_after=1.0))
+    driver.connect()
+    try:
+        assert driver.measure().imu is None
+        taken, values = [], np.random.default_rng(1).normal(size=(count, 6)).round(3)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sensor:
+            for k in range(count):
+                taken.append(time.monotonic())
+                line = imu_line(k + 1, taken[-1] + ahead, values[k, :3], values[k, 3:])
+                if k % 5 == 2:
+                    time.sleep(late)
+                sensor.sendto(line.encode(), (source.ip, port))
+                time.sleep(0.003)
+        until(lambda: driver._imu.received == count)
+        before = driver._ticks.origin
+        measurement = driver.measure()
+        imu = measurement.imu
+        assert driver.measure().imu is None  # each sample once
+    finally:
+        driver.close()
+    assert imu.angular_rate[0] == pytest.approx(values[:, :3], abs=1e-6)
+    assert imu.specific_force[0] == pytest.approx(values[:, 3:], abs=1e-6)
+    shown = imu.time[0] + before
+    assert np.diff(shown) == pytest.approx(np.diff(taken), abs=2e-6)  # microseconds in the line
+    # By the quickest datagram, which takes no time on this machine; never before it was taken.
+    assert 0.0 <= shown[0] - taken[0] + 1e-5 < 0.02
+    assert imu.time[0, -1] <= measurement.time[0]

@@ -18,11 +18,12 @@ from carosac_toolkit.drivers.lifecycle import IllegalTransition, NotReady
 from carosac_toolkit.drivers.quasi_static import QuasiStaticSettings
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.loop import BadPlugin, run
-from carosac_toolkit.values import Belief, Command
+from carosac_toolkit.values import Belief, Command, Stamped
 from tests.drivers.guards import (
     PERIOD,
     ROBOT,
     FailingDriver,
+    Notes,
     ask,
     connected,
     drive,
@@ -186,6 +187,24 @@ def test_a_command_within_the_limits_passes_and_the_others_are_named():
     guard.close()
 
 
+def test_a_slow_run_bounds_the_winches_and_how_far_a_command_may_be():
+    guard = connected(speed_max=0.1)
+    start = standing(guard)
+    home = ROBOT.home_position
+    away = lengths_at(home + np.array([0.04, 0.06, 0.04])) - lengths_at(home)
+    for _ in range(80):
+        assert ask(guard, start + away)[0], guard.fault
+    rate = np.abs(np.diff(guard.inner.seen, axis=0)) / PERIOD
+    assert 0.099 < rate.max() < 0.1 * (1 + 1e-6)  # never faster, and as fast as allowed
+    assert standing(guard) == pytest.approx(start + away, abs=3e-3)
+    assert guard.fault is None
+    assert not ask(guard, start + away + 0.12)[0]  # 0.1 m, and 0.1 s behind
+    assert guard.fault.fault is Fault.COMMAND
+    assert "allowed: 0.11 m" in guard.fault.text
+    guard.close()
+    assert within_limits(guard.inner.seen, robot=replace(ROBOT, speed_max=np.full(4, 0.1)))
+
+
 @pytest.mark.parametrize(
     "lengths, said",
     [
@@ -312,6 +331,7 @@ def test_leaving_the_workspace_is_a_fault():
     for k in range(200):
         if not ask(guard, start + 0.1 * PERIOD * k * down)[0]:
             break
+    assert guard.fault.fault is Fault.WORKSPACE
     assert "outside the workspace box" in guard.fault.text
     guard.close()
 
@@ -498,6 +518,32 @@ def test_homing_far_from_the_present_offsets_must_be_meant():
     connected(start_position=tuple(wrong.position[0]), home_anew=True).close()
 
 
+def test_a_dry_run_rehearses_homing_and_what_enabling_checks_and_sends_nothing():
+    guard = connected(motion=False, rehearse=True)
+    assert guard.state is DriveState.HOMED
+    truth = guard.truth().unstrained_length
+    assert standing(guard) == pytest.approx(truth, abs=1e-3)  # the offsets are found
+    assert np.abs(guard.home_change).max() > 2e-3
+    guard.inner.jump = 0.5  # a cable that slips shows in the pose
+    to_the_end(guard)
+    assert guard.fault.fault is Fault.ENCODER_JUMP
+    guard.close()
+    wrong = tuple(ROBOT.home_position + np.array([0.5, 0.0, 0.0]))
+    with pytest.raises(NotReady, match="home: the offset of cable"):
+        connected(motion=False, rehearse=True, start_position=wrong)
+    guard = guarded(motion=False, rehearse=True)
+    original = guard.inner.measure
+
+    def overloaded():
+        found = original()
+        return replace(found, tension=Stamped(time=found.time, value=np.full((1, 4), 900.0)))
+
+    guard.inner.measure = overloaded
+    with pytest.raises(NotReady, match=r"enable: tension: 900\.0 N measured; allowed: 5 N to 500"):
+        guard.connect()
+    assert guard.inner.seen == []
+
+
 def test_only_a_simulated_robot_is_set_down_where_it_is_homed():
     place = (0.5, -1.5, 2.4)
     ads = GuardedAds.build(ROBOT, GuardedAdsSettings(start_position=place, motion=True))
@@ -518,7 +564,68 @@ def test_a_recording_that_fails_is_a_fault():
     guard.journal.measured = full
     assert not ask(guard, standing(guard))[0]
     assert "the recording failed: No space left" in guard.fault.text
+    assert guard.fault.fault is Fault.RECORDING
     guard.close()
+
+
+class Stuck(Notes):
+    """A journal on a disk that hangs from now on, until it is let go."""
+
+    def __init__(self):
+        super().__init__()
+        self.free = threading.Event()
+        self.free.set()
+
+    def measured(self, measurement):
+        self.free.wait()
+        super().measured(measurement)
+
+
+def stuck(**changes):
+    guard = guarded(real_time=True, overrun_share=1.0, warm_up=1, **changes)
+    guard.journal = Stuck()
+    guard.connect()
+    drive(guard, 30)
+    guard.journal.free.clear()
+    return guard
+
+
+def test_a_recording_that_blocks_holds_nobody_up_and_ends_the_run_by_its_name():
+    guard = stuck(record_lag=0.3, hang_time=60.0)
+    asked = standing(guard)
+    for _ in range(1000):
+        if not ask(guard, asked)[0]:
+            break
+    assert guard.fault.fault is Fault.RECORDING
+    assert "behind; allowed: 0.3 s" in guard.fault.text
+    guard.stop("fault")
+    seen = np.array(guard.inner.seen)
+    assert seen[-1] == pytest.approx(seen[-2], abs=1e-12)
+    assert within_limits(seen)
+    with pytest.raises(NotReady, match="the recording failed"):
+        guard.reset_fault()
+    guard.journal.free.set()
+    guard.close()
+    assert guard.unrecorded == 0
+    lengths = [x for x in guard.journal.lengths]
+    assert (np.diff([float(x.time[0]) for x in lengths]) >= 0.0).all()  # in order, none lost
+    assert "at_rest" in guard.journal.names()
+
+
+def test_the_watchdog_brakes_while_a_recording_blocks():
+    guard = stuck(record_lag=60.0, hang_time=0.6)
+    hung = threading.Event()
+    guard.on_hang = hung.set
+    guard.measure()  # the journal has it, and does not come back
+    assert hung.wait(20.0)  # nobody calls the guard meanwhile
+    assert guard.fault.fault is Fault.CONTROLLER
+    seen = np.array(guard.inner.seen)
+    assert seen[-1] == pytest.approx(seen[-2], abs=1e-12)
+    assert within_limits(seen)
+    guard._scribe.end(0.1)
+    guard.close()
+    assert guard.unrecorded > 0  # counted, not silently lost
+    guard.journal.free.set()
 
 
 # --- In the loop ----------------------------------------------------------------------------------
@@ -646,7 +753,8 @@ def test_a_fault_of_an_earlier_run_is_cleared_where_that_is_asked_for_only(asked
         guard.connect()
         assert guard.state is DriveState.ENABLED
     else:
-        with pytest.raises(CarosacError):
+        with pytest.raises(NotReady, match=r"hold a fault of before: drive_trip: .*--reset"):
             guard.connect()
+        assert guard.state is DriveState.DISCONNECTED
     assert Held.resets == int(asked)
     guard.close()

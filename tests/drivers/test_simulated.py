@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carosac_toolkit.drivers import simulated
+from carosac_toolkit.drivers import tick_schedule
 from carosac_toolkit.drivers.quasi_static import (
     QuasiStaticDriver,
     QuasiStaticPlant,
@@ -41,7 +41,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch):
     found = Clock()
-    monkeypatch.setattr(simulated, "time", found)
+    monkeypatch.setattr(tick_schedule, "time", found)
     return found
 
 

@@ -1,0 +1,127 @@
+"""Hands a journal everything from a thread of its own, so that no disk can hold up a robot.
+
+The guard tells of measurements and commands while it holds its lock; a journal that blocks there,
+as one on a network disk that hangs, would keep the watchdog from braking. So the guard puts rows
+into a queue and goes on. The queue is bounded, in number and in age: a run whose recording is
+further behind is a run that nobody could explain afterwards, and the guard stops it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+MOST = 20_000  # rows that may wait; about 15 MB
+PATIENCE = 5.0  # [s] for the rows of the end, after which they are given up
+
+Row = tuple[float, Callable[..., None], tuple[Any, ...], dict[str, Any]]
+
+
+class Scribe:
+    """Writes down rows in order; safe from several threads.
+
+    Attributes:
+        lost: Rows that were given up: there was no room, or the journal failed.
+    """
+
+    def __init__(
+        self, *, lag: float, threaded: bool, describe: Callable[[Exception], str], most: int = MOST
+    ) -> None:
+        """Nothing is started before the first row.
+
+        Args:
+            lag: How long a row may wait [s].
+            threaded: Whether a thread writes; else `put` does, for runs that no clock drives: they
+                outrun any queue, and nothing needs to be braked while they wait.
+            describe: Puts an error of the journal into words.
+            most: Rows that may wait.
+        """
+        self._lag, self._most, self._threaded = lag, most, threaded
+        self._describe = describe
+        self._rows: deque[Row] = deque()
+        self._wake = threading.Condition()
+        self._thread: threading.Thread | None = None
+        self._writing: float | None = None  # when the row was put that the journal is at
+        self._ending = False
+        self._broken: str | None = None
+        self.lost = 0
+
+    @property
+    def trouble(self) -> str | None:
+        """Why this recording is none any more, or None where all is well."""
+        with self._wake:
+            if self._broken is not None:
+                return self._broken
+            oldest, lost = self._writing, self.lost
+            if oldest is None and self._rows:
+                oldest = self._rows[0][0]
+        behind = 0.0 if oldest is None else time.monotonic() - oldest
+        if behind > self._lag:
+            return f"it is {behind:.1f} s behind; allowed: {self._lag:g} s"
+        return f"{lost} rows found no room" if lost else None
+
+    def put(self, method: Callable[..., None], *arguments: Any, **named: Any) -> None:
+        """Have a method of the journal called; never waits for it where a thread writes."""
+        row = (time.monotonic(), method, arguments, named)
+        if not self._threaded:
+            self._write(row)
+            return
+        with self._wake:
+            if self._ending or self._broken is not None or len(self._rows) >= self._most:
+                self.lost += 1
+                return
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
+                self._thread.start()
+            self._rows.append(row)
+            self._wake.notify()
+
+    def end(self, patience: float = PATIENCE) -> int:
+        """Wait for the rows of the end, not longer than `patience` [s]; safe to call twice.
+
+        Returns:
+            How many rows were not written, in all.
+        """
+        with self._wake:
+            patience = 0.0 if self._ending else patience
+            self._ending = True
+            self._wake.notify()
+        if self._thread is not None:
+            self._thread.join(patience)
+        with self._wake:
+            self.lost += len(self._rows)
+            self._rows.clear()
+            return self.lost + (self._writing is not None)
+
+    def _run(self) -> None:
+        """The thread: until the end, and then what is left."""
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: bool(self._rows) or self._ending)
+                if not self._rows:
+                    return
+                row = self._rows.popleft()
+                self._writing = row[0]
+            self._write(row)
+            with self._wake:
+                self._writing = None
+                if self._broken is not None:
+                    self.lost += len(self._rows)
+                    self._rows.clear()
+                    return
+
+    def _write(self, row: Row) -> None:
+        """Call the journal; one that fails is asked no more."""
+        _, method, arguments, named = row
+        if self._broken is not None:
+            self.lost += 1
+            return
+        try:
+            method(*arguments, **named)
+        except Exception as error:  # whatever it is, it must not keep the winches from braking
+            with self._wake:
+                self._broken = self._describe(error)
+                self.lost += 1

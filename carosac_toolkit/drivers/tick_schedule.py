@@ -1,0 +1,47 @@
+"""Ticks of the clock on the wall, one a period from a start on, that do not drift."""
+
+from __future__ import annotations
+
+import math
+import time
+
+
+class TickSchedule:
+    """Waits for the next tick that lies ahead; those that passed are counted and not made up.
+
+    Attributes:
+        origin: When it began, by `time.monotonic` [s].
+        missed: Ticks that passed while nobody waited.
+    """
+
+    def __init__(self, period: float, *, forgiving: bool = False) -> None:
+        """Begin now.
+
+        Args:
+            period: Between two ticks [s].
+            forgiving: Whether any time may pass before the first wait without a tick being missed.
+        """
+        self._period, self._forgiving = period, forgiving
+        self.origin = time.monotonic()
+        self._ticks = 0
+        self.missed = 0
+
+    @property
+    def elapsed(self) -> float:
+        """Since the start [s]."""
+        return time.monotonic() - self.origin
+
+    def since(self, moment: float) -> float:
+        """When something was, from the start on [s]; `moment` is by `time.monotonic` [s]."""
+        return moment - self.origin
+
+    def wait(self) -> None:
+        """Sleep until the next tick."""
+        elapsed = self.elapsed
+        first = self._ticks == 0
+        self._ticks += 1
+        passed = max(0, math.ceil(elapsed / self._period) - self._ticks)
+        self._ticks += passed
+        if not (first and self._forgiving):
+            self.missed += passed
+        time.sleep(max(0.0, self._ticks * self._period - elapsed))

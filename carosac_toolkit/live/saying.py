@@ -1,0 +1,29 @@
+"""Words to whoever watches a run; nobody there is no reason to drop a platform."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import TextIO
+
+CLEAR = "\r\x1b[K"
+
+
+def say(text: str, stream: TextIO | None = None) -> None:
+    """Print a line, by default to the standard output, beside a status line that is rewritten.
+
+    A stream whose terminal or reader is gone takes nothing more; all of it is in the recording.
+    """
+    out = stream or sys.stdout
+    put(out, f"{CLEAR if out is sys.stderr and out.isatty() else ''}{text}\n")
+
+
+def put(stream: TextIO, text: str) -> None:
+    """Write to a stream at once; where nobody reads, to nowhere from now on."""
+    try:
+        stream.write(text)
+        stream.flush()
+    except OSError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)

@@ -1,0 +1,57 @@
+"""Lets somebody steer a run by keys and lines of the standard input."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+from collections.abc import Iterator
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.drivers.guarded import GuardedDriver
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.live.hand_target import HandTarget
+from carosac_toolkit.live.keyboard import listening
+from carosac_toolkit.live.saying import say
+from carosac_toolkit.loop import Path
+
+LOOK = 0.05  # [s] between two looks whether the target is reached, after the end of the input
+
+
+@contextlib.contextmanager
+def steered(path: Path, guard: GuardedDriver) -> Iterator[None]:
+    """Hear what is typed until the block ends, where a hand target is what is followed.
+
+    Where the input ends the run goes on to the target, and ends.
+    """
+    if not isinstance(path, HandTarget):
+        yield
+        return
+    over = threading.Event()
+
+    def heard(word: str) -> None:
+        try:
+            path.obey(word)
+        except InvalidField as error:
+            say(f"carosac: {error}", sys.stderr)
+            return
+        if path.over:
+            guard.end("the end was asked for")
+        else:
+            say(f"target {place(path.target)}", sys.stderr)
+
+    def ended() -> None:
+        while not (path.arrived or guard.ending or guard.fault or over.wait(LOOK)):
+            pass
+        guard.end("the input has ended")
+
+    with listening(heard, ended):
+        try:
+            yield
+        finally:
+            over.set()
+
+
+def place(position: Array) -> str:
+    """A position [m], shape (3,), for people."""
+    return " ".join(f"{x:.3f}" for x in position) + " m"
