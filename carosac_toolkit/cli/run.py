@@ -16,7 +16,7 @@ import sys
 import time
 import traceback
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,6 +36,7 @@ from carosac_toolkit.live.course import with_approach
 from carosac_toolkit.live.ending import Ending, ending_of
 from carosac_toolkit.live.hand_target import HELP, HandTarget
 from carosac_toolkit.live.keyboard import listening
+from carosac_toolkit.live.plugins import build_controller, build_estimator
 from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.live.statistics import Statistics
 from carosac_toolkit.loop import Path as Followed
@@ -112,8 +113,9 @@ def run(options: Options) -> CommandResult:
     chosen = chosen_settings(
         options.settings, controllers=[options.controller], estimators=[options.estimator]
     )
-    controller = _plugin("controllers", options.controller, robot, options, chosen)
-    estimator = _plugin("estimators", options.estimator, robot, options, chosen)
+    period = 1.0 / _rate(options)
+    controller = build_controller(options.controller, robot, chosen, period, seed=options.seed)
+    estimator = build_estimator(options.estimator, robot, chosen, seed=options.seed)
     guard = _guard(robot, options, chosen["driver_settings"], float(controller.period))
     path = _path(robot, options)
     rehearse(robot, estimator, controller, path, suite=options.suite)
@@ -154,22 +156,6 @@ def _run(
             traceback.print_exc()
         return False, error
     return log.completed, None
-
-
-def _plugin(kind: Any, name: str, robot: Robot, options: Options, chosen: dict[str, Any]) -> Any:
-    """Make a controller or estimator with its settings."""
-    plugin = registry.load(kind, name)
-    asked = dict(chosen[f"{kind[:-1]}_settings"].get(name, {}))
-    settings = getattr(plugin, "Settings", None)
-    if settings is None:
-        if asked:
-            raise InvalidField("--set", repr(asked), f"nothing: {name} has no Settings")
-        return plugin.build(robot, None, seed=options.seed)
-    if kind == "controllers" and "period" in {field.name for field in fields(settings)}:
-        asked.setdefault("period", 1.0 / _rate(options))
-    check_types(f"{kind[:-1]}.{name}", settings(), asked)
-    made = filled(f"{kind[:-1]}.{name}", settings(), asked)
-    return plugin.build(robot, made, seed=options.seed)
 
 
 def _rate(options: Options) -> float:
