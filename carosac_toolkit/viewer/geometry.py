@@ -51,5 +51,5 @@ def camera(robot: Robot) -> tuple[Array, Array]:
     view = VIEW.copy()
     if span[1] > 1.5 * span[0]:  # look across the long side
         view = np.array([1.0, -0.62, 0.30])
-    away = 1.25 * float(np.linalg.norm(span))
+    away = 1.4 * float(np.linalg.norm(span))
     return middle + away * view / np.linalg.norm(view), middle

@@ -11,7 +11,7 @@ from carosac_toolkit.recordings.quaternions import from_matrix
 from carosac_toolkit.viewer.geometry import extent
 from carosac_toolkit.viewer.page import Page
 
-SIZE = 0.11  # of the frame
+SIZE = 0.09  # of the frame
 NAME = "/target"
 
 

@@ -162,7 +162,9 @@ def follow(
         What the loop did, and the error that has ended it.
     """
     instants: Publisher[Instant] = Publisher(
-        lambda instant: page.draw(picture_of(page.robot, instant)), rate=page.rate
+        lambda instant: page.draw(picture_of(page.robot, instant)),
+        rate=page.rate,
+        settle=page.settle,
     )
     watch = LiveWatch(driver=driver, target=target, publisher=instants)
     usual = sys.getswitchinterval()

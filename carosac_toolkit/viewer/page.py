@@ -70,7 +70,7 @@ class Page:
         self._add_display()
         self._said = ("", False)
         self._said_at = 0.0
-        self.publisher: Publisher[Picture] = Publisher(self.draw, rate=rate)
+        self.publisher: Publisher[Picture] = Publisher(self.draw, rate=rate, settle=self.settle)
 
     @property
     def url(self) -> str:
@@ -116,10 +116,20 @@ class Page:
             self.say(_words(picture, self.scene.enlarged), problem=picture.problem)
         self.picture = picture
 
+    def settle(self) -> None:
+        """Draw what is not drawn with every picture: trails, labels and plots."""
+        if self.picture is None:
+            return
+        with self._drawing, self.server.atomic():
+            self.scene.settle(self.picture)
+            self.plots.settle()
+            self._said_at = 0.0
+            self.say(_words(self.picture, self.scene.enlarged), problem=self.picture.problem)
+
     def _add_display(self) -> None:
         """Settings of what is drawn."""
         gui: Any = self.server.gui
-        with gui.add_folder("Display", order=9, expand_by_default=True):
+        with gui.add_folder("Display", order=90):
             enlarged = gui.add_slider(
                 "sag drawn times", min=1.0, max=MOST_ENLARGED, step=1.0,
                 initial_value=self.scene.enlarged,
@@ -174,9 +184,8 @@ def start_server(host: str, port: int, title: str) -> Any:
         raise InvalidField("--host", repr(host), allowed) from error
     with contextlib.redirect_stdout(io.StringIO()):  # its banner; commands say where the page is
         server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
-    server.gui.configure_theme(
-        control_layout="fixed", control_width="medium", show_logo=False, show_share_button=False
-    )
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
     server.scene.configure_environment_map(None)  # these cost most where WebGL is software
     server.scene.configure_default_lights(enabled=True, cast_shadow=False)
     server.scene.add_light_ambient("/light", intensity=1.2)

@@ -17,7 +17,7 @@ LEAST = 0.08  # [s] between two samples of a live plot
 MOST = 400  # samples of a plot
 REFRESH = 0.2  # [s] between two drawings
 HEIGHT = 170  # [pixels]
-AXIS = {"time": False}
+ORDER = 30  # in the panel
 ERROR = "#c8553d"
 NOW = "#111111"
 
@@ -48,6 +48,7 @@ class Plots:
         self._error = self._chart(
             gui, (start, empty, empty), error, "distance [mm]", "platform to target"
         )
+        self._tops = {"tension": 0.0, "error": 0.0}
 
     def _chart(
         self, gui: Any, data: tuple[Array, ...], lines: list[dict[str, Any]], label: str, title: str
@@ -63,9 +64,9 @@ class Plots:
             for name, size in (("time [s]", 26), (label, 44))
         ]
         return gui.add_uplot(
-            data=data, series=({}, *lines, dot), title=title, height=HEIGHT,
-            scales={"x": AXIS}, axes=tuple(axes), legend={"show": False},
-            cursor={"show": False}, padding=(4, 14, 0, 0),
+            data=data, series=({}, *lines, dot), title=title, height=HEIGHT, order=ORDER,
+            scales=_scales(1.0), axes=tuple(axes), legend={"show": False},
+            cursor={"show": False}, padding=(9, 14, 0, 0),
         )  # fmt: skip
 
     def add(self, picture: Picture) -> None:
@@ -75,10 +76,16 @@ class Plots:
             self._samples.clear()
         if not self._samples or time - self._samples[-1][0] >= LEAST:
             self._samples.append((time, picture.tension, 1e3 * picture.error))
-        if abs(time - self._drawn) >= REFRESH and len(self._samples) > 1:
+        if abs(time - self._drawn) >= REFRESH:
             self._drawn = time
-            times, tensions, errors = (np.array(x) for x in zip(*self._samples, strict=True))
-            self._draw(times, tensions, errors, None)
+            self.settle()
+
+    def settle(self) -> None:
+        """Draw live plots up to the last sample."""
+        if self.whole or len(self._samples) < 2:
+            return
+        times, tensions, errors = (np.array(x) for x in zip(*self._samples, strict=True))
+        self._draw(times, tensions, errors, None)
 
     def show_run(self, time: Array, tension: Array, error: Array, now: float) -> None:
         """Show a whole run with a dot at the present.
@@ -100,5 +107,30 @@ class Plots:
             highest = tension[here][np.isfinite(tension[here])]
             dots[0, here] = highest.max() if len(highest) else np.nan
             dots[1, here] = error[here]
+        self._fit("tension", self._tension, tension)
+        self._fit("error", self._error, error)
         self._tension.data = (time, *np.ascontiguousarray(tension.T), dots[0])
         self._error.data = (time, error, dots[1])
+
+    def _fit(self, key: str, chart: Any, values: Array) -> None:
+        """Have a chart reach the highest value; missing ones are NaN, which it cannot scan."""
+        known = values[np.isfinite(values)]
+        highest = float(known.max()) if len(known) else 0.0
+        if highest > self._tops[key] or highest < 0.3 * self._tops[key]:
+            self._tops[key] = _round_up(1.05 * highest)
+            chart.scales = _scales(self._tops[key])
+
+
+def _scales(top: float) -> dict[str, Any]:
+    """Axes of a chart from zero to a highest value; time is no date."""
+    return {"x": {"time": False}, "y": {"auto": False, "range": (0.0, max(top, 1.0))}}
+
+
+def _round_up(value: float) -> float:
+    """The next number whose first digits are 1, 1.5, 2, 3, 5 or 7."""
+    if value <= 0.0:
+        return 0.0
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(
+        next(x * power for x in (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0) if x * power >= value)
+    )

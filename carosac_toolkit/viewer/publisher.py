@@ -10,6 +10,7 @@ from typing import Generic, TypeVar
 from carosac_toolkit.number_checks import check_positive
 
 RATE = 40.0  # pictures a second, at most
+QUIET = 0.25  # [s] without news, after which what was put off is drawn
 T = TypeVar("T")
 
 
@@ -24,10 +25,19 @@ class Publisher(Generic[T]):
         error: What `draw` raised; nothing is drawn after it.
     """
 
-    def __init__(self, draw: Callable[[T], None], *, rate: float = RATE) -> None:
-        """Start the thread; `rate` [1/s] > 0 is the most that is drawn."""
+    def __init__(
+        self, draw: Callable[[T], None], *, rate: float = RATE,
+        settle: Callable[[], None] | None = None,
+    ) -> None:  # fmt: skip
+        """Start the thread.
+
+        Args:
+            draw: Draws one.
+            rate: The most that are drawn [1/s], > 0.
+            settle: Called once where no news have come for a while after a drawing.
+        """
         check_positive("rate", rate, "1/s")
-        self._draw = draw
+        self._draw, self._settle = draw, settle
         self._period = 1.0 / rate
         self._news = threading.Condition()
         self._latest: T | None = None
@@ -61,20 +71,30 @@ class Publisher(Generic[T]):
 
     def _run(self) -> None:
         """Wait for something new, draw it, rest until the next may come."""
+        settled = True
         while True:
             with self._news:
-                self._news.wait_for(lambda: self._latest is not None or self._closed)
+                heard = self._news.wait_for(self._has_news, None if settled else QUIET)
                 picture, self._latest = self._latest, None
-            if picture is None:
+                over = self._closed
+            if picture is None and heard and over:
                 return
+            settled = picture is None
             self._next = time.monotonic() + self._period
             try:
-                self._draw(picture)
-            except Exception as error:  # shown by whoever asks; the robot goes on
+                if picture is not None:
+                    self._draw(picture)
+                elif self._settle is not None:
+                    self._settle()
+            except Exception as error:
                 self.error = error
-                return
-            self.drawn += 1
+                raise  # the hook of threads prints it; the robot goes on
+            self.drawn += picture is not None
             self._rest()
+
+    def _has_news(self) -> bool:
+        """Whether there is something to draw, or nothing will come."""
+        return self._latest is not None or self._closed
 
     def _rest(self) -> None:
         """Sleep until the next picture may come."""

@@ -49,7 +49,7 @@ class Replay:
         self._ghost_scene.own_trails = False
         self._ghost_scene.visible = self.ghost is not None
         self._add_controls(names, NONE if ghost is None else names[ghost])
-        self._times: Publisher[float] = Publisher(self.draw, rate=page.rate)
+        self._times: Publisher[float] = Publisher(self.draw, rate=page.rate, settle=self._settle)
 
     def play(self, duration: float | None = None) -> None:
         """Let time pass until interrupted, or so long [s]."""
@@ -83,6 +83,11 @@ class Replay:
         if self.ghost is not None:
             self._ghost_scene.enlarged = self._page.scene.enlarged
             self._ghost_scene.show(self.ghost.picture(self.ghost.index(now)))
+
+    def _settle(self) -> None:
+        """Draw trails and plots up to now."""
+        self._draw_slowly(self.run.index(self.now), self.now)
+        self._page.settle()
 
     def draw_whole_ways(self) -> None:
         """Draw the trails to the end."""

@@ -88,10 +88,14 @@ class RobotScene:
         if self.own_trails:
             self._remember(picture)
         if self._count % TRAIL_EVERY == 0:
-            if self.own_trails:
-                self._draw_trails()
-            self._label(picture.tension)
+            self.settle(picture)
         self._count += 1
+
+    def settle(self, picture: Picture) -> None:
+        """Draw trails and labels, which come with some pictures only."""
+        if self.own_trails:
+            self._draw_trails()
+        self._label(picture.tension)
 
     def forget(self) -> None:
         """Begin the trails anew."""
