@@ -191,7 +191,7 @@ def _replay(options: Options) -> CommandResult:
             return CommandResult({**data, "html": str(options.html), "pictures": pictures})
         _announce(page, "the time line is under 'Move'")
         replay.play(options.duration)
-        return CommandResult({**data, "url": page.url, **_drawn(page)})
+        return CommandResult({**data, "url": page.url, "pictures": replay.pictures})
 
 
 def _live(options: Options, robot: Robot) -> CommandResult:
@@ -210,7 +210,7 @@ def _live(options: Options, robot: Robot) -> CommandResult:
     rehearsed = HandTarget(robot, robot.home_position, **limits)
     rehearse(robot, estimator, controller, rehearsed, suite=options.suite)
     title = f"{robot.name}: {options.controller} with {options.estimator}"
-    with _page(options, robot, title) as page:
+    with _page(options, robot, title, followed="reference") as page:
         LivePage(page, target)
         _announce(page, "drag the arrows; the controller follows")
         watch, error = follow(
@@ -253,8 +253,10 @@ def _driver(options: Options, robot: Robot, asked: Any, period: float) -> Simula
 class _page:
     """A page for as long as the block lasts."""
 
-    def __init__(self, options: Options, robot: Robot, title: str) -> None:
-        self._page = Page(robot, title, host=options.host, port=options.port)
+    def __init__(
+        self, options: Options, robot: Robot, title: str, *, followed: str = "target"
+    ) -> None:
+        self._page = Page(robot, title, host=options.host, port=options.port, followed=followed)
         self._page.enlarged.value = options.sag
 
     def __enter__(self) -> Page:

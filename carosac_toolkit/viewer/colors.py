@@ -64,7 +64,7 @@ def legend_html(robot: Robot) -> str:
     stops = ",".join(hex_of((int(r), int(g), int(b))) for r, g, b in SCALE)
     if np.ptp(low) == 0.0 and np.ptp(high) == 0.0:
         middle = np.sqrt(low[0] * high[0]) if low[0] > 0.0 else 0.5 * (low[0] + high[0])
-        marks = [f"{x:.3g} N" for x in (low[0], middle, high[0])]
+        marks = [f"{float(f'{x:.3g}'):g} N" for x in (low[0], middle, high[0])]
     else:
         marks = ["least", "of each cable", "most"]
     spans = "".join(f"<span>{mark}</span>" for mark in marks)

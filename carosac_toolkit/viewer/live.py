@@ -31,13 +31,11 @@ class Instant:
     Attributes:
         step: The cycle.
         points: Of the cables in W [m], shape (n, samples, 3), where the plant knows them.
-        target: Where the platform should go in the end in W [m], shape (3,).
         overruns: Ticks that the loop has missed up to now.
     """
 
     step: Step
     points: Array | None
-    target: Array
     overruns: int
 
 
@@ -47,8 +45,6 @@ class LiveWatch:
 
     Attributes:
         driver: Simulated, with a plant and the count of overruns.
-        target: That is followed.
-        offer: Takes an instant at once.
         publisher: Says when one is due.
         cycles: Up to now.
         limits: How often each limit changed a command, by cycles.
@@ -56,7 +52,6 @@ class LiveWatch:
     """
 
     driver: Any
-    target: HandTarget
     publisher: Publisher[Instant]
     cycles: int = 0
     limits: Counter[str] = field(default_factory=Counter)
@@ -74,30 +69,27 @@ class LiveWatch:
                 Instant(
                     step=step,
                     points=points,
-                    target=self.target.target,
                     overruns=self.driver.overruns,
                 )
             )
 
 
 def picture_of(robot: Robot, instant: Instant) -> Picture:
-    """The picture of an instant: the true state, and what the estimator believes."""
+    """The picture of an instant: the true state, the reference, and what the estimator believes."""
     step = instant.step
     truth = step.truth
     assert truth is not None
     limited = sorted({hit.limit for hit in step.command.limited})
-    reference = step.reference.position[0, 0]
-    away = 1e3 * float(np.linalg.norm(truth.position[0] - reference))
-    words = f"live, {float(truth.time[0]):.1f} s; {away:.0f} mm from the moving reference"
+    words = f"live, {float(truth.time[0]):.1f} s"
     if limited:
         words += f"\ncommand limited by: {', '.join(limited)}"
     if instant.overruns:
-        words += f"\nthe loop has missed {instant.overruns} ticks: slower than real time"
+        words += f"; {instant.overruns} ticks missed"
     return take_picture(
         robot, truth.position[0], truth.rotation[0], time=float(truth.time[0]),
         unstrained_length=None if truth.unstrained_length is None else truth.unstrained_length[0],
         tension=None if truth.tension is None else truth.tension[0], points=instant.points,
-        target=instant.target, believed=step.belief.position[0], status=words,
+        target=step.reference.position[0, 0], believed=step.belief.position[0], status=words,
     )  # fmt: skip
 
 
@@ -122,21 +114,20 @@ class LivePage:
             )
             home = gui.add_button("Home")
 
-        self.gizmo.on_update(lambda _: self._go(np.array(self.gizmo.position), dragged=True))
-        self.gizmo.on_drag_end(lambda _: self._let_go())
+        self.gizmo.on_update(self._dragged)
         self.place.on_update(self._typed)
-        home.on_click(lambda _: self._go(page.robot.home_position))
+        home.on_click(lambda _: self.go(page.robot.home_position))
 
-    def _let_go(self) -> None:
-        """Put the arrows where the target is: it stays in the workspace box."""
-        self.gizmo.position = self._target.target
+    def _dragged(self, event: Any) -> None:
+        """Go along; once let go, the arrows are where the target is: in the workspace box."""
+        self.go(np.array(self.gizmo.position), dragged=event.phase != "end")
 
     def _typed(self, event: Any) -> None:
         """Somebody has typed a target."""
         if event.client_id is not None:
-            self._go(np.array(self.place.value))
+            self.go(np.array(self.place.value))
 
-    def _go(self, position: Array, *, dragged: bool = False) -> None:
+    def go(self, position: Array, *, dragged: bool = False) -> None:
         """Set the target, which stays in the workspace box."""
         taken = self._target.go_to(position)
         self.place.value = tuple(float(x) for x in taken.round(4))
@@ -166,7 +157,7 @@ def follow(
         rate=page.rate,
         settle=page.settle,
     )
-    watch = LiveWatch(driver=driver, target=target, publisher=instants)
+    watch = LiveWatch(driver=driver, publisher=instants)
     usual = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH)
     try:

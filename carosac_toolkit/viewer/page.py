@@ -41,7 +41,7 @@ class Page:
 
     def __init__(
         self, robot: Robot, title: str, *, host: str = LOOPBACK, port: int = PORT,
-        rate: float = RATE,
+        rate: float = RATE, followed: str = "target",
     ) -> None:  # fmt: skip
         """Start to serve.
 
@@ -51,8 +51,9 @@ class Page:
             host: Address to listen at.
             port: To listen at; the next free one where it is taken.
             rate: Pictures a second, at most.
+            followed: What the target of a picture is, in a word.
         """
-        self.robot, self.rate = robot, rate
+        self.robot, self.rate, self._followed = robot, rate, followed
         self.server = start_server(host, port, title)
         self.picture: Picture | None = None
         self._drawing = threading.Lock()
@@ -66,7 +67,7 @@ class Page:
         self._status = server.gui.add_html("", order=0)
         server.gui.add_html(legend_html(robot), order=1)
         self.controls = server.gui.add_folder("Move", order=2)
-        self.plots = Plots(server.gui, robot)
+        self.plots = Plots(server.gui, robot, followed)
         self._add_display()
         self._said = ("", False)
         self._said_at = 0.0
@@ -113,7 +114,7 @@ class Page:
             self.scene.show(picture)
             if not self.plots.whole:
                 self.plots.add(picture)
-            self.say(_words(picture, self.scene.enlarged), problem=picture.problem)
+            self.say(self._words(picture), problem=picture.problem)
         self.picture = picture
 
     def settle(self) -> None:
@@ -124,7 +125,20 @@ class Page:
             self.scene.settle(self.picture)
             self.plots.settle()
             self._said_at = 0.0
-            self.say(_words(self.picture, self.scene.enlarged), problem=self.picture.problem)
+            self.say(self._words(self.picture), problem=self.picture.problem)
+
+    def _words(self, picture: Picture) -> str:
+        """Place, distance and sag below what the picture says itself."""
+        x, y, z = picture.position
+        line = f"platform at {x:.3f}, {y:.3f}, {z:.3f} m"
+        if picture.target is not None:
+            line += f"; {1e3 * picture.error:.0f} mm from the {self._followed}"
+        sag = f"largest sag {1e3 * picture.sag.max():.1f} mm"
+        if self.scene.enlarged != 1.0:
+            sag += f", drawn {self.scene.enlarged:g} times larger"
+        if picture.straight.any():
+            sag += f"; {picture.straight.sum()} cables of unknown shape drawn straight"
+        return "\n".join(filter(None, [picture.status, line, sag]))
 
     def _add_display(self) -> None:
         """Settings of what is drawn."""
@@ -200,17 +214,3 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
-
-
-def _words(picture: Picture, enlarged: float) -> str:
-    """Place, distance and sag below what the picture says itself."""
-    x, y, z = picture.position
-    line = f"platform at {x:.3f}, {y:.3f}, {z:.3f} m"
-    if picture.target is not None:
-        line += f"; {1e3 * picture.error:.0f} mm from the target"
-    sag = f"largest sag {1e3 * picture.sag.max():.1f} mm"
-    if enlarged != 1.0:
-        sag += f", drawn {enlarged:g} times larger"
-    if picture.straight.any():
-        sag += f"; {picture.straight.sum()} cables of unknown shape drawn straight"
-    return "\n".join(filter(None, [picture.status, line, sag]))

@@ -29,8 +29,8 @@ class Plots:
         whole: Whether they show a whole run with a dot for now, and not the last seconds.
     """
 
-    def __init__(self, gui: Any, robot: Robot) -> None:
-        """Add them to `viser.GuiApi`."""
+    def __init__(self, gui: Any, robot: Robot, followed: str) -> None:
+        """Add them to `viser.GuiApi`; `followed` is what the platform should reach, in a word."""
         self._robot = robot
         self.whole = False
         self._samples: deque[tuple[float, Array, float]] = deque(maxlen=round(WINDOW / LEAST))
@@ -46,7 +46,7 @@ class Plots:
         )
         error = [{"label": "error", "stroke": ERROR, "width": 1.8}]
         self._error = self._chart(
-            gui, (start, empty, empty), error, "distance [mm]", "platform to target"
+            gui, (start, empty, empty), error, "distance [mm]", f"platform to {followed}"
         )
         self._tops = {"tension": 0.0, "error": 0.0}
 

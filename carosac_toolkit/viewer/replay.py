@@ -51,6 +51,11 @@ class Replay:
         self._add_controls(names, NONE if ghost is None else names[ghost])
         self._times: Publisher[float] = Publisher(self.draw, rate=page.rate, settle=self._settle)
 
+    @property
+    def pictures(self) -> int:
+        """How many were drawn while it played."""
+        return self._times.drawn
+
     def play(self, duration: float | None = None) -> None:
         """Let time pass until interrupted, or so long [s]."""
         begun = last = moved = time.monotonic()
@@ -115,7 +120,7 @@ class Replay:
                 self.now = 0.0
         self._times.offer(self.now)
 
-    def _seek(self, now: float) -> None:
+    def seek(self, now: float) -> None:
         """Go to a time [s]."""
         with self._clock:
             self.now = now
@@ -145,7 +150,7 @@ class Replay:
     def _slid(self, event: Any) -> None:
         """Somebody has moved the time line."""
         if event.client_id is not None:
-            self._seek(float(self._slider.value))
+            self.seek(float(self._slider.value))
 
     def _toggle(self) -> None:
         """Play or pause."""
@@ -157,12 +162,12 @@ class Replay:
         self.run = self._runs[name]
         self._slider.max = max(round(self.run.duration, 2), 0.01)
         self._source.content = f"*{self.run.source}*"
-        self._seek(min(self.now, self.run.duration))
+        self.seek(min(self.now, self.run.duration))
 
     def _choose_ghost(self, name: str) -> None:
         """Play another run, or none, beside it."""
         self.ghost = self._runs.get(name)
-        self._seek(self.now)
+        self.seek(self.now)
 
 
 def thinned(way: Array) -> Array:

@@ -24,7 +24,7 @@ from carosac_toolkit.studies.rows import Row
 from carosac_toolkit.values import Pose, Stamped
 from carosac_toolkit.viewer.picture import Picture, take_picture
 
-MOST = 20_000  # samples of a run; longer ones are thinned out
+MOST = 6_000  # samples of a run; longer ones are thinned out
 GAP = 0.5  # [s] without a pose that is bridged
 
 

@@ -69,8 +69,8 @@ def test_the_mouse_drags_the_target_and_platform_and_cables_follow(window, stati
     before = wait_for(lambda: page.picture, "a first picture")
     first = picture_of(window, artifacts / "before_drag.png")
     arrow = 0.7 * SIZE * np.ptp(extent(page.robot), axis=0).max()
-    grip = before.position + [0.0, 0.0, arrow]
-    drag(window, pixel_of(client, grip), pixel_of(client, grip + [0.0, 0.0, UP]))
+    grip = before.position + np.array([0.0, 0.0, arrow])
+    drag(window, pixel_of(client, grip), pixel_of(client, grip + np.array([0.0, 0.0, UP])))
     wait_for(lambda: statics.answers and page.picture.position[2] > before.position[2] + 0.5 * UP,
              "the platform follows")  # fmt: skip
     height = wait_for(lambda: _settled_height(statics), "the platform rests")
