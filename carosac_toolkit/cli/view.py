@@ -25,7 +25,7 @@ import tyro
 from carosac_toolkit import registry
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, check_writable
 from carosac_toolkit.drivers.simulated import SimulatedDriver
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.filled_settings import filled
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.plugins import build_controller, build_estimator
@@ -34,7 +34,9 @@ from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import list_robots, load_robot
 from carosac_toolkit.studies.chosen_settings import check_types, chosen_settings
 from carosac_toolkit.studies.run_case import own_settings
+from carosac_toolkit.viewer.live import LiveWatch, follow
 from carosac_toolkit.viewer.page import LOOPBACK, MOST_ENLARGED, PORT, Page, is_loopback
+from carosac_toolkit.viewer.page_process import PageOptions, PageProcess
 
 ROBOT_FILES = (".yaml", ".yml")
 TAKEN = ("suite", "period", "real_time")  # settings of the driver that options say
@@ -130,7 +132,7 @@ def _statics(options: Options, robot: Robot) -> CommandResult:
         if options.html is not None:
             return _still(options, page)
         statics = StaticsPage(page)
-        _announce(page, "drag the arrows, or choose 'cable lengths'")
+        _announce(page.url, "drag the arrows, or choose 'cable lengths'")
         _serve(options)
         statics.close()
         return CommandResult({"url": page.url, "answers": statics.answers, **_drawn(page)})
@@ -189,15 +191,13 @@ def _replay(options: Options) -> CommandResult:
             write_html(options.html, text)
             print(f"written: {options.html}, {pictures} pictures, {len(text) / 1e6:.1f} MB")
             return CommandResult({**data, "html": str(options.html), "pictures": pictures})
-        _announce(page, "the time line is under 'Move'")
+        _announce(page.url, "the time line is under 'Move'")
         replay.play(options.duration)
         return CommandResult({**data, "url": page.url, "pictures": replay.pictures})
 
 
 def _live(options: Options, robot: Robot) -> CommandResult:
     """A live simulation."""
-    from carosac_toolkit.viewer.live import LivePage, follow
-
     chosen = chosen_settings(
         options.settings, controllers=[options.controller], estimators=[options.estimator]
     )
@@ -209,25 +209,40 @@ def _live(options: Options, robot: Robot) -> CommandResult:
     target = HandTarget(robot, robot.home_position, **limits)
     rehearsed = HandTarget(robot, robot.home_position, **limits)
     rehearse(robot, estimator, controller, rehearsed, suite=options.suite)
-    title = f"{robot.name}: {options.controller} with {options.estimator}"
-    with _page(options, robot, title, followed="reference") as page:
-        LivePage(page, target)
-        _announce(page, "drag the arrows; the controller follows")
+    page = PageProcess(
+        PageOptions(
+            robot=robot, title=f"{robot.name}: {options.controller} with {options.estimator}",
+            host=options.host, port=options.port, enlarged=options.sag,
+        ),
+        target.go_to,
+    )  # fmt: skip
+    try:
+        _announce(page.url, "drag the arrows; the controller follows")
         watch, error = follow(
-            page, driver, estimator, controller, target, duration=options.duration
+            page.instants, driver, estimator, controller, target, duration=options.duration
         )
-        data = {
-            "url": page.url, "cycles": watch.cycles, "overruns": driver.overruns,
-            "latency_p99_s": float(np.quantile(watch.latencies, 0.99)) if watch.latencies else None,
-            "limits": dict(watch.limits), "pictures": watch.publisher.drawn,
-            "error": None if error is None else str(error),
-        }  # fmt: skip
-        print(f"{watch.cycles} cycles, {driver.overruns} ticks missed; {watch.publisher.drawn} "
-              f"pictures; limited: {dict(watch.limits) or 'none'}")  # fmt: skip
         if error is not None:
-            page.say(f"ENDED: {error}", problem=True)
-            print(f"carosac: {error}", file=sys.stderr)
-        return CommandResult(data, status=0 if error is None else 1)
+            page.say(f"ENDED: {error}")
+    finally:
+        page.close()
+    return _ended(page, driver, watch, error)
+
+
+def _ended(
+    page: PageProcess, driver: SimulatedDriver, watch: LiveWatch, error: CarosacError | None
+) -> CommandResult:
+    """Say how a live simulation went."""
+    data = {
+        "url": page.url, "cycles": watch.cycles, "overruns": driver.overruns,
+        "latency_p99_s": float(np.quantile(watch.latencies, 0.99)) if watch.latencies else None,
+        "limits": dict(watch.limits), "pictures": page.drawn,
+        "error": None if error is None else str(error),
+    }  # fmt: skip
+    print(f"{watch.cycles} cycles, {driver.overruns} ticks missed; {page.drawn} pictures; "
+          f"limited: {dict(watch.limits) or 'none'}")  # fmt: skip
+    if error is not None:
+        print(f"carosac: {error}", file=sys.stderr)
+    return CommandResult(data, status=0 if error is None else 1)
 
 
 def _driver(options: Options, robot: Robot, asked: Any, period: float) -> SimulatedDriver:
@@ -253,10 +268,8 @@ def _driver(options: Options, robot: Robot, asked: Any, period: float) -> Simula
 class _page:
     """A page for as long as the block lasts."""
 
-    def __init__(
-        self, options: Options, robot: Robot, title: str, *, followed: str = "target"
-    ) -> None:
-        self._page = Page(robot, title, host=options.host, port=options.port, followed=followed)
+    def __init__(self, options: Options, robot: Robot, title: str) -> None:
+        self._page = Page(robot, title, host=options.host, port=options.port)
         self._page.enlarged.value = options.sag
 
     def __enter__(self) -> Page:
@@ -266,9 +279,9 @@ class _page:
         self._page.close()
 
 
-def _announce(page: Page, words: str) -> None:
+def _announce(url: str, words: str) -> None:
     """Say where the page is."""
-    print(f"open {page.url} in a browser: {words}; Ctrl-C ends", flush=True)
+    print(f"open {url} in a browser: {words}; Ctrl-C ends", flush=True)
 
 
 def _serve(options: Options) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,80 +17,109 @@ from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.loop import Step, run
 from carosac_toolkit.protocols import Controller, Estimator
 from carosac_toolkit.robot import Robot
+from carosac_toolkit.viewer.gizmo import add_gizmo
 from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.picture import Picture, take_picture
 from carosac_toolkit.viewer.publisher import Publisher
 
-SWITCH = 5e-4  # [s] after which the page lets the loop run
-WORST = 1000  # latest cycles that the state of the loop is judged by
+SWITCH = 5e-4  # [s] after which other threads let the loop run
+LATEST = 1000  # cycles whose latencies are kept
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instant:
-    """What the loop hands over; shapes are worked out elsewhere.
+    """What the loop hands over: plain numbers; the shapes of cables are worked out elsewhere.
 
     Attributes:
-        step: The cycle.
+        time: By the driver's clock [s].
+        position: True platform origin in W [m], shape (3,).
+        rotation: True rotation from P to W, shape (3, 3).
+        reference: Where the platform should be now in W [m], shape (3,).
+        believed: Where the estimator believes it in W [m], shape (3,).
+        tension: True [N], shape (n,), or None.
+        unstrained_length: True [m], shape (n,), or None.
         points: Of the cables in W [m], shape (n, samples, 3), where the plant knows them.
+        limited: Names of the limits that have changed the command.
         overruns: Ticks that the loop has missed up to now.
     """
 
-    step: Step
+    time: float
+    position: Array
+    rotation: Array
+    reference: Array
+    believed: Array
+    tension: Array | None
+    unstrained_length: Array | None
     points: Array | None
+    limited: tuple[str, ...]
     overruns: int
 
 
 @dataclass
 class LiveWatch:
-    """Called by the loop with every step; makes a picture only when the page is ready for one.
+    """Called by the loop with every step; makes an instant only when one is wanted.
 
     Attributes:
         driver: Simulated, with a plant and the count of overruns.
-        publisher: Says when one is due.
+        instants: Takes instants at once, and says when one is due.
         cycles: Up to now.
         limits: How often each limit changed a command, by cycles.
         latencies: Of estimator and controller, the latest cycles [s].
     """
 
     driver: Any
-    publisher: Publisher[Instant]
+    instants: Publisher[Instant]
     cycles: int = 0
     limits: Counter[str] = field(default_factory=Counter)
     latencies: list[float] = field(default_factory=list)
 
     def __call__(self, step: Step) -> None:
         """Take one cycle in."""
-        self.latencies[self.cycles % WORST : self.cycles % WORST + 1] = [step.latency]
+        place = self.cycles % LATEST
+        self.latencies[place : place + 1] = [step.latency]
         self.cycles += 1
         self.limits.update({hit.limit for hit in step.command.limited})
-        if self.publisher.due:
-            plant = self.driver.plant
-            points = plant.cable_points()[0] if isinstance(plant, Shaped) else None
-            self.publisher.offer(
-                Instant(
-                    step=step,
-                    points=points,
-                    overruns=self.driver.overruns,
-                )
-            )
+        if self.instants.due:
+            self.instants.offer(self._instant(step))
+
+    def _instant(self, step: Step) -> Instant:
+        """What the page needs of a step."""
+        plant, truth = self.driver.plant, step.truth
+        assert truth is not None
+        return Instant(
+            time=float(truth.time[0]), position=truth.position[0], rotation=truth.rotation[0],
+            reference=step.reference.position[0, 0], believed=step.belief.position[0],
+            tension=_first(truth.tension), unstrained_length=_first(truth.unstrained_length),
+            points=plant.cable_points()[0] if isinstance(plant, Shaped) else None,
+            limited=tuple(sorted({hit.limit for hit in step.command.limited})),
+            overruns=int(self.driver.overruns),
+        )  # fmt: skip
+
+
+def _first(values: Array | None) -> Array | None:
+    """The row of the only robot."""
+    return None if values is None else values[0]
 
 
 def picture_of(robot: Robot, instant: Instant) -> Picture:
-    """The picture of an instant: the true state, the reference, and what the estimator believes."""
-    step = instant.step
-    truth = step.truth
-    assert truth is not None
-    limited = sorted({hit.limit for hit in step.command.limited})
-    words = f"live, {float(truth.time[0]):.1f} s"
-    if limited:
-        words += f"\ncommand limited by: {', '.join(limited)}"
+    """The picture of an instant: true state, reference, and what the estimator believes."""
+    words = f"live, {instant.time:.1f} s"
     if instant.overruns:
         words += f"; {instant.overruns} ticks missed"
+    if instant.limited:
+        words += f"\ncommand limited by: {', '.join(instant.limited)}"
     return take_picture(
-        robot, truth.position[0], truth.rotation[0], time=float(truth.time[0]),
-        unstrained_length=None if truth.unstrained_length is None else truth.unstrained_length[0],
-        tension=None if truth.tension is None else truth.tension[0], points=instant.points,
-        target=step.reference.position[0, 0], believed=step.belief.position[0], status=words,
+        robot, instant.position, instant.rotation, time=instant.time,
+        unstrained_length=instant.unstrained_length, tension=instant.tension,
+        points=instant.points, target=instant.reference, believed=instant.believed, status=words,
+    )  # fmt: skip
+
+
+def drawing(page: Page) -> Publisher[Instant]:
+    """A publisher that draws instants on a page, in a thread of this process."""
+    return Publisher(
+        lambda instant: page.draw(picture_of(page.robot, instant)), rate=page.rate,
+        settle=page.settle,
     )  # fmt: skip
 
 
@@ -100,23 +130,35 @@ class LivePage:
         gizmo: Arrows in the scene that move the target.
     """
 
-    def __init__(self, page: Page, target: HandTarget) -> None:
-        """Add the controls."""
-        from carosac_toolkit.viewer.gizmo import add_gizmo
+    def __init__(
+        self, page: Page, target: HandTarget, moved: Callable[[Array], None] | None = None
+    ) -> None:
+        """Add the controls.
 
-        self._page, self._target = page, target
+        Args:
+            page: The page.
+            target: That is moved; it stays in the workspace box.
+            moved: Told of each new target in W [m], shape (3,).
+        """
+        self._target, self._moved = target, moved
         gui: Any = page.server.gui
         start = target.target
         self.gizmo = add_gizmo(page, start, rotations=False)
         with page.controls:
-            self.place = gui.add_vector3(
-                "target [m]", initial_value=tuple(float(x) for x in start.round(4)), step=0.05
-            )
+            self.place = gui.add_vector3("target [m]", initial_value=_numbers(start), step=0.05)
             home = gui.add_button("Home")
-
         self.gizmo.on_update(self._dragged)
         self.place.on_update(self._typed)
         home.on_click(lambda _: self.go(page.robot.home_position))
+
+    def go(self, position: Array, *, dragged: bool = False) -> None:
+        """Set the target; while it is dragged the arrows are left to the mouse."""
+        taken = self._target.go_to(position)
+        self.place.value = _numbers(taken)
+        if not dragged:
+            self.gizmo.position = taken
+        if self._moved is not None:
+            self._moved(taken)
 
     def _dragged(self, event: Any) -> None:
         """Go along; once let go, the arrows are where the target is: in the workspace box."""
@@ -127,22 +169,20 @@ class LivePage:
         if event.client_id is not None:
             self.go(np.array(self.place.value))
 
-    def go(self, position: Array, *, dragged: bool = False) -> None:
-        """Set the target, which stays in the workspace box."""
-        taken = self._target.go_to(position)
-        self.place.value = tuple(float(x) for x in taken.round(4))
-        if not dragged:
-            self.gizmo.position = taken
+
+def _numbers(place: Array) -> tuple[float, ...]:
+    """A place as a field of the page shows it."""
+    return tuple(float(x) for x in place.round(4))
 
 
 def follow(
-    page: Page, driver: Any, estimator: Estimator, controller: Controller, target: HandTarget, *,
-    duration: float | None = None,
+    instants: Publisher[Instant], driver: Any, estimator: Estimator, controller: Controller,
+    target: HandTarget, *, duration: float | None = None,
 ) -> tuple[LiveWatch, CarosacError | None]:  # fmt: skip
-    """Run the loop until its end or Ctrl-C, with the page in other threads.
+    """Run the loop until its end or Ctrl-C; `instants` is closed then.
 
     Args:
-        page: Gets the pictures.
+        instants: Gets what the page shows.
         driver: Simulated, in real time.
         estimator: Of the loop.
         controller: Of the loop.
@@ -152,12 +192,7 @@ def follow(
     Returns:
         What the loop did, and the error that has ended it.
     """
-    instants: Publisher[Instant] = Publisher(
-        lambda instant: page.draw(picture_of(page.robot, instant)),
-        rate=page.rate,
-        settle=page.settle,
-    )
-    watch = LiveWatch(driver=driver, publisher=instants)
+    watch = LiveWatch(driver=driver, instants=instants)
     usual = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH)
     try:

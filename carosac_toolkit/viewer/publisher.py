@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 
 from carosac_toolkit.number_checks import check_positive
 
-RATE = 40.0  # pictures a second, at most
+RATE = 35.0  # pictures a second, at most
 QUIET = 0.25  # [s] without news, after which what was put off is drawn
 T = TypeVar("T")
 

@@ -50,6 +50,7 @@ class Replay:
         self._ghost_scene.visible = self.ghost is not None
         self._add_controls(names, NONE if ghost is None else names[ghost])
         self._times: Publisher[float] = Publisher(self.draw, rate=page.rate, settle=self._settle)
+        self._times.offer(self.now)
 
     @property
     def pictures(self) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -212,9 +211,9 @@ class RobotScene:
         colors = tension_colors(self._robot, picture.tension)
         if self._ghost:
             colors = np.asarray(0.45 * colors + 0.55 * 255.0, dtype=np.uint8)
-        each: NDArray[np.uint8] = np.broadcast_to(colors[:, None, None, :], pairs.shape)
+        light = vertex_colors(colors)[:, None, None, :]
         self._cables.points = np.asarray(pairs.reshape(-1, 2, 3), dtype=np.float32)
-        self._cables.colors = vertex_colors(each.reshape(-1, 2, 3))
+        self._cables.colors = np.array(np.broadcast_to(light, pairs.shape).reshape(-1, 2, 3))
 
     def _color_target(self, held: bool) -> None:
         """Grey platform and red target where the pose is not the one that was asked for."""
@@ -251,7 +250,7 @@ def segments(way: Array) -> NDArray[np.float32]:
     """Line segments along a way [m], shape (T - 1, 2, 3)."""
     if len(way) < 2:
         return np.zeros((1, 2, 3), dtype=np.float32)
-    return np.asarray(np.stack(list(pairwise(way))), dtype=np.float32)
+    return np.asarray(np.stack([way[:-1], way[1:]], axis=1), dtype=np.float32)
 
 
 def _above(robot: Robot, i: int, size: float) -> Array:

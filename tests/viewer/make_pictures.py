@@ -21,7 +21,7 @@ from carosac_toolkit import registry
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.viewer.geometry import extent
 from carosac_toolkit.viewer.gizmo import SIZE
-from carosac_toolkit.viewer.live import LivePage, follow
+from carosac_toolkit.viewer.live import LivePage, drawing, follow
 from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.replay import Replay
 from carosac_toolkit.viewer.runs import load_runs
@@ -97,7 +97,7 @@ def live(window: Any, folder: Path) -> None:
     with page_of("scampi", title, 10.0, followed="reference") as page:
         connected = LivePage(page, target)
         loop = threading.Thread(
-            target=follow, args=(page, driver, estimator, controller, target),
+            target=follow, args=(drawing(page), driver, estimator, controller, target),
             kwargs={"duration": 60.0},
         )  # fmt: skip
         loop.start()
