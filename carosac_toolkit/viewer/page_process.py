@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
+import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -73,6 +74,7 @@ class PageProcess:
         self._process.start()
         there.close()
         self.drawn = 0
+        self._closing = False
         kind, value = self._first_word()
         if kind == "error":
             self._process.join(PATIENCE)
@@ -89,6 +91,7 @@ class PageProcess:
 
     def close(self) -> None:
         """End the process."""
+        self._closing = True
         self.instants.close()
         self._tell(("close", None))
         self._listener.join(PATIENCE)
@@ -128,7 +131,8 @@ class PageProcess:
                 elif kind == "drawn":
                     self.drawn = int(value)
         except (EOFError, OSError):
-            return
+            if not self._closing:
+                print("carosac: the page has ended; the simulation goes on", file=sys.stderr)
 
 
 def _serve(pipe: Connection, options: PageOptions) -> None:
