@@ -18,6 +18,7 @@ MOST = 400  # samples of a plot
 REFRESH = 0.2  # [s] between two drawings
 HEIGHT = 170  # [pixels]
 ORDER = 30  # in the panel
+SCALES = {"x": {"time": False}, "y": {"range": (0.0, None)}}  # from zero to what is highest
 ERROR = "#c8553d"
 NOW = "#111111"
 
@@ -36,7 +37,7 @@ class Plots:
         self._samples: deque[tuple[float, Array, float]] = deque(maxlen=round(WINDOW / LEAST))
         self._drawn = -np.inf
         start = np.array([0.0, 1.0])
-        empty = np.full(2, np.nan)
+        empty = np.zeros(2)
         lines = [
             {"label": name, "stroke": hex_of(CABLES[i % len(CABLES)]), "width": 1.5}
             for i, name in enumerate(robot.cable_names)
@@ -48,14 +49,13 @@ class Plots:
         self._error = self._chart(
             gui, (start, empty, empty), error, "distance [mm]", f"platform to {followed}"
         )
-        self._tops = {"tension": 0.0, "error": 0.0}
 
     def _chart(
         self, gui: Any, data: tuple[Array, ...], lines: list[dict[str, Any]], label: str, title: str
     ) -> Any:
         """One chart; its last series is the dot for now."""
         dot = {
-            "label": "now", "stroke": NOW, "width": 0,
+            "label": "now", "stroke": NOW, "width": 0, "auto": False,
             "points": {"show": True, "size": 7, "fill": NOW},
         }  # fmt: skip
         small = "11px sans-serif"
@@ -65,7 +65,7 @@ class Plots:
         ]
         return gui.add_uplot(
             data=data, series=({}, *lines, dot), title=title, height=HEIGHT, order=ORDER,
-            scales=_scales(1.0), axes=tuple(axes), legend={"show": False},
+            scales=SCALES, axes=tuple(axes), legend={"show": False},
             cursor={"show": False}, padding=(9, 14, 0, 0),
         )  # fmt: skip
 
@@ -107,30 +107,5 @@ class Plots:
             highest = tension[here][np.isfinite(tension[here])]
             dots[0, here] = highest.max() if len(highest) else np.nan
             dots[1, here] = error[here]
-        self._fit("tension", self._tension, tension)
-        self._fit("error", self._error, error)
         self._tension.data = (time, *np.ascontiguousarray(tension.T), dots[0])
         self._error.data = (time, error, dots[1])
-
-    def _fit(self, key: str, chart: Any, values: Array) -> None:
-        """Have a chart reach the highest value; missing ones are NaN, which it cannot scan."""
-        known = values[np.isfinite(values)]
-        highest = float(known.max()) if len(known) else 0.0
-        if highest > self._tops[key] or highest < 0.3 * self._tops[key]:
-            self._tops[key] = _round_up(1.05 * highest)
-            chart.scales = _scales(self._tops[key])
-
-
-def _scales(top: float) -> dict[str, Any]:
-    """Axes of a chart from zero to a highest value; time is no date."""
-    return {"x": {"time": False}, "y": {"auto": False, "range": (0.0, max(top, 1.0))}}
-
-
-def _round_up(value: float) -> float:
-    """The next number whose first digits are 1, 1.5, 2, 3, 5 or 7."""
-    if value <= 0.0:
-        return 0.0
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(
-        next(x * power for x in (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0) if x * power >= value)
-    )

@@ -126,6 +126,7 @@ class Replay:
         with self._clock:
             self.now = now
             self._drawn = 0
+        self._slider.value = round(min(now, self._slider.max), 2)
         self._times.offer(now)
 
     def _add_controls(self, names: list[str], ghost: str) -> None:
@@ -143,7 +144,7 @@ class Replay:
             self._source = gui.add_markdown(f"*{self.run.source}*")
 
         self._slider.on_update(self._slid)
-        self._button.on_click(lambda _: self._toggle())
+        self._button.on_click(lambda _: self.toggle())
         speed.on_update(lambda _: setattr(self, "_speed", float(speed.value)))
         which.on_update(lambda _: self._choose(which.value))
         beside.on_update(lambda _: self._choose_ghost(beside.value))
@@ -153,7 +154,7 @@ class Replay:
         if event.client_id is not None:
             self.seek(float(self._slider.value))
 
-    def _toggle(self) -> None:
+    def toggle(self) -> None:
         """Play or pause."""
         self.playing = not self.playing
         self._button.label = PAUSE if self.playing else PLAY

@@ -24,7 +24,7 @@ from carosac_toolkit.viewer.gizmo import SIZE
 from carosac_toolkit.viewer.live import LivePage, drawing, follow
 from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.replay import Replay
-from carosac_toolkit.viewer.runs import load_runs
+from carosac_toolkit.viewer.runs import Run, load_runs
 from carosac_toolkit.viewer.statics_page import BY_LENGTHS, StaticsPage
 from tests.viewer.browser import browser, drag, open_page, picture_of, pixel_of, wait_for
 
@@ -116,18 +116,24 @@ def replay(window: Any, folder: Path) -> None:
         ct.Study(
             robots=("carosac",), controllers=("kinematic_solver", "input_shaping"),
             estimators=("kinematic_solver",), trajectories=("line",), seeds=1,
-            output=results,
+            speed_max=2.0, acceleration_max=4.0, output=results,
         ).run(progress=False)  # fmt: skip
         runs = load_runs(results)
     with page_of("carosac", runs[0].name, 10.0) as page:
         played = Replay(page, runs, 1)
-        played.playing = False
+        played.toggle()
         thread = threading.Thread(target=played.play, args=(20.0,))
         thread.start()
         open_page(window, page)
-        played.seek(0.55 * runs[0].duration)
+        played.seek(float(runs[0].time[np.argmax(apart(*runs))]))
         shoot(window, folder, "replay")
         thread.join()
+
+
+def apart(one: Run, other: Run) -> np.ndarray:
+    """Distance of the platforms of two runs at the times of the first [m]."""
+    there = [np.interp(one.time, other.time, other.position[:, k]) for k in range(3)]
+    return np.linalg.norm(one.position - np.stack(there, axis=1), axis=1)
 
 
 def main() -> None:
