@@ -31,6 +31,7 @@ class Replay:
         ghost: That is played beside it, or None.
         now: Time of the run [s].
         playing: Whether time passes.
+        over: Whether `play` shall end.
     """
 
     def __init__(self, page: Page, runs: Sequence[Run], ghost: int | None = None) -> None:
@@ -40,7 +41,7 @@ class Replay:
         names = list(self._runs)
         self.run = runs[0]
         self.ghost = None if ghost is None else runs[ghost]
-        self.now, self.playing, self._speed = 0.0, True, 1.0
+        self.now, self.playing, self.over, self._speed = 0.0, True, False, 1.0
         self._clock = threading.Lock()
         self._drawn = 0
         page.plots.whole = True
@@ -61,7 +62,7 @@ class Replay:
         """Let time pass until interrupted, or so long [s]."""
         begun = last = moved = time.monotonic()
         try:
-            while duration is None or time.monotonic() - begun < duration:
+            while not self.over and (duration is None or time.monotonic() - begun < duration):
                 time.sleep(TICK)
                 passed, last = time.monotonic() - last, time.monotonic()
                 if self.playing:

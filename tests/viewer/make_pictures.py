@@ -122,11 +122,14 @@ def replay(window: Any, folder: Path) -> None:
     with page_of("carosac", runs[0].name, 10.0) as page:
         played = Replay(page, runs, 1)
         played.toggle()
-        thread = threading.Thread(target=played.play, args=(20.0,))
+        thread = threading.Thread(target=played.play)
         thread.start()
         open_page(window, page)
-        played.seek(float(runs[0].time[np.argmax(apart(*runs))]))
+        moment = float(runs[0].time[np.argmax(apart(*runs))])
+        played.seek(moment)
+        wait_for(lambda: abs(page.picture.time - moment) < 0.05, "the moment")
         shoot(window, folder, "replay")
+        played.over = True
         thread.join()
 
 
