@@ -120,12 +120,15 @@ def replay(window: Any, folder: Path) -> None:
         ).run(progress=False)  # fmt: skip
         runs = load_runs(results)
     with page_of("carosac", runs[0].name, 10.0) as page:
+        k = int(np.argmax(apart(*runs)))
+        moment, near = float(runs[0].time[k]), runs[0].position[k]
+        page.server.initial_camera.look_at = near
+        page.server.initial_camera.position = near + np.array([2.6, -1.6, 0.7])
         played = Replay(page, runs, 1)
         played.toggle()
         thread = threading.Thread(target=played.play)
         thread.start()
         open_page(window, page)
-        moment = float(runs[0].time[np.argmax(apart(*runs))])
         played.seek(moment)
         wait_for(lambda: abs(page.picture.time - moment) < 0.05, "the moment")
         shoot(window, folder, "replay")
