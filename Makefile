@@ -20,10 +20,10 @@ $(STAMP): pyproject.toml constraints.txt
 	@echo "1/3 Making a virtual environment in $(VENV)."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "2/3 Installing the toolkit in place, with its dependencies and the tools for tests,"
-	@echo "    documentation and learning, at the versions of constraints.txt."
+	@echo "    documentation, learning and viewing, at the versions of constraints.txt."
 	@echo "    This takes some minutes and about 3 GB of disk."
 	@PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install -qq \
-		--constraint constraints.txt --editable '.[dev,docs,learn]'
+		--constraint constraints.txt --editable '.[dev,docs,learn,view]'
 	@echo "3/3 Checking that the installed packages fit together."
 	@$(BIN)/python -m pip check
 	@touch $@
@@ -50,6 +50,7 @@ bench: $(STAMP)  ## measure speed: statics, limits, learning, simulator beside M
 	$(BIN)/python -m benchmarks.statics
 	$(BIN)/python -m benchmarks.limits
 	$(BIN)/python -m benchmarks.simulator
+	$(BIN)/python -m benchmarks.viewer
 	$(BIN)/python -m benchmarks.learning --parts throughput
 
 bars: $(STAMP)  ## run the slow acceptance measurements; figures go to benchmarks/RESULTS.md

@@ -193,6 +193,7 @@ class RecordedRun:
         asked: Commanded lengths that a controller asked for [m], (K, n) with their times, or None.
         would_send: What a dry run would have sent [m], (K, n) with their times, or None.
         believed: Positions that the estimator believed [m], (K, 3) with their times, or None.
+        believed_poses: The same with their rotations.
         limited: Every limit hit as time [s], name, cable, value asked and value sent.
         cut: The row that was cut and dropped, or None where the file is whole.
     """
@@ -202,6 +203,7 @@ class RecordedRun:
     asked: Stamped | None
     would_send: Stamped | None
     believed: Stamped | None
+    believed_poses: PoseSamples | None
     limited: tuple[tuple[float, str, int | None, float, float], ...]
     cut: int | None
 
@@ -275,7 +277,7 @@ def _run(
         ),
         tension=_stamped([tuple(row["tension"]) for row in measured if "tension" in row]),
         command=_stamped([(row["time"], row["unstrained_length"]) for row in sent]),
-        poses=_poses(measured),
+        poses=_poses([row["pose"] for row in measured if "pose" in row]),
         imu=_imu(measured),
         metadata=RecordingMetadata.from_dict(head["metadata"]),
     )
@@ -286,6 +288,9 @@ def _run(
         asked=_stamped(asked),
         would_send=_stamped([(row["time"], row["unstrained_length"]) for row in would]),
         believed=_stamped([(row["time"], row["position"]) for row in rows.get("believed", ())]),
+        believed_poses=_poses(
+            [(x["time"], x["position"], x["quaternion"]) for x in rows.get("believed", ())]
+        ),
         limited=tuple(
             (row["time"], *hit) for row in (*sent, *would) for hit in row.get("limited", ())
         ),
@@ -306,10 +311,9 @@ def _stamped(pairs: Sequence[Any]) -> Stamped | None:
     return Stamped(time=np.array(list(found)), value=np.array(list(found.values()), dtype=float))
 
 
-def _poses(measured: Sequence[Mapping[str, Any]]) -> PoseSamples | None:
-    """Measured poses."""
-    found = _stamped([(row["pose"][0], row["pose"][1] + row["pose"][2]) for row in measured
-                      if "pose" in row])  # fmt: skip
+def _poses(samples: Sequence[Sequence[Any]]) -> PoseSamples | None:
+    """Poses of times, positions and quaternions."""
+    found = _stamped([(time, [*position, *quaternion]) for time, position, quaternion in samples])
     if found is None:
         return None
     return PoseSamples(time=found.time, position=found.value[:, :3], quaternion=found.value[:, 3:])

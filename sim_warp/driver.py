@@ -137,6 +137,10 @@ class SimPlant:
         """Linear [m/s^2], then angular [rad/s^2], in W at the platform origin, shape (B, 6)."""
         return self._state.acceleration
 
+    def cable_points(self) -> Array:
+        """Where the cables are now in W [m], shape (B, n, segments + 1, 3); for pictures."""
+        return self.simulator.cable_points()
+
     def read_lengths(self) -> Array:
         """What perfect encoders say, by the drums that the drives believe in [m], (B, n)."""
         return self._encoders.read(self._state.unstrained_length)

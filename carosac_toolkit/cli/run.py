@@ -28,13 +28,14 @@ import tyro
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.cli.place import Place
 from carosac_toolkit.cli.plc import take_priority
-from carosac_toolkit.cli.run_parts import LINE, REST, make_guard, make_path, make_plugin, recorded
+from carosac_toolkit.cli.run_parts import LINE, REST, make_guard, make_path, period_of, recorded
 from carosac_toolkit.crash_safe import CrashSafeRecorder
 from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.errors import CarosacError
 from carosac_toolkit.live.ending import Ending, ending_of
 from carosac_toolkit.live.hand_target import HELP
 from carosac_toolkit.live.library_noise import without_ads_lines
+from carosac_toolkit.live.plugins import build_controller, build_estimator
 from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.live.saying import say
 from carosac_toolkit.live.statistics import Statistics
@@ -110,8 +111,9 @@ def run(options: Options) -> CommandResult:
     chosen = chosen_settings(
         options.settings, controllers=[options.controller], estimators=[options.estimator]
     )
-    controller = make_plugin("controllers", options.controller, robot, options, chosen)
-    estimator = make_plugin("estimators", options.estimator, robot, options, chosen)
+    period, seed = period_of(options), options.seed
+    controller = build_controller(options.controller, robot, chosen, period, seed=seed)
+    estimator = build_estimator(options.estimator, robot, chosen, seed=seed)
     path = make_path(robot, options)
     guard = make_guard(robot, options, chosen["driver_settings"], float(controller.period))
     rehearse(robot, estimator, controller, path, suite=options.suite)

@@ -1,11 +1,10 @@
-"""What ``carosac run`` is made of: controller, estimator, guard, path, recording."""
+"""What ``carosac run`` is made of: guard, path, recording."""
 
 from __future__ import annotations
 
 import contextlib
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,29 +44,11 @@ OPTIONS = {
 }  # what no setting may say behind an option's back
 
 
-def make_plugin(
-    kind: Any, name: str, robot: Robot, options: Options, chosen: dict[str, Any]
-) -> Any:
-    """Make a controller or estimator with its settings."""
-    plugin = registry.load(kind, name)
-    asked = dict(chosen[f"{kind[:-1]}_settings"].get(name, {}))
-    settings = getattr(plugin, "Settings", None)
-    if settings is None:
-        if asked:
-            raise InvalidField("--set", repr(asked), f"nothing: {name} has no Settings")
-        return plugin.build(robot, None, seed=options.seed)
-    if kind == "controllers" and "period" in {field.name for field in fields(settings)}:
-        asked.setdefault("period", 1.0 / _rate(options))
-    check_types(f"{kind[:-1]}.{name}", settings(), asked)
-    made = filled(f"{kind[:-1]}.{name}", settings(), asked)
-    return plugin.build(robot, made, seed=options.seed)
-
-
-def _rate(options: Options) -> float:
-    """Commands a second."""
+def period_of(options: Options) -> float:
+    """Time between two commands as --rate has it [s]."""
     if not 0.0 < options.rate < np.inf:
         raise InvalidField("--rate", f"{options.rate} Hz", "> 0 Hz, finite")
-    return options.rate
+    return 1.0 / options.rate
 
 
 def make_guard(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.robot import Robot
@@ -56,4 +56,17 @@ class Plant(Protocol):
 
     def read_lengths(self) -> Array:
         """What perfect encoders say, by the drums that the drives believe in [m], (B, n)."""
+        ...
+
+
+@runtime_checkable
+class Shaped(Protocol):
+    """A plant that knows more of the shapes of its cables than their lengths and the pose say."""
+
+    def cable_points(self) -> Array:
+        """Where the cables are now.
+
+        Returns:
+            Points in W [m], shape (B, n, samples, 3), from tangent point to anchor point.
+        """
         ...

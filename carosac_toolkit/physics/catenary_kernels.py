@@ -6,12 +6,15 @@ from carosac_toolkit.physics.cable_kernels import (
     ZERO,
     Cable,
     catenary_span,
+    guess_cable,
     guess_tension_vector,
     hang,
     settle,
 )
 from carosac_toolkit.physics.cable_tension_kernels import pull_down
 from carosac_toolkit.physics.platform_kernels import anchor_of
+
+SETTLED = wp.constant(wp.float64(1.0e-12))  # of the length: a cable that fits is left alone
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -101,3 +104,28 @@ def cables_of_tension(
     closure[b, i] = wp.length(found.hanging.closure)
     mismatch[b, i] = wp.abs(found.mismatch)
     taut[b, i] = found.taut
+
+
+@wp.kernel
+def hanging_points(
+    cables: wp.array2d(dtype=Cable),
+    position: wp.array(dtype=wp.vec3d),
+    rotation: wp.array(dtype=wp.mat33d),
+    unstrained_length: wp.array2d(dtype=wp.float64),
+    tension: wp.array2d(dtype=wp.float64),
+    closure: wp.array2d(dtype=wp.float64),
+    points: wp.array3d(dtype=wp.vec3d),
+):
+    """One cable per thread of a given length, hung from its exit to its anchor at a given pose."""
+    b, i = wp.tid()
+    cable = cables[wp.min(b, cables.shape[0] - 1), i]
+    anchor = anchor_of(cable, position[b], rotation[b])
+    length = unstrained_length[b, i]
+    found = settle(guess_cable(anchor, length, cable), anchor, length, cable, SETTLED * length, 100)
+    tension[b, i] = wp.length(found.hanging.force)
+    closure[b, i] = wp.length(found.hanging.closure)
+    last = points.shape[2] - 1
+    for k in range(points.shape[2]):
+        part = found.hanging.free_length * wp.float64(k) / wp.float64(last)
+        span = catenary_span(found.q, part, cable.weight_per_length, cable.axial_stiffness)
+        points[b, i, k] = found.hanging.tangent_point - span.reach

@@ -23,6 +23,7 @@ from carosac_toolkit.physics import (
     warp_setup,
 )
 from carosac_toolkit.physics.cable_kernels import mat66d, vec6d
+from carosac_toolkit.physics.cable_shapes import offset_from_chord
 from carosac_toolkit.physics.device import Buffers, check_call, device_robot, kept_buffers
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.robot import Robot
@@ -227,12 +228,7 @@ def cable_shape(
 def sag(robot: Robot, equilibrium: Equilibrium, *, samples: int = 101) -> Array:
     """Largest distance of each free cable from the chord between its ends [m], shape (B, n)."""
     points = cable_shape(robot, equilibrium, samples)
-    chord = points[:, :, -1] - points[:, :, 0]
-    unit = chord / np.linalg.norm(chord, axis=-1, keepdims=True)
-    offset = points - points[:, :, :1]
-    along = np.einsum("bnsi,bni->bns", offset, unit)
-    across = offset - along[..., None] * unit[:, :, None]
-    distance: Array = np.linalg.norm(across, axis=-1).max(axis=-1)
+    distance: Array = np.linalg.norm(offset_from_chord(points), axis=-1).max(axis=-1)
     return distance
 
 

@@ -83,7 +83,7 @@ def _draw_space(axes: Any, report: RobotReport, cables: list[CableDrawing], limi
     from matplotlib.ticker import MaxNLocator
 
     robot = report.robot
-    for k, edge in enumerate(_box_edges(robot)):
+    for k, edge in enumerate(box_edges(robot)):
         axes.plot(*edge.T, color=BOX, lw=0.9, ls="--", label=None if k else "workspace box")
     for point in robot.exit_points:
         post = np.array([[*point[:2], limits[2, 0]], point])
@@ -169,7 +169,7 @@ def _draw_plane(
     robot = report.robot
     pulleys = (robot.pulley_radius > 0.0).any()
     columns = list(pair)
-    for edge in _box_edges(robot):
+    for edge in box_edges(robot):
         axes.plot(*edge[:, columns].T, color=BOX, lw=0.9, ls="--")
     for cable in cables:
         axes.fill(*cable.wheel[:, columns].T, facecolor=FRAME, edgecolor=FRAME, alpha=0.3, lw=0.8)
@@ -195,7 +195,7 @@ def _anchors(report: RobotReport) -> Array:
     return points
 
 
-def _box_edges(robot: Robot) -> list[Array]:
+def box_edges(robot: Robot) -> list[Array]:
     """The twelve edges of the workspace box [m], each of shape (2, 3)."""
     corners = np.stack([robot.workspace_min, robot.workspace_max])
     edges = []

@@ -19,6 +19,7 @@ from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.loop import BadPlugin, Log, run
 from carosac_toolkit.perturbations import draw_plant, find_condition
 from carosac_toolkit.protocols import TruthSource, replays
+from carosac_toolkit.recordings.quaternions import from_matrix
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import load_robot, robot_text
 from carosac_toolkit.studies.case import Case
@@ -197,12 +198,14 @@ def _rms(values: Array) -> float | None:
 
 
 def _series(log: Log) -> str:
-    """What pictures need of one run, thinned out, as JSON."""
+    """What pictures and the viewer need of one run, thinned out, as JSON; order w x y z."""
     keep = np.unique(np.linspace(0, len(log.time) - 1, SERIES).round().astype(int))
     channels: dict[str, Any] = {
         "time_s": log.time[keep],
         "reference_m": log.reference[keep, 0],
         "position_m": None if log.position is None else log.position[keep, 0],
+        "quaternion": None if log.rotation is None else from_matrix(log.rotation[keep, 0]),
+        "tension_N": None if log.tension is None else log.tension[keep, 0],
         "belief_m": log.belief_position[keep, 0],
         "length_error_m": (log.unstrained_length - log.command)[keep, 0],
     }

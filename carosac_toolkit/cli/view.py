@@ -1,0 +1,299 @@
+"""See a robot in the browser: at rest, in a live simulation, or in a recorded run.
+
+carosac view scampi            at rest: drag the target, or move cable lengths
+carosac view scampi --live     simulated in real time: drag the target, a controller follows
+carosac view synthetic         replay of a recording; a second one is its ghost
+carosac view RESULTS:1 RESULTS:0   two runs of a study's folder
+
+Open the address that it prints; Ctrl-C ends it. The page is served to this machine alone, unless
+--host says otherwise. --html writes one file that opens without a server, and ends.
+
+Exit status 1 means that an error has ended the live simulation.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from carosac_toolkit import registry
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, check_writable
+from carosac_toolkit.drivers.simulated import SimulatedDriver
+from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.filled_settings import filled
+from carosac_toolkit.live.hand_target import HandTarget
+from carosac_toolkit.live.plugins import build_controller, build_estimator
+from carosac_toolkit.live.rehearsal import rehearse
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot_file import list_robots, load_robot
+from carosac_toolkit.studies.chosen_settings import check_types, chosen_settings
+from carosac_toolkit.studies.run_case import own_settings
+from carosac_toolkit.viewer.live import LiveWatch, follow
+from carosac_toolkit.viewer.page import LOOPBACK, MOST_ENLARGED, PORT, Page, is_loopback
+from carosac_toolkit.viewer.page_process import PageOptions, PageProcess
+
+ROBOT_FILES = (".yaml", ".yml")
+TAKEN = ("suite", "period", "real_time")  # settings of the driver that options say
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(CommonOptions):
+    """Options of ``carosac view``."""
+
+    what: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="WHAT [GHOST]")]
+    """A robot (bundled name or YAML file), a recording (bundled name, .parquet, .csv, .mat or
+    .jsonl), or the folder of a study, FOLDER:NUMBER for one of its runs; a second recording or
+    run is drawn as a ghost."""
+    live: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Simulate the robot in real time."""
+    controller: str = "kinematic_solver"
+    """With --live: controller by name, or `module:Class`."""
+    estimator: str = "kinematic_solver"
+    """With --live: estimator by name, or `module:Class`."""
+    driver: str = "simulator"
+    """With --live: `simulator`, `quasi_static`, or `module:Class` of a simulated driver."""
+    suite: str = "lengths"
+    """With --live: sensor suite of the driver."""
+    speed: float = 1.0
+    """With --live: largest speed of the reference [m/s]."""
+    acceleration: float = 1.0
+    """With --live: its largest acceleration [m/s^2]."""
+    rate: float = 100.0
+    """With --live: commands a second, for a controller whose period can be chosen."""
+    settings: Annotated[
+        tuple[str, ...], tyro.conf.arg(name="set", metavar="SETTING"), tyro.conf.UseAppendAction
+    ] = ()
+    """With --live: setting of a plug-in: driver.FIELD=VALUE, such as driver.cables=catenary,
+    controller.NAME.FIELD=VALUE or estimator.NAME.FIELD=VALUE; may be given several times."""
+    robot: str | None = None
+    """Robot of a recording that names none: bundled, or a YAML file."""
+    sag: float = 1.0
+    """Draw the distance of the cables from their chords so many times larger; the page says so."""
+    html: OutputFile = None
+    """Write one HTML file with the robot at rest, or with the replay, and end."""
+    host: str = LOOPBACK
+    """Address to serve at; another than 127.0.0.1 lets other machines see and move things."""
+    port: int = PORT
+    """Port to serve at; the next free one where it is taken."""
+    duration: float | None = None
+    """End after so long [s]."""
+
+
+def run(options: Options) -> CommandResult:
+    """Serve, or write, one page."""
+    _check(options)
+    if _is_robot(options.what[0]):
+        if len(options.what) > 1:
+            raise InvalidField("GHOST", repr(options.what[1]), "nothing: a robot has no ghost")
+        robot = load_robot(options.what[0])
+        return _live(options, robot) if options.live else _statics(options, robot)
+    if options.live:
+        raise InvalidField("WHAT", repr(options.what[0]), "a robot, with --live")
+    return _replay(options)
+
+
+def _check(options: Options) -> None:
+    """Refuse numbers that are none, and combinations that mean nothing."""
+    if len(options.what) not in (1, 2):
+        raise InvalidField("WHAT [GHOST]", f"{len(options.what)} names", "one or two")
+    if not 1.0 <= options.sag <= MOST_ENLARGED:
+        raise InvalidField("--sag", str(options.sag), f"1 to {MOST_ENLARGED:g}")
+    for name in ("speed", "acceleration", "rate", "duration"):
+        value = getattr(options, name)
+        if value is not None and not 0.0 < value < np.inf:
+            raise InvalidField(f"--{name}", str(value), "> 0, finite")
+    check_writable("--html", options.html, (".html", ".htm"))
+    if options.html is not None and options.live:
+        allowed = "no --live; record with carosac run, then carosac view RECORDING --html FILE"
+        raise InvalidField("--html", f"'{options.html}'", allowed)
+    if not is_loopback(options.host):
+        text = f"warning: {options.host} is open to other machines, without any password"
+        print(f"carosac: {text}", file=sys.stderr)
+
+
+def _is_robot(what: str) -> bool:
+    """Whether a name is that of a robot."""
+    return what in list_robots() or Path(what).suffix.lower() in ROBOT_FILES
+
+
+def _statics(options: Options, robot: Robot) -> CommandResult:
+    """A robot at rest."""
+    from carosac_toolkit.viewer.resting import RestingRobot
+    from carosac_toolkit.viewer.statics_page import StaticsPage
+
+    RestingRobot(robot)  # refuses before anything is served
+    with _page(options, robot, f"{robot.name} at rest") as page:
+        if options.html is not None:
+            return _still(options, page)
+        statics = StaticsPage(page)
+        _announce(page.url, "drag the arrows, or choose 'cable lengths'")
+        _serve(options)
+        statics.close()
+        return CommandResult({"url": page.url, "answers": statics.answers, **_drawn(page)})
+
+
+def _still(options: Options, page: Page) -> CommandResult:
+    """A file with the robot at rest."""
+    from carosac_toolkit.viewer.export import still_html, write_html
+    from carosac_toolkit.viewer.resting import RestingRobot
+
+    assert options.html is not None
+    picture = RestingRobot(page.robot).home()
+    page.draw(picture)
+    x, y, z = picture.position
+    words = (
+        f"at rest at {x:.2f}, {y:.2f}, {z:.2f} m; largest sag {1e3 * picture.sag.max():.1f} mm"
+        f"{_enlarged(options)}"
+    )
+    write_html(options.html, still_html(page, page.robot.name, words))
+    print(f"written: {options.html}")
+    return CommandResult({"html": str(options.html), "pictures": 1})
+
+
+def _enlarged(options: Options) -> str:
+    """What to say of sag that is not drawn to scale."""
+    return "" if options.sag == 1.0 else f", drawn {options.sag:g} times larger"
+
+
+def _replay(options: Options) -> CommandResult:
+    """Recorded runs."""
+    from carosac_toolkit.viewer.export import replay_html, write_html
+    from carosac_toolkit.viewer.replay import Replay
+    from carosac_toolkit.viewer.runs import load_runs, same_robot
+
+    runs = load_runs(options.what[0], options.robot)
+    ghost = None
+    if len(options.what) > 1:
+        ghost = len(runs)
+        runs = [*runs, *load_runs(options.what[1], options.robot)]
+    alike = same_robot(runs)
+    if ghost is not None and runs[ghost] not in alike:
+        got = f"a run of {runs[ghost].robot.name}"
+        raise InvalidField("GHOST", got, f"a run of {runs[0].robot.name}, as the first")
+    ghost = None if ghost is None else alike.index(runs[ghost])
+    for k, each in enumerate(alike):
+        print(f"{k}: {each.name} ({each.duration:.1f} s; {each.source})")
+    if len(alike) < len(runs):
+        print(f"left out: {len(runs) - len(alike)} runs of other robots")
+    with _page(options, alike[0].robot, alike[0].name) as page:
+        replay = Replay(page, alike, ghost)
+        data = {"runs": [each.name for each in alike], "duration_s": alike[0].duration}
+        if options.html is not None:
+            words = f"{alike[0].robot.name}; {alike[0].source}{_enlarged(options)}"
+            words += "" if ghost is None else f"\nghost: {alike[ghost].name}"
+            text, pictures = replay_html(page, replay, alike[0].name, words)
+            write_html(options.html, text)
+            print(f"written: {options.html}, {pictures} pictures, {len(text) / 1e6:.1f} MB")
+            return CommandResult({**data, "html": str(options.html), "pictures": pictures})
+        _announce(page.url, "the time line is under 'Move'")
+        replay.play(options.duration)
+        return CommandResult({**data, "url": page.url, "pictures": replay.pictures})
+
+
+def _live(options: Options, robot: Robot) -> CommandResult:
+    """A live simulation."""
+    chosen = chosen_settings(
+        options.settings, controllers=[options.controller], estimators=[options.estimator]
+    )
+    period = 1.0 / options.rate
+    controller = build_controller(options.controller, robot, chosen, period, seed=options.seed)
+    estimator = build_estimator(options.estimator, robot, chosen, seed=options.seed)
+    driver = _driver(options, robot, chosen["driver_settings"], float(controller.period))
+    limits = {"speed_max": options.speed, "acceleration_max": options.acceleration}
+    target = HandTarget(robot, robot.home_position, **limits)
+    rehearsed = HandTarget(robot, robot.home_position, **limits)
+    rehearse(robot, estimator, controller, rehearsed, suite=options.suite)
+    page = PageProcess(
+        PageOptions(
+            robot=robot, title=f"{robot.name}: {options.controller} with {options.estimator}",
+            host=options.host, port=options.port, enlarged=options.sag,
+        ),
+        target.go_to,
+    )  # fmt: skip
+    try:
+        _announce(page.url, "drag the arrows; the controller follows")
+        watch, error = follow(
+            page.instants, driver, estimator, controller, target, duration=options.duration
+        )
+        if error is not None:
+            page.say(f"ENDED: {error}")
+    finally:
+        page.close()
+    return _ended(page, driver, watch, error)
+
+
+def _ended(
+    page: PageProcess, driver: SimulatedDriver, watch: LiveWatch, error: CarosacError | None
+) -> CommandResult:
+    """Say how a live simulation went."""
+    data = {
+        "url": page.url, "cycles": watch.cycles, "overruns": driver.overruns,
+        "latency_p99_s": float(np.quantile(watch.latencies, 0.99)) if watch.latencies else None,
+        "limits": dict(watch.limits), "pictures": page.drawn,
+        "error": None if error is None else str(error),
+    }  # fmt: skip
+    print(f"{watch.cycles} cycles, {driver.overruns} ticks missed; {page.drawn} pictures; "
+          f"limited: {dict(watch.limits) or 'none'}")  # fmt: skip
+    if error is not None:
+        print(f"carosac: {error}", file=sys.stderr)
+    return CommandResult(data, status=0 if error is None else 1)
+
+
+def _driver(options: Options, robot: Robot, asked: Any, period: float) -> SimulatedDriver:
+    """The simulated driver, in real time."""
+    plugin = registry.load("drivers", options.driver)
+    if not (isinstance(plugin, type) and issubclass(plugin, SimulatedDriver)):
+        allowed = (
+            "a simulated driver: simulator, quasi_static; what is real is moved by carosac run"
+        )
+        raise InvalidField("--driver", repr(options.driver), allowed)
+    own = own_settings(options.driver, asked)
+    for name in TAKEN:
+        if name in own:
+            raise InvalidField("--set", f"driver.{name}={own[name]!r}", "what the options say")
+    settings: Any = plugin.Settings()
+    check_types("driver", settings, own)
+    given = {"suite": options.suite, "period": period, "real_time": True, **own}
+    build: Any = plugin
+    made: SimulatedDriver = build.build(robot, filled("driver", settings, given), seed=options.seed)
+    return made
+
+
+class _page:
+    """A page for as long as the block lasts."""
+
+    def __init__(self, options: Options, robot: Robot, title: str) -> None:
+        self._page = Page(robot, title, host=options.host, port=options.port)
+        self._page.enlarged.value = options.sag
+
+    def __enter__(self) -> Page:
+        return self._page
+
+    def __exit__(self, *_: object) -> None:
+        self._page.close()
+
+
+def _announce(url: str, words: str) -> None:
+    """Say where the page is."""
+    print(f"open {url} in a browser: {words}; Ctrl-C ends", flush=True)
+
+
+def _serve(options: Options) -> None:
+    """Wait for Ctrl-C, or so long."""
+    end = None if options.duration is None else time.monotonic() + options.duration
+    try:
+        while end is None or time.monotonic() < end:
+            time.sleep(0.1)
+    except KeyboardInterrupt:
+        pass
+
+
+def _drawn(page: Page) -> dict[str, int]:
+    """How many pictures were drawn."""
+    return {"pictures": page.publisher.drawn}

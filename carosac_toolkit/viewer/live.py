@@ -1,0 +1,210 @@
+"""A simulated robot in real time whose target somebody drags; the loop never waits for the page."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.drivers.plant import Shaped
+from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.live.hand_target import HandTarget
+from carosac_toolkit.loop import Step, run
+from carosac_toolkit.protocols import Controller, Estimator
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.viewer.gizmo import add_gizmo
+from carosac_toolkit.viewer.page import Page
+from carosac_toolkit.viewer.picture import Picture, take_picture
+from carosac_toolkit.viewer.publisher import Publisher
+
+SWITCH = 5e-4  # [s] after which other threads let the loop run
+LATEST = 1000  # cycles whose latencies are kept
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Instant:
+    """What the loop hands over: plain numbers; the shapes of cables are worked out elsewhere.
+
+    Attributes:
+        time: By the driver's clock [s].
+        position: True platform origin in W [m], shape (3,).
+        rotation: True rotation from P to W, shape (3, 3).
+        reference: Where the platform should be now in W [m], shape (3,).
+        believed: Where the estimator believes it in W [m], shape (3,).
+        tension: True [N], shape (n,), or None.
+        unstrained_length: True [m], shape (n,), or None.
+        points: Of the cables in W [m], shape (n, samples, 3), where the plant knows them.
+        limited: Names of the limits that have changed the command.
+        overruns: Ticks that the loop has missed up to now.
+    """
+
+    time: float
+    position: Array
+    rotation: Array
+    reference: Array
+    believed: Array
+    tension: Array | None
+    unstrained_length: Array | None
+    points: Array | None
+    limited: tuple[str, ...]
+    overruns: int
+
+
+@dataclass
+class LiveWatch:
+    """Called by the loop with every step; makes an instant only when one is wanted.
+
+    Attributes:
+        driver: Simulated, with a plant and the count of overruns.
+        instants: Takes instants at once, and says when one is due.
+        cycles: Up to now.
+        limits: How often each limit changed a command, by cycles.
+        latencies: Of estimator and controller, the latest cycles [s].
+    """
+
+    driver: Any
+    instants: Publisher[Instant]
+    cycles: int = 0
+    limits: Counter[str] = field(default_factory=Counter)
+    latencies: list[float] = field(default_factory=list)
+
+    def __call__(self, step: Step) -> None:
+        """Take one cycle in."""
+        place = self.cycles % LATEST
+        self.latencies[place : place + 1] = [step.latency]
+        self.cycles += 1
+        self.limits.update({hit.limit for hit in step.command.limited})
+        if self.instants.due:
+            self.instants.offer(self._instant(step))
+
+    def _instant(self, step: Step) -> Instant:
+        """What the page needs of a step."""
+        plant, truth = self.driver.plant, step.truth
+        assert truth is not None
+        return Instant(
+            time=float(truth.time[0]), position=truth.position[0], rotation=truth.rotation[0],
+            reference=step.reference.position[0, 0], believed=step.belief.position[0],
+            tension=_first(truth.tension), unstrained_length=_first(truth.unstrained_length),
+            points=plant.cable_points()[0] if isinstance(plant, Shaped) else None,
+            limited=tuple(sorted({hit.limit for hit in step.command.limited})),
+            overruns=int(self.driver.overruns),
+        )  # fmt: skip
+
+
+def _first(values: Array | None) -> Array | None:
+    """The row of the only robot."""
+    return None if values is None else values[0]
+
+
+def picture_of(robot: Robot, instant: Instant) -> Picture:
+    """The picture of an instant: true state, reference, and what the estimator believes."""
+    words = f"live, {instant.time:.1f} s"
+    if instant.overruns:
+        words += f"; {instant.overruns} ticks missed"
+    if instant.limited:
+        words += f"\ncommand limited by: {', '.join(instant.limited)}"
+    return take_picture(
+        robot, instant.position, instant.rotation, time=instant.time,
+        unstrained_length=instant.unstrained_length, tension=instant.tension,
+        points=instant.points, target=instant.reference, believed=instant.believed, status=words,
+    )  # fmt: skip
+
+
+def drawing(page: Page) -> Publisher[Instant]:
+    """A publisher that draws instants on a page, in a thread of this process."""
+    return Publisher(
+        lambda instant: page.draw(picture_of(page.robot, instant)), rate=page.rate,
+        settle=page.settle,
+    )  # fmt: skip
+
+
+class LivePage:
+    """Connects a page with a target that is moved by hand.
+
+    Attributes:
+        gizmo: Arrows in the scene that move the target.
+    """
+
+    def __init__(
+        self, page: Page, target: HandTarget, moved: Callable[[Array], None] | None = None
+    ) -> None:
+        """Add the controls.
+
+        Args:
+            page: The page.
+            target: That is moved; it stays in the workspace box.
+            moved: Told of each new target in W [m], shape (3,).
+        """
+        self._target, self._moved = target, moved
+        gui: Any = page.server.gui
+        start = target.target
+        self.gizmo = add_gizmo(page, start, rotations=False)
+        with page.controls:
+            self.place = gui.add_vector3("target [m]", initial_value=_numbers(start), step=0.05)
+            home = gui.add_button("Home")
+        self.gizmo.on_update(self._dragged)
+        self.place.on_update(self._typed)
+        home.on_click(lambda _: self.go(page.robot.home_position))
+
+    def go(self, position: Array, *, dragged: bool = False) -> None:
+        """Set the target; while it is dragged the arrows are left to the mouse."""
+        taken = self._target.go_to(position)
+        self.place.value = _numbers(taken)
+        if not dragged:
+            self.gizmo.position = taken
+        if self._moved is not None:
+            self._moved(taken)
+
+    def _dragged(self, event: Any) -> None:
+        """Go along; once let go, the arrows are where the target is: in the workspace box."""
+        self.go(np.array(self.gizmo.position), dragged=event.phase != "end")
+
+    def _typed(self, event: Any) -> None:
+        """Somebody has typed a target."""
+        if event.client_id is not None:
+            self.go(np.array(self.place.value))
+
+
+def _numbers(place: Array) -> tuple[float, ...]:
+    """A place as a field of the page shows it."""
+    return tuple(float(x) for x in place.round(4))
+
+
+def follow(
+    instants: Publisher[Instant], driver: Any, estimator: Estimator, controller: Controller,
+    target: HandTarget, *, duration: float | None = None,
+) -> tuple[LiveWatch, CarosacError | None]:  # fmt: skip
+    """Run the loop until its end or Ctrl-C; `instants` is closed then.
+
+    Args:
+        instants: Gets what the page shows.
+        driver: Simulated, in real time.
+        estimator: Of the loop.
+        controller: Of the loop.
+        target: That is followed.
+        duration: How long [s]; None: until interrupted.
+
+    Returns:
+        What the loop did, and the error that has ended it.
+    """
+    watch = LiveWatch(driver=driver, instants=instants)
+    usual = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH)
+    try:
+        run(
+            driver, estimator, controller, target, watch=watch, keep=1,
+            duration=target.duration if duration is None else duration,
+        )  # fmt: skip
+    except CarosacError as error:
+        return watch, error
+    except KeyboardInterrupt:
+        pass
+    finally:
+        sys.setswitchinterval(usual)
+        instants.close()
+    return watch, None

@@ -1,0 +1,102 @@
+"""Draws the latest picture in a thread of its own, at a limited rate; older ones are dropped."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+from carosac_toolkit.number_checks import check_positive
+
+RATE = 35.0  # pictures a second, at most
+QUIET = 0.25  # [s] without news, after which what was put off is drawn
+T = TypeVar("T")
+
+
+class Publisher(Generic[T]):
+    """Takes what it is offered at once and hands the newest to `draw` later.
+
+    The one who offers never waits for the drawing.
+
+    Attributes:
+        drawn: How many were drawn.
+        dropped: How many were replaced by a newer one before they were drawn.
+        error: What `draw` raised; nothing is drawn after it.
+    """
+
+    def __init__(
+        self, draw: Callable[[T], None], *, rate: float = RATE,
+        settle: Callable[[], None] | None = None,
+    ) -> None:  # fmt: skip
+        """Start the thread.
+
+        Args:
+            draw: Draws one.
+            rate: The most that are drawn [1/s], > 0.
+            settle: Called once where no news have come for a while after a drawing.
+        """
+        check_positive("rate", rate, "1/s")
+        self._draw, self._settle = draw, settle
+        self._period = 1.0 / rate
+        self._news = threading.Condition()
+        self._latest: T | None = None
+        self._closed = False
+        self._next = 0.0
+        self.drawn = 0
+        self.dropped = 0
+        self.error: Exception | None = None
+        self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
+        self._thread.start()
+
+    @property
+    def due(self) -> bool:
+        """Whether a picture offered now would be drawn without delay; else none need be made."""
+        return time.monotonic() >= self._next
+
+    def offer(self, picture: T) -> None:
+        """Replace whatever waits to be drawn."""
+        with self._news:
+            if self._latest is not None:
+                self.dropped += 1
+            self._latest = picture
+            self._news.notify()
+
+    def close(self) -> None:
+        """Draw what waits, then end the thread."""
+        with self._news:
+            self._closed = True
+            self._news.notify()
+        self._thread.join()
+
+    def _run(self) -> None:
+        """Wait for something new, draw it, rest until the next may come."""
+        settled = True
+        while True:
+            with self._news:
+                heard = self._news.wait_for(self._has_news, None if settled else QUIET)
+                picture, self._latest = self._latest, None
+                over = self._closed
+            if picture is None and heard and over:
+                return
+            settled = picture is None
+            self._next = time.monotonic() + self._period
+            try:
+                if picture is not None:
+                    self._draw(picture)
+                elif self._settle is not None:
+                    self._settle()
+            except Exception as error:
+                self.error = error
+                raise  # the hook of threads prints it; the robot goes on
+            self.drawn += picture is not None
+            self._rest()
+
+    def _has_news(self) -> bool:
+        """Whether there is something to draw, or nothing will come."""
+        return self._latest is not None or self._closed
+
+    def _rest(self) -> None:
+        """Sleep until the next picture may come."""
+        while not self._closed and (left := self._next - time.monotonic()) > 0.0:
+            time.sleep(min(left, 0.05))

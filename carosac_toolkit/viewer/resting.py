@@ -1,0 +1,126 @@
+"""A robot at rest that somebody moves: by where it should be, or by the lengths of its cables."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.physics import statics
+from carosac_toolkit.physics.statics import Equilibrium
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.viewer.picture import Picture, take_picture
+
+
+class RestingRobot:
+    """Remembers the last feasible pose: where what is asked for is none, it stays there.
+
+    Attributes:
+        rest: The pose of rest that is shown.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        """Rest at home.
+
+        Raises:
+            CarosacError: The robot cannot rest at its home position.
+        """
+        self.robot = robot
+        self.rest = statics.inverse_kinematics(robot, robot.home_position[None])
+        if not self.rest.converged[0]:
+            reason = statics.REASONS[self.rest.status[0]]
+            raise CarosacError(
+                f"{robot.name}: no rest at its home position ({reason}); carosac check says more"
+            )
+
+    def home(self) -> Picture:
+        """The robot as it rests now."""
+        return self._picture(self.rest, self.rest.position[0].copy(), "at rest", ())
+
+    def follow_target(self, position: Array, rotation: Array | None = None) -> Picture:
+        """Go to a place, if the robot can rest there.
+
+        Args:
+            position: Of the platform origin in W [m], shape (3,).
+            rotation: From P to W, shape (3, 3); only with six cables or more.
+        """
+        held = None if self.robot.n < 6 or rotation is None else rotation[None]
+        found = statics.inverse_kinematics(
+            self.robot, position[None], held, guess=self.rest if self.robot.n < 6 else None
+        )
+        faults = self._faults(found)
+        if faults:
+            return self._stay("this target", faults, position)
+        self.rest = found
+        notes = ("outside the workspace box",) if self._outside(position) else ()
+        return self._picture(found, position, "at rest", notes)
+
+    def follow_lengths(self, length: Array) -> Picture:
+        """Hang on cables of given unstrained lengths [m], shape (n,).
+
+        Poses of rest outside the tension limits are shown, as they are real, and called so.
+        """
+        if (length <= 0.0).any():
+            return self._stay("these lengths", ("a length that is not positive",), None)
+        found = statics.forward_kinematics(self.robot, length[None], guess=self.rest)
+        if not found.converged[0]:
+            return self._stay("these lengths", ("no pose of rest found",), None)
+        if not found.stable[0]:
+            return self._stay("these lengths", ("the pose of rest is unstable",), None)
+        self.rest = found
+        return self._picture(found, None, "at rest on these lengths", self._strained(found))
+
+    def _faults(self, found: Equilibrium) -> tuple[str, ...]:
+        """Why a pose cannot be taken; empty where it can."""
+        if not found.converged[0]:
+            return (statics.REASONS[found.status[0]],)
+        faults = [] if found.stable[0] else ["the pose of rest is unstable"]
+        faults += [
+            f"cable {self.robot.cable_names[i]} would be {found.unstrained_length[0, i]:.2f} m "
+            f"long; its winch holds {self.robot.length_min[i]:g} to {self.robot.length_max[i]:g} m"
+            for i in np.flatnonzero(~found.in_winch_range[0])
+        ]
+        return tuple(faults)
+
+    def _strained(self, found: Equilibrium) -> tuple[str, ...]:
+        """Cables outside their tension limits."""
+        robot, tension = self.robot, found.tension[0]
+        over = tension > robot.tension_max * (1.0 + 1e-9)
+        said = []
+        for mask, word, limit in (
+            (found.slack[0], "slack", robot.tension_min),
+            (over, "overloaded", robot.tension_max),
+        ):
+            said += [
+                f"cable {robot.cable_names[i]} {word}: {tension[i]:.3g} N, limit {limit[i]:g} N"
+                for i in np.flatnonzero(mask)
+            ]
+        return tuple(said)
+
+    def _outside(self, position: Array) -> bool:
+        """Whether a place is outside the workspace box."""
+        low, high = self.robot.workspace_min, self.robot.workspace_max
+        return bool(((position < low) | (position > high)).any())
+
+    def _stay(self, what: str, faults: tuple[str, ...], target: Array | None) -> Picture:
+        """The last feasible pose, marked as such."""
+        status = f"INFEASIBLE: {what}: {'; '.join(faults)}\nshown: the last feasible pose"
+        rest = self.rest
+        return take_picture(
+            self.robot, rest.position[0], rest.rotation[0],
+            points=statics.cable_shape(self.robot, rest)[0], tension=rest.tension[0],
+            target=target, held=True, status=status, problem=True,
+        )  # fmt: skip
+
+    def _picture(
+        self, rest: Equilibrium, target: Array | None, status: str, notes: tuple[str, ...]
+    ) -> Picture:
+        """A pose of rest."""
+        strained = status != "at rest" and bool(notes)
+        words = "\n".join([f"OUTSIDE THE TENSION LIMITS: {notes[0]}", *notes[1:]]) if strained \
+            else "; ".join([status, *notes])  # fmt: skip
+        return take_picture(
+            self.robot, rest.position[0], rest.rotation[0],
+            points=statics.cable_shape(self.robot, rest)[0], tension=rest.tension[0],
+            target=target, status=words, problem=strained,
+        )  # fmt: skip

@@ -1,0 +1,255 @@
+"""Recorded runs as the viewer plays them: from a recording, or from the folder of a study."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.encoders import calibrated
+from carosac_toolkit.errors import CarosacError, InvalidField, InvalidFile
+from carosac_toolkit.physics import statics
+from carosac_toolkit.recording import Recording, load_recording
+from carosac_toolkit.recordings.poses import PoseSamples
+from carosac_toolkit.recordings.quaternions import to_matrix
+from carosac_toolkit.recordings.robot import find_robot
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.studies.rows import Row
+from carosac_toolkit.values import Pose, Stamped
+from carosac_toolkit.viewer.picture import Picture, take_picture
+
+MOST = 6_000  # samples of a run; longer ones are thinned out
+GAP = 0.5  # [s] without a pose that is bridged
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """One run, T samples of a robot with n cables.
+
+    Attributes:
+        name: For people.
+        robot: Of its cables.
+        time: From its start [s], shape (T,).
+        position: Platform origin in W [m], shape (T, 3).
+        rotation: From P to W, shape (T, 3, 3).
+        tension: At the platform [N], shape (T, n); NaN where unknown.
+        target: Where the platform should have been in W [m], shape (T, 3), or None.
+        believed: Where an estimator believed it in W [m], shape (T, 3), or None.
+        source: Where poses, tensions and target come from, in words.
+    """
+
+    name: str
+    robot: Robot
+    time: Array
+    position: Array
+    rotation: Array
+    tension: Array
+    target: Array | None
+    believed: Array | None
+    source: str
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return float(self.time[-1])
+
+    @property
+    def error(self) -> Array:
+        """Distance from the target [m], shape (T,); NaN without one."""
+        if self.target is None:
+            return np.full(len(self.time), np.nan)
+        return np.asarray(np.linalg.norm(self.position - self.target, axis=1))
+
+    def index(self, time: float) -> int:
+        """The sample that was the latest at a time [s]."""
+        return int(np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, None))
+
+    def picture(self, k: int) -> Picture:
+        """What sample `k` looked like."""
+        return take_picture(
+            self.robot, self.position[k], self.rotation[k], time=float(self.time[k]),
+            tension=self.tension[k],
+            status=f"replay, {self.time[k]:.2f} s of {self.duration:.1f} s",
+            target=None if self.target is None else self.target[k],
+            believed=None if self.believed is None else self.believed[k],
+        )  # fmt: skip
+
+
+def load_runs(where: str, robot: str | None = None) -> list[Run]:
+    """Load what there is to play.
+
+    Args:
+        where: A recording (file, or name of a bundled one), or the folder of a study, of which
+            those cases are taken that were kept whole; ``FOLDER:NUMBER`` takes one of them.
+        robot: Bundled robot or YAML file of a recording that names none.
+
+    Raises:
+        CarosacError: There is nothing that can be played.
+    """
+    folder, number = _numbered(where)
+    if folder.is_dir():
+        return _study_runs(folder, number)
+    return [_recorded_run(where, robot)]
+
+
+def _numbered(where: str) -> tuple[Path, int | None]:
+    """A folder, and which of its runs."""
+    folder, colon, number = where.rpartition(":")
+    if colon and number.isdigit() and Path(folder).is_dir():
+        return Path(folder), int(number)
+    return Path(where), None
+
+
+def _study_runs(folder: Path, number: int | None) -> list[Run]:
+    """The cases of a study whose course was kept."""
+    from carosac_toolkit.studies.folder import read_rows
+
+    kept = [row for row in read_rows(folder) if row.get("series") is not None]
+    runs = [run for row in kept if (run := _case_run(row)) is not None]
+    if not runs:
+        why = (
+            "none of its cases kept its course" if not kept else
+            "its cases were kept without rotations and tensions, by an earlier version; run "
+            "the study anew"
+        )  # fmt: skip
+        raise InvalidFile(folder, [f"this study holds no run to replay: {why}"])
+    if number is None:
+        return runs
+    if number >= len(runs):
+        raise InvalidField("RUN", f"'{folder}:{number}'", f"0 to {len(runs) - 1}")
+    return [runs[number]]
+
+
+def _case_run(row: Row) -> Run | None:
+    """A case of a study, or None where too little of it was kept."""
+    series: dict[str, Any] = json.loads(str(row["series"]))
+    if series["position_m"] is None or series.get("quaternion") is None:
+        return None
+    robot = load_robot(str(row["robot"]))
+    time = np.array(series["time_s"])
+    quaternion = np.array(series["quaternion"])
+    tension = series.get("tension_N")
+    names = [str(row[key]) for key in ("controller", "estimator", "trajectory", "perturbation")]
+    return Run(
+        name=f"{names[0]} with {names[1]}: {names[2]}, {names[3]}, seed {row['seed']}",
+        robot=robot, time=time - time[0], position=np.array(series["position_m"]),
+        rotation=to_matrix(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)),
+        tension=np.full((len(time), robot.n), np.nan) if tension is None else np.array(tension),
+        target=np.array(series["reference_m"]), believed=np.array(series["belief_m"]),
+        source="poses and tensions of the simulated plant, drawn on the nominal robot; target: "
+               "the reference",
+    )  # fmt: skip
+
+
+def _recorded_run(where: str, asked: str | None) -> Run:
+    """A recording."""
+    from carosac_toolkit.recordings.bundled import find_recording
+
+    path = find_recording(where)
+    recording, believed = _load(path)
+    found = find_robot(recording, path, asked)
+    recording.require_cables(found.robot)
+    recording = calibrated(recording, found.robot)
+    recording = _thinned(recording)
+    return _run_of(Path(where).name, found.robot, recording, believed)
+
+
+def _load(path: Path) -> tuple[Recording, PoseSamples | None]:
+    """A recording, with what an estimator believed where it is the file of a run."""
+    recording = load_recording(path)
+    if path.suffix.lower() != ".jsonl":
+        return recording, None
+    from carosac_toolkit.crash_safe import read_run
+
+    return recording, read_run(path).believed_poses
+
+
+def _thinned(recording: Recording) -> Recording:
+    """At most `MOST` samples of the lengths."""
+    from dataclasses import replace
+
+    step = -(-len(recording.time) // MOST)
+    return replace(
+        recording, time=recording.time[::step],
+        unstrained_length=recording.unstrained_length[::step],
+    )  # fmt: skip
+
+
+def _run_of(name: str, robot: Robot, recording: Recording, believed: PoseSamples | None) -> Run:
+    """Poses as measured, else as believed, else at rest on the recorded lengths."""
+    poses, source = recording.poses, "measured"
+    if poses is None:
+        poses, source = believed, "believed by the estimator"
+        believed = None
+    absolute = recording.metadata.length_kind == "unstrained"
+    keep = np.ones(len(recording.time), dtype=bool)
+    guess = None
+    if poses is not None:
+        found = poses.at(recording.time, gap_max=GAP)
+        keep = found.valid
+        if not keep.any():
+            raise CarosacError(f"{name}: no pose near the time of any length; nothing to show")
+        guess = Pose(position=found.pose.position[keep], rotation=found.pose.rotation[keep])
+    length, time = recording.unstrained_length[keep], recording.time[keep]
+    rest = statics.forward_kinematics(robot, length, guess=guess) if absolute else None
+    if guess is None:
+        if rest is None:
+            raise CarosacError(f"{name}: neither poses nor absolute lengths; nothing to show")
+        keep = rest.converged
+        if not keep.any():
+            raise CarosacError(f"{name}: {robot.name} rests at none of the recorded lengths")
+        guess, source = (
+            Pose(position=rest.position, rotation=rest.rotation),
+            "at rest on the lengths",
+        )
+    else:
+        keep = np.ones(len(time), dtype=bool)
+    tension, words = _tensions(recording.tension, rest, time, robot.n)
+    target = _targets(robot, recording.command, time, guess) if absolute else None
+    return Run(
+        name=name, robot=robot, time=time[keep] - time[keep][0], position=guess.position[keep],
+        rotation=guess.rotation[keep], tension=tension[keep],
+        target=None if target is None else target[keep],
+        believed=None if believed is None else
+        believed.at(time[keep], gap_max=GAP).pose.position,
+        source=f"poses {source}; tensions {words}" + ("" if target is None else
+        "; target: where the commanded lengths would rest"),
+    )  # fmt: skip
+
+
+def _tensions(recorded: Stamped | None, rest: Any, time: Array, n: int) -> tuple[Array, str]:
+    """Tensions at times [N], shape (T, n), and where they come from."""
+    if recorded is not None:
+        columns = [
+            np.interp(time, recorded.time, recorded.value[:, i], left=np.nan, right=np.nan)
+            for i in range(n)
+        ]
+        return np.stack(columns, axis=1), "measured"
+    if rest is None:
+        return np.full((len(time), n), np.nan), "unknown"
+    known = rest.converged[:, None] & (rest.tension > 0.0)
+    return np.where(known, rest.tension, np.nan), "of rest on the recorded lengths"
+
+
+def _targets(robot: Robot, command: Stamped | None, time: Array, guess: Pose) -> Array | None:
+    """Where the commanded lengths would rest in W [m], shape (T, 3); None if never known."""
+    if command is None:
+        return None
+    latest = np.searchsorted(command.time, time, side="right") - 1
+    length = command.value[np.clip(latest, 0, None)]
+    rest = statics.forward_kinematics(robot, length, guess=guess)
+    known = rest.converged & (latest >= 0)
+    if not known.all():
+        return None
+    return rest.position
+
+
+def same_robot(runs: Sequence[Run]) -> list[Run]:
+    """Those runs that are of the robot of the first."""
+    return [run for run in runs if run.robot.name == runs[0].robot.name]

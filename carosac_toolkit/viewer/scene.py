@@ -1,0 +1,261 @@
+"""A robot in a viser scene: what stands still is drawn once, the rest with every picture."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.pictures.robot import box_edges
+from carosac_toolkit.recordings.quaternions import from_matrix
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.viewer.colors import Rgb, tension_colors, vertex_colors
+from carosac_toolkit.viewer.geometry import extent, platform_box, posts
+from carosac_toolkit.viewer.picture import Picture
+
+FRAME: Rgb = (70, 74, 82)
+PLATFORM: Rgb = (200, 85, 61)
+HELD: Rgb = (150, 150, 150)
+GHOST: Rgb = (60, 90, 160)
+TARGET: Rgb = (20, 120, 60)
+REFUSED: Rgb = (200, 20, 70)
+BELIEVED: Rgb = (123, 79, 163)
+WORKSPACE: Rgb = (170, 175, 182)
+TRAIL = 500  # pictures that a trail is long
+TRAIL_EVERY = 5  # pictures between two drawings of the trails, and of the labels
+STEP = 2e-3  # [m], below which a trail does not grow
+GHOST_OPACITY = 0.3
+
+
+class RobotScene:
+    """One robot in a scene. Call `show` from one thread at a time.
+
+    Attributes:
+        enlarged: Factor on the distance of the cables from their chords.
+        trails: Whether the ways of platform and target are drawn.
+        labels: Whether cables are named, with their tensions.
+        own_trails: Whether trails are the ways of the pictures shown up to now; else somebody
+            calls `draw_way`.
+    """
+
+    def __init__(
+        self, scene: Any, robot: Robot, name: str = "/robot", *, ghost: bool = False
+    ) -> None:
+        """Draw the frame; a ghost has none, and is transparent.
+
+        Args:
+            scene: `viser.SceneApi`.
+            robot: The robot, n cables.
+            name: Where it is in the tree of the scene.
+            ghost: Whether this is a second run beside another.
+        """
+        self._scene, self._robot, self._name, self._ghost = scene, robot, name, ghost
+        self.enlarged = 1.0
+        self.trails = True
+        self.labels = self.own_trails = True
+        self._count = 0
+        self._size = float(np.ptp(extent(robot), axis=0).max())
+        self._ways: dict[str, deque[Array]] = {
+            key: deque(maxlen=TRAIL) for key in ("platform", "target")
+        }
+        if not ghost:
+            self._draw_frame()
+        self._platform = self._add_platform()
+        self._cables = self._add_lines("cables", np.zeros((1, 2, 3)), FRAME, 2.0 if ghost else 4.0)
+        self._trails = {
+            key: self._add_lines(f"trail_{key}", np.zeros((1, 2, 3)), color, 2.0)
+            for key, color in (("platform", GHOST if ghost else PLATFORM), ("target", TARGET))
+        }
+        self._names = [] if ghost else self._add_names()
+        self._target = self._add_ball("target", TARGET, 0.010)
+        self._belief = self._add_ball("believed", BELIEVED, 0.008)
+        self._colored: Rgb | None = None
+        self._visible = True
+
+    def show(self, picture: Picture) -> None:
+        """Draw a picture."""
+        wxyz = from_matrix(picture.rotation[None])[0]
+        self._platform.position, self._platform.wxyz = picture.position, wxyz
+        self._draw_cables(picture)
+        if not self._ghost:  # its target is mostly that of the run beside it
+            self._place(self._target, picture.target)
+            self._place(self._belief, picture.believed)
+        self._color_target(picture.held)
+        if self.own_trails:
+            self._remember(picture)
+        if self._count % TRAIL_EVERY == 0:
+            self.settle(picture)
+        self._count += 1
+
+    def settle(self, picture: Picture) -> None:
+        """Draw trails and labels, which come with some pictures only."""
+        if self.own_trails:
+            self._draw_trails()
+        self._label(picture.tension)
+
+    def forget(self) -> None:
+        """Begin the trails anew."""
+        for way in self._ways.values():
+            way.clear()
+        self._count = 0
+
+    def refresh(self) -> None:
+        """Draw trails and labels with the next picture."""
+        self._count = 0
+
+    def _draw_trails(self) -> None:
+        """Draw the ways of platform and target up to now."""
+        for key, way in self._ways.items():
+            self.draw_way(key, np.array(way))
+
+    def draw_way(self, key: str, way: Array) -> None:
+        """Draw the whole way of ``platform`` or ``target`` at once [m], shape (T, 3)."""
+        handle = self._trails[key]
+        handle.visible = self.trails and len(way) > 1
+        if handle.visible:
+            handle.points = segments(way)
+
+    @property
+    def visible(self) -> bool:
+        """Whether the robot is drawn at all."""
+        return self._visible
+
+    @visible.setter
+    def visible(self, visible: bool) -> None:
+        if visible == self._visible:
+            return
+        self._visible = visible
+        for handle in (self._platform, self._cables, *self._trails.values()):
+            handle.visible = visible
+        if not visible:
+            self._target.visible = self._belief.visible = False
+
+    def _draw_frame(self) -> None:
+        """Floor, posts, exit points and the workspace box."""
+        scene, robot, name = self._scene, self._robot, self._name
+        lower, upper = extent(robot)
+        middle = 0.5 * (lower + upper)
+        scene.add_grid(
+            f"{name}/floor", width=1.3 * (upper - lower)[0], height=1.3 * (upper - lower)[1],
+            plane="xy", cell_size=1.0, section_size=5.0, cell_thickness=0.6,
+            cell_color=(205, 208, 213), section_color=(170, 175, 182), section_thickness=1.0,
+            position=(middle[0], middle[1], lower[2]),
+        )  # fmt: skip
+        self._add_lines("posts", posts(robot), (190, 193, 199), 2.0)
+        self._add_lines("workspace", np.stack(box_edges(robot)), WORKSPACE, 1.2)
+        for i, point in enumerate(robot.exit_points):
+            scene.add_icosphere(
+                f"{name}/exit_{i}", radius=0.007 * self._size, color=FRAME, subdivisions=2,
+                position=point,
+            )  # fmt: skip
+        axes = 0.06 * self._size
+        scene.add_frame(
+            f"{name}/world", axes_length=axes, axes_radius=0.05 * axes,
+            position=lower, origin_radius=0.08 * axes,
+        )  # fmt: skip
+        for k, letter in enumerate("xyz"):
+            place = lower + 1.15 * axes * np.eye(3)[k]
+            scene.add_label(
+                f"{name}/axis_{letter}", letter, position=place, anchor="center-center",
+                font_screen_scale=0.8,
+            )  # fmt: skip
+
+    def _add_platform(self) -> Any:
+        """The platform as a box with its frame; the handle moves it all."""
+        size, center = platform_box(self._robot)
+        name = f"{self._name}/platform"
+        arrow = 0.7 * float(max(size))
+        handle = self._scene.add_frame(
+            name, show_axes=not self._ghost, axes_length=arrow, axes_radius=0.03 * arrow
+        )
+        self._box = self._scene.add_box(
+            f"{name}/box", dimensions=tuple(size), position=center,
+            color=GHOST if self._ghost else PLATFORM,
+            opacity=GHOST_OPACITY if self._ghost else 0.9,
+        )  # fmt: skip
+        return handle
+
+    def _add_lines(self, name: str, points: Array, color: Rgb, width: float) -> Any:
+        """Line segments, thickness in pixels."""
+        return self._scene.add_line_segments(
+            f"{self._name}/{name}", points=np.asarray(points, dtype=np.float32), colors=color,
+            thickness=width, thickness_units="screen",
+        )  # fmt: skip
+
+    def _add_ball(self, name: str, color: Rgb, size: float) -> Any:
+        """A ball that is not there yet."""
+        return self._scene.add_icosphere(
+            f"{self._name}/{name}", radius=size * self._size, color=color, subdivisions=2,
+            opacity=GHOST_OPACITY if self._ghost else 0.8, visible=False,
+        )  # fmt: skip
+
+    def _add_names(self) -> list[Any]:
+        """Labels of the cables at their exits; those that coincide stand above each other."""
+        robot = self._robot
+        return [
+            self._scene.add_label(
+                f"{self._name}/name_{i}", robot.cable_names[i], anchor="bottom-center",
+                font_screen_scale=0.75,
+                position=_above(robot, i, self._size),
+            )
+            for i, point in enumerate(robot.exit_points)
+        ]  # fmt: skip
+
+    def _draw_cables(self, picture: Picture) -> None:
+        """All cables as one set of segments, coloured by tension."""
+        points = picture.drawn(self.enlarged)
+        pairs = np.stack([points[:, :-1], points[:, 1:]], axis=2)  # (n, samples - 1, 2, 3)
+        colors = tension_colors(self._robot, picture.tension)
+        if self._ghost:
+            colors = np.asarray(0.45 * colors + 0.55 * 255.0, dtype=np.uint8)
+        light = vertex_colors(colors)[:, None, None, :]
+        self._cables.points = np.asarray(pairs.reshape(-1, 2, 3), dtype=np.float32)
+        self._cables.colors = np.array(np.broadcast_to(light, pairs.shape).reshape(-1, 2, 3))
+
+    def _color_target(self, held: bool) -> None:
+        """Grey platform and red target where the pose is not the one that was asked for."""
+        color = HELD if held else PLATFORM
+        if self._ghost or color == self._colored:
+            return
+        self._colored = color
+        self._box.color = color
+        self._target.color = REFUSED if held else TARGET
+
+    def _place(self, handle: Any, position: Array | None) -> None:
+        """Put a ball somewhere, or away."""
+        handle.visible = position is not None
+        if position is not None:
+            handle.position = position
+
+    def _remember(self, picture: Picture) -> None:
+        """Let the trails grow."""
+        for key, place in (("platform", picture.position), ("target", picture.target)):
+            way = self._ways[key]
+            if place is not None and (not way or np.abs(place - way[-1]).max() > STEP):
+                way.append(np.array(place))
+
+    def _label(self, tension: Array) -> None:
+        """Name cables with their tensions."""
+        for i, handle in enumerate(self._names):
+            handle.visible = self.labels
+            known = np.isfinite(tension[i])
+            value = f"{tension[i]:.0f} N" if known else "? N"
+            handle.text = f"{self._robot.cable_names[i]}: {value}"
+
+
+def segments(way: Array) -> NDArray[np.float32]:
+    """Line segments along a way [m], shape (T - 1, 2, 3)."""
+    if len(way) < 2:
+        return np.zeros((1, 2, 3), dtype=np.float32)
+    return np.asarray(np.stack([way[:-1], way[1:]], axis=1), dtype=np.float32)
+
+
+def _above(robot: Robot, i: int, size: float) -> Array:
+    """Where the name of a cable stands [m]: above its exit, and above earlier names there."""
+    away = np.linalg.norm(robot.exit_points[:i] - robot.exit_points[i], axis=1)
+    place: Array = robot.exit_points[i].copy()
+    place[2] += 0.015 * size * (1.0 + 2.2 * (away < 0.04 * size).sum())
+    return place
