@@ -13,7 +13,13 @@ from carosac_toolkit.physics.cable_kernels import ONE, TINY, TWO, ZERO, Cable, v
 from carosac_toolkit.physics.cable_tension_kernels import MARGIN, Pulling, pull
 from carosac_toolkit.physics.forward_kernels import load_cables
 from carosac_toolkit.physics.inverse_kernels import first_tensions, scaled_wrench, set_limits
-from carosac_toolkit.physics.margin_kernels import SOLVED, UNSOLVED, Work, largest_margin, nearest_balance
+from carosac_toolkit.physics.margin_kernels import (
+    SOLVED,
+    UNSOLVED,
+    Work,
+    largest_margin,
+    nearest_balance,
+)
 from carosac_toolkit.physics.platform_kernels import (
     Body,
     anchor_of,
@@ -310,9 +316,7 @@ def start_cold(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, gi
             for i in range(n):
                 s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
                 poses.unstrained_length[b, i] = s.length
-            nearby = cold_start(
-                cables, poses.unstrained_length, poses.tension, row, b, body, p, r
-            )
+            nearby = cold_start(cables, poses.unstrained_length, poses.tension, row, b, body, p, r)
             r = nearby.rotation
     else:
         for i in range(n):

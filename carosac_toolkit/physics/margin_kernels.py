@@ -134,7 +134,9 @@ def shorten(line: int, b: int, count: int, free: int, work: Work, found: wp.arra
                 for j in range(count):
                     along += work.null[line, j, c] * work.null[line, j, other]
                 for j in range(count):
-                    work.null[line, j, c] = work.null[line, j, c] - along * work.null[line, j, other]
+                    work.null[line, j, c] = (
+                        work.null[line, j, c] - along * work.null[line, j, other]
+                    )
             size = wp.float64(0.0)
             for j in range(count):
                 size += work.null[line, j, c] * work.null[line, j, c]
@@ -167,9 +169,7 @@ def exchange(line: int, r: int, e: int, height: int, width: int, work: Work):
 
 
 @wp.func
-def blocking_row(
-    line: int, e: int, sign: wp.float64, height: int, width: int, work: Work
-) -> int:
+def blocking_row(line: int, e: int, sign: wp.float64, height: int, width: int, work: Work) -> int:
     """The slack that reaches zero first along a column; the lowest name of several, or -1."""
     out = int(-1)
     least = wp.float64(0.0)
@@ -177,7 +177,9 @@ def blocking_row(
         fall = -sign * work.table[line, j, e]
         if work.row_of[line, j] >= 0 and fall > ZERO_PIVOT:
             ratio = wp.max(work.table[line, j, width], ZERO) / fall
-            lower_name = out >= 0 and ratio == least and work.row_of[line, j] < work.row_of[line, out]
+            lower_name = (
+                out >= 0 and ratio == least and work.row_of[line, j] < work.row_of[line, out]
+            )
             if out < 0 or ratio < least or lower_name:
                 out = j
                 least = ratio
