@@ -1,4 +1,4 @@
-"""The largest margin of tensions to their limits: a small linear program per thread, solved exactly.
+"""The largest margin of tensions to their limits: a small linear program, solved exactly.
 
     maximise s   subject to   A x = b,   lower_i + s <= x_i <= upper_i - s
 
@@ -49,14 +49,10 @@ class Space:
 
 
 @wp.func
-def eliminate(
+def set_rows(
     column: wp.array2d(dtype=vec6d), b: int, count: int, target: vec6d, line: int, work: Work
-) -> Space:
-    """Gauss-Jordan with complete pivoting.
-
-    Then unknown order[k], k < rank, is rows[k, count] - sum over j >= rank of rows[k, j] times
-    unknown order[j].
-    """
+) -> wp.float64:
+    """Fill in A and b; returns the largest entry of A."""
     size = wp.float64(0.0)
     for j in range(count):
         work.order[line, j] = j
@@ -65,40 +61,63 @@ def eliminate(
             size = wp.max(size, wp.abs(column[b, j][i]))
     for i in range(6):
         work.rows[line, i, count] = target[i]
+    return size
+
+
+@wp.func
+def bring_pivot(line: int, k: int, count: int, work: Work) -> wp.float64:
+    """Exchange rows and columns so that the largest entry left is at k, k; returns it."""
+    r = int(k)
+    c = int(k)
+    for i in range(k, 6):
+        for j in range(k, count):
+            if wp.abs(work.rows[line, i, j]) > wp.abs(work.rows[line, r, c]):
+                r = i
+                c = j
+    for j in range(count + 1):
+        kept = work.rows[line, k, j]
+        work.rows[line, k, j] = work.rows[line, r, j]
+        work.rows[line, r, j] = kept
+    for i in range(6):
+        kept = work.rows[line, i, k]
+        work.rows[line, i, k] = work.rows[line, i, c]
+        work.rows[line, i, c] = kept
+    name = work.order[line, k]
+    work.order[line, k] = work.order[line, c]
+    work.order[line, c] = name
+    return work.rows[line, k, k]
+
+
+@wp.func
+def clear_column(line: int, k: int, count: int, work: Work):
+    """Scale row k to a pivot of one and take it out of the other rows."""
+    pivot = work.rows[line, k, k]
+    for j in range(k, count + 1):
+        work.rows[line, k, j] = work.rows[line, k, j] / pivot
+    for i in range(6):
+        f = work.rows[line, i, k]
+        if i != k and f != ZERO:
+            for j in range(k, count + 1):
+                work.rows[line, i, j] = work.rows[line, i, j] - f * work.rows[line, k, j]
+
+
+@wp.func
+def eliminate(
+    column: wp.array2d(dtype=vec6d), b: int, count: int, target: vec6d, line: int, work: Work
+) -> Space:
+    """Gauss-Jordan with complete pivoting.
+
+    Then unknown order[k], k < rank, is rows[k, count] - sum over j >= rank of rows[k, j] times
+    unknown order[j].
+    """
+    size = set_rows(column, b, count, target, line, work)
     out = Space()
     going = bool(True)
-    while going and out.rank < 6 and out.rank < count:
-        k = out.rank
-        r = int(k)
-        c = int(k)
-        for i in range(k, 6):
-            for j in range(k, count):
-                if wp.abs(work.rows[line, i, j]) > wp.abs(work.rows[line, r, c]):
-                    r = i
-                    c = j
-        pivot = work.rows[line, r, c]
-        if wp.abs(pivot) <= RANK * size:
-            going = False
-        else:
-            for j in range(count + 1):
-                kept = work.rows[line, k, j]
-                work.rows[line, k, j] = work.rows[line, r, j]
-                work.rows[line, r, j] = kept
-            for i in range(6):
-                kept = work.rows[line, i, k]
-                work.rows[line, i, k] = work.rows[line, i, c]
-                work.rows[line, i, c] = kept
-            name = work.order[line, k]
-            work.order[line, k] = work.order[line, c]
-            work.order[line, c] = name
-            for j in range(k, count + 1):
-                work.rows[line, k, j] = work.rows[line, k, j] / pivot
-            for i in range(6):
-                f = work.rows[line, i, k]
-                if i != k and f != ZERO:
-                    for j in range(k, count + 1):
-                        work.rows[line, i, j] = work.rows[line, i, j] - f * work.rows[line, k, j]
-            out.rank = k + 1
+    while going and out.rank < wp.min(6, count):
+        going = wp.abs(bring_pivot(line, out.rank, count, work)) > RANK * size
+        if going:
+            clear_column(line, out.rank, count, work)
+            out.rank = out.rank + 1
     out.balanced = 1
     for i in range(out.rank, 6):
         if wp.abs(work.rows[line, i, count]) > wp.float64(1.0e-9) * (wp.length(target) + TINY):
@@ -125,29 +144,40 @@ def set_null_space(line: int, count: int, rank: int, work: Work):
 
 
 @wp.func
-def shorten(line: int, b: int, count: int, free: int, work: Work, found: wp.array2d(dtype=wp.float64)):  # fmt: skip
-    """Make N orthonormal, and x_p the solution nearest to `found`."""
-    for _twice in range(2):
-        for c in range(free):
-            for other in range(c):
-                along = wp.float64(0.0)
-                for j in range(count):
-                    along += work.null[line, j, c] * work.null[line, j, other]
-                for j in range(count):
-                    work.null[line, j, c] = (
-                        work.null[line, j, c] - along * work.null[line, j, other]
-                    )
-            size = wp.float64(0.0)
-            for j in range(count):
-                size += work.null[line, j, c] * work.null[line, j, c]
-            for j in range(count):
-                work.null[line, j, c] = work.null[line, j, c] / wp.sqrt(size)
+def along(line: int, c: int, other: int, count: int, work: Work) -> wp.float64:
+    """Scalar product of two columns of the null space."""
+    out = wp.float64(0.0)
+    for j in range(count):
+        out += work.null[line, j, c] * work.null[line, j, other]
+    return out
+
+
+@wp.func
+def orthogonalise(line: int, count: int, free: int, work: Work):
+    """Make N orthonormal, by Gram and Schmidt."""
     for c in range(free):
-        along = wp.float64(0.0)
+        for other in range(c):
+            part = along(line, c, other, count, work)
+            for j in range(count):
+                work.null[line, j, c] = work.null[line, j, c] - part * work.null[line, j, other]
+        size = wp.sqrt(along(line, c, c, count, work))
         for j in range(count):
-            along += work.null[line, j, c] * (found[b, j] - work.null[line, j, free])
+            work.null[line, j, c] = work.null[line, j, c] / size
+
+
+@wp.func
+def come_near(
+    line: int, b: int, count: int, free: int, work: Work, found: wp.array2d(dtype=wp.float64)
+):
+    """Make N orthonormal and x_p the solution nearest to `found`."""
+    orthogonalise(line, count, free, work)
+    orthogonalise(line, count, free, work)
+    for c in range(free):
+        part = wp.float64(0.0)
         for j in range(count):
-            work.null[line, j, free] = work.null[line, j, free] + along * work.null[line, j, c]
+            part += work.null[line, j, c] * (found[b, j] - work.null[line, j, free])
+        for j in range(count):
+            work.null[line, j, free] = work.null[line, j, free] + part * work.null[line, j, c]
 
 
 @wp.func
@@ -266,19 +296,20 @@ class Margin:
 
 
 @wp.func
-def judge(line: int, b: int, n: int, count: int, free: int, reach: wp.float64,
-          lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64),
-          work: Work, found: wp.array2d(dtype=wp.float64)) -> Margin:  # fmt: skip
-    """Unknowns and multipliers of the final table, with a bound by weak duality."""
+def read_table(line: int, b: int, n: int, count: int, free: int, work: Work,
+               found: wp.array2d(dtype=wp.float64)):  # fmt: skip
+    """Unknowns and multipliers of the final table."""
     height = 2 * count
-    total = wp.float64(0.0)
     for j in range(height):
         work.weight[line, j] = ZERO
+    total = wp.float64(0.0)
     for c in range(free + 1):
-        if work.column_of[line, c] >= 0:
-            work.weight[line, work.column_of[line, c]] = wp.max(-work.table[line, height, c], ZERO)
-    for j in range(2 * n):
-        total += work.weight[line, j]
+        name = work.column_of[line, c]
+        if name >= 0:
+            work.weight[line, name] = wp.max(-work.table[line, height, c], ZERO)
+            total += wp.where(name < 2 * n, work.weight[line, name], ZERO)
+    for j in range(height):
+        work.weight[line, j] = work.weight[line, j] / (total + TINY)
     for j in range(count):
         found[b, j] = work.null[line, j, free]
     for row in range(height):
@@ -287,10 +318,29 @@ def judge(line: int, b: int, n: int, count: int, free: int, reach: wp.float64,
             z = work.table[line, row, free + 1]
             for j in range(count):
                 found[b, j] = found[b, j] + work.null[line, j, c] * z
+
+
+@wp.func
+def slope_left(line: int, n: int, count: int, free: int, work: Work) -> wp.float64:
+    """Sum over the columns of |N^T (l_lower - l_upper)|: zero where the multipliers prove."""
+    out = wp.float64(0.0)
+    for c in range(free):
+        slope = wp.float64(0.0)
+        for j in range(count):
+            up = wp.where(j < n, j, n + j)
+            down = wp.where(j < n, n + j, count + j)
+            slope += (work.weight[line, up] - work.weight[line, down]) * work.null[line, j, c]
+        out += wp.abs(slope)
+    return out
+
+
+@wp.func
+def judge(line: int, b: int, n: int, count: int, free: int, reach: wp.float64,
+          lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64),
+          work: Work, found: wp.array2d(dtype=wp.float64)) -> Margin:  # fmt: skip
+    """Margin of what was found, with a bound by weak duality."""
     out = Margin()
     out.margin = wp.float64(1.0e300)
-    for j in range(height):
-        work.weight[line, j] = work.weight[line, j] / (total + TINY)
     bound = wp.float64(0.0)
     span = wp.float64(0.0)
     for i in range(n):
@@ -300,19 +350,11 @@ def judge(line: int, b: int, n: int, count: int, free: int, reach: wp.float64,
         bound += work.weight[line, i] * low + work.weight[line, n + i] * high
         span += upper[b, i] - lower[b, i] + wp.abs(found[b, i])
     for j in range(n, count):
-        kind = 2 * n + j - n
         x = found[b, j] - work.null[line, j, free]
-        bound += work.weight[line, kind] * (reach + x)
-        bound += work.weight[line, kind + count - n] * (reach - x)
+        bound += work.weight[line, n + j] * (reach + x)
+        bound += work.weight[line, count + j] * (reach - x)
         span += wp.float64(2.0) * reach
-    out.gap = wp.abs(bound - out.margin)
-    for c in range(free):
-        slope = wp.float64(0.0)
-        for j in range(count):
-            up = wp.where(j < n, j, n + j)
-            down = wp.where(j < n, n + j, count + j)
-            slope += (work.weight[line, up] - work.weight[line, down]) * work.null[line, j, c]
-        out.gap += wp.abs(slope) * span
+    out.gap = wp.abs(bound - out.margin) + span * slope_left(line, n, count, free, work)
     return out
 
 
@@ -323,7 +365,7 @@ def nearest_balance(column: wp.array2d(dtype=vec6d), b: int, count: int, target:
     space = eliminate(column, b, count, target, line, work)
     if space.balanced == 1:
         set_null_space(line, count, space.rank, work)
-        shorten(line, b, count, count - space.rank, work, found)
+        come_near(line, b, count, count - space.rank, work, found)
         for j in range(count):
             found[b, j] = work.null[line, j, count - space.rank]
     return space.balanced
@@ -334,16 +376,17 @@ def largest_margin(column: wp.array2d(dtype=vec6d), b: int, n: int, count: int, 
                    reach: wp.float64, lower: wp.array2d(dtype=wp.float64),
                    upper: wp.array2d(dtype=wp.float64), line: int, work: Work,
                    found: wp.array2d(dtype=wp.float64)) -> Margin:  # fmt: skip
-    """Solve one program with n tensions and count - n unlimited unknowns, near what `found` holds."""
+    """Solve for n tensions and count - n unlimited unknowns, near what `found` holds."""
     out = Margin()
     out.status = UNBALANCED
     space = eliminate(column, b, count, target, line, work)
     if space.balanced == 1:
         set_null_space(line, count, space.rank, work)
         free = count - space.rank
-        shorten(line, b, count, free, work, found)
+        come_near(line, b, count, free, work, found)
         set_table(line, b, n, count, free, reach, lower, upper, work)
         status = climb(line, 2 * count, free + 1, work)
+        read_table(line, b, n, count, free, work, found)
         out = judge(line, b, n, count, free, reach, lower, upper, work, found)
         out.status = status
     return out

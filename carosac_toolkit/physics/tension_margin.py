@@ -131,7 +131,8 @@ def _limits(name: str, value: ArrayLike, n: int) -> Array:
     array = as_floats(name, value)
     if array.shape not in ((), (n,)):
         raise InvalidField(name, f"shape {array.shape}", f"a number or shape ({n},)")
-    return batch(name, np.broadcast_to(array, (n,))[None], (n,))[0]
+    limits: Array = batch(name, np.broadcast_to(array, (n,))[None], (n,))[0]
+    return limits
 
 
 def _launch(

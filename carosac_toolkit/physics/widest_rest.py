@@ -1,7 +1,8 @@
 r"""Rest with the largest margin: a position held with all tensions as far from limits as they go.
 
-.. math:: s^* = \max s \quad \text{subject to} \quad \sum_i \begin{bmatrix} f_i \\ (R b_i) \times f_i
-    \end{bmatrix} + w = 0, \quad t_{min} + s \le t_i \le t_{max} - s
+.. math:: s^* = \max s \quad \text{subject to} \quad
+    \sum_i \begin{bmatrix} f_i \\ (R b_i) \times f_i \end{bmatrix} + w = 0, \quad
+    t_{min} + s \le t_i \le t_{max} - s
 
 over the tensions :math:`t_i` at the platform and, with fewer than six cables, the rotation R; the
 forces :math:`f_i` are those of the cables as they hang, w is weight and external wrench. A pose can
@@ -165,8 +166,8 @@ def _solve(
 
 
 _ANSWER = (
-    "rotation", "tension", "unstrained_length", "q", "lower", "low", "high", "margin", "gap", "status",
-    "steps", "stiffness", "residual", "closure", "stable",
+    "rotation", "tension", "unstrained_length", "q", "lower", "low", "high", "margin", "gap",
+    "status", "steps", "stiffness", "residual", "closure", "stable",
 )  # fmt: skip
 
 

@@ -83,7 +83,7 @@ def _draw_space(axes: Any, report: RobotReport, cables: list[CableDrawing], limi
     from matplotlib.ticker import MaxNLocator
 
     robot = report.robot
-    for k, edge in enumerate(_box_edges(robot)):
+    for k, edge in enumerate(box_edges(robot)):
         axes.plot(*edge.T, color=BOX, lw=0.9, ls="--", label=None if k else "workspace box")
     for point in robot.exit_points:
         post = np.array([[*point[:2], limits[2, 0]], point])
@@ -104,7 +104,7 @@ def _draw_space(axes: Any, report: RobotReport, cables: list[CableDrawing], limi
         axis.labelpad = 12.0 * span / spans.max() - 2.0
         axis.set_major_locator(MaxNLocator(nbins=max(2, round(7 * span / spans.max()))))
         axis.set_tick_params(labelsize=8)
-    for name, point in _labels(robot, 0.08 * spans.max()):
+    for name, point in exit_labels(robot, 0.08 * spans.max()):
         x, y, z = point
         axes.text(x, y, z + 0.025 * spans.max(), name, fontsize=7, ha="center")
 
@@ -129,7 +129,7 @@ def _draw_pulleys(
         axes.plot(*cable.incoming.T, color=FED, lw=1.4, label=label)
 
 
-def _labels(robot: Robot, near: float) -> list[tuple[str, Array]]:
+def exit_labels(robot: Robot, near: float) -> list[tuple[str, Array]]:
     """Cable names and where to write them [m]; exit points nearer than `near` share a label."""
     groups: list[list[int]] = []
     for i, point in enumerate(robot.exit_points):
@@ -169,7 +169,7 @@ def _draw_plane(
     robot = report.robot
     pulleys = (robot.pulley_radius > 0.0).any()
     columns = list(pair)
-    for edge in _box_edges(robot):
+    for edge in box_edges(robot):
         axes.plot(*edge[:, columns].T, color=BOX, lw=0.9, ls="--")
     for cable in cables:
         axes.fill(*cable.wheel[:, columns].T, facecolor=FRAME, edgecolor=FRAME, alpha=0.3, lw=0.8)
@@ -195,7 +195,7 @@ def _anchors(report: RobotReport) -> Array:
     return points
 
 
-def _box_edges(robot: Robot) -> list[Array]:
+def box_edges(robot: Robot) -> list[Array]:
     """The twelve edges of the workspace box [m], each of shape (2, 3)."""
     corners = np.stack([robot.workspace_min, robot.workspace_max])
     edges = []

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.pictures.drawing import new_figure, set_space
+from carosac_toolkit.pictures.robot import box_edges, exit_labels
 from carosac_toolkit.workspace.limits import OF_CABLE, Limit, describe
 from carosac_toolkit.workspace.maps import Maps
 from carosac_toolkit.workspace.region import Region
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
 INSIDE = "#eef1f4"
 FRAME = "#202020"
 PLAIN = {
-    Limit.NOT_CONVERGED: "#ff00ff", Limit.NO_PULL: "#9aa3ad", Limit.NO_EQUILIBRIUM: "#5b6470",
+    Limit.NOT_CONVERGED: "#ff00ff", Limit.NO_PULL: "#9aa3ad", Limit.TOO_FLAT: "#f2b6a0",
+    Limit.NO_EQUILIBRIUM: "#5b6470",
     Limit.UNSTABLE: "#c79a00", Limit.TILT: "#8a6d1f", Limit.COLLISION: "#d62728",
 }  # fmt: skip
 SCALES = {
@@ -43,22 +45,28 @@ def draw_slices(regions: Sequence[Region]) -> Figure:
     Args:
         regions: Verdicts on planes; see `slice_grid`.
     """
-    planes = [_plane(region) for region in regions]
-    figure = new_figure(1.2 + 4.3 * len(regions), 8.6)
-    panels = figure.subplots(2, len(regions), squeeze=False)
+    planes = [_Plane(region) for region in regions]
+    widths = [plane.width for plane in planes]
+    tall = max(plane.height for plane in planes)
+    unit = min(13.0 / sum(widths), 4.0 / tall)
+    figure = new_figure(3.0 + 0.8 * len(planes) + unit * sum(widths), 2.4 + 2.0 * unit * tall)
+    panels = figure.subplots(2, len(regions), squeeze=False, width_ratios=widths)
     shown = _shown_limits(regions)
     scale = _margin_scale(regions)
     for k, (region, plane) in enumerate(zip(regions, planes, strict=True)):
         image = _draw_margin(panels[0, k], region, plane, scale)
         _draw_limits(panels[1, k], region, plane, shown)
-        panels[0, k].set_title(f"{plane.title}: {region.share:.1%} inside", fontsize=10)
-    figure.colorbar(
-        image, ax=list(panels[0]), label="margin of the tensions [N]", extend="both", shrink=0.85
-    )
+        panels[0, k].set_title(f"{plane.title}\n{region.share:.1%} inside", fontsize=9)
+    label = "margin of the tensions [N]"
+    figure.colorbar(image, ax=list(panels[0]), label=label, extend="both", fraction=0.05)
     _limit_legend(figure, regions[0], shown)
-    model = "with sag" if regions[0].settings.sag else "straight cables"
-    figure.suptitle(f"{regions[0].robot.name}, {model}: black line where the workspace ends")
+    figure.suptitle(f"{_title(regions[0])}; black line: end of the workspace", fontsize=11)
     return figure
+
+
+def _title(region: Region) -> str:
+    """Robot and model."""
+    return f"{region.robot.name}, {'with sag' if region.settings.sag else 'straight cables'}"
 
 
 def draw_maps(region: Region, found: Maps) -> Figure:
@@ -68,17 +76,34 @@ def draw_maps(region: Region, found: Maps) -> Figure:
         region: Verdicts on a plane.
         found: Their maps.
     """
-    plane = _plane(region)
-    figure = new_figure(13.0, 8.0)
-    for axes, (name, label, factor) in zip(figure.subplots(2, 3).ravel(), QUANTITIES, strict=True):
+    plane = _Plane(region)
+    wide = plane.width > 1.4 * plane.height
+    rows, across = (3, 2) if wide else (2, 3)
+    unit = min(12.0 / (across * plane.width), 11.0 / (rows * plane.height))
+    size = (across * (unit * plane.width + 1.6), rows * (unit * plane.height + 0.8) + 0.5)
+    figure = new_figure(max(size[0], 6.0), size[1])
+    panels = figure.subplots(rows, across).ravel()
+    for axes, (name, label, factor) in zip(panels, QUANTITIES, strict=True):
         record: Any = region.verdicts if name in ("margin", "distance") else found
         values = np.where(region.verdicts.inside, getattr(record, name) * factor, np.nan)
-        mesh = plane.fill(axes, values, cmap="viridis")
-        figure.colorbar(mesh, ax=axes, label=label)
+        mesh = plane.fill(axes, values, cmap="viridis", norm=_norm(name, values))
+        figure.colorbar(mesh, ax=axes, label=label, shrink=0.9)
         _set_plane(axes, region, plane)
-    model = "with sag" if region.settings.sag else "straight cables"
-    figure.suptitle(f"{region.robot.name}, {plane.title}, {model}; white: outside")
+    figure.suptitle(f"{_title(region)}, {plane.title}; white: outside", fontsize=11)
     return figure
+
+
+def _norm(name: str, values: Array) -> Any:
+    """Colour scale of a map: logarithmic for stiffness, never finer than rounding."""
+    from matplotlib.colors import LogNorm, Normalize
+
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+    if name == "stiffness" and low > 0.0 and high > 10.0 * low:
+        return LogNorm(low, high)
+    if high - low < 1e-6 * max(abs(high), 1e-3):
+        low, high = low - 0.1 * max(abs(low), 1e-3), high + 0.1 * max(abs(high), 1e-3)
+    return Normalize(low, high)
 
 
 def draw_space(region: Region) -> Figure:
@@ -100,15 +125,16 @@ def draw_space(region: Region) -> Figure:
         )
     robot = region.robot
     axes.scatter(*robot.exit_points.T, color=FRAME, s=26, marker="s", depthshade=False)
-    for name, point in zip(robot.cable_names, robot.exit_points, strict=True):
+    for name, point in exit_labels(robot, 0.08 * float(np.ptp(robot.exit_points, axis=0).max())):
         axes.text(*point, f" {name}", fontsize=7)
+    for edge in box_edges(robot):
+        axes.plot(*edge.T, color=FRAME, lw=0.8, ls="--", zorder=5)
     drawn = np.vstack([robot.exit_points, region.grid.positions])
     lower, upper = drawn.min(axis=0), drawn.max(axis=0)
     pad = 0.03 * float((upper - lower).max())
     set_space(axes, np.stack([lower - pad, upper + pad], axis=1))
     _limit_legend(figure, region, shown, box=True)
-    model = "with sag" if region.settings.sag else "straight cables"
-    figure.suptitle(f"{robot.name}, {model}: {region.volume:.3g} m³, {region.share:.1%} of the box")
+    figure.suptitle(f"{_title(region)}: {region.volume:.3g} m³, {region.share:.1%} of the box")
     return figure
 
 
@@ -125,6 +151,7 @@ class _Plane:
         self.right, self.up = (k for k in range(3) if k != across)
         self.x, self.y = region.grid.axes[self.right], region.grid.axes[self.up]
         self.size = (shape[self.right], shape[self.up])
+        self.width, self.height = (float(max(np.ptp(x), 1e-3)) for x in (self.x, self.y))
         value = region.grid.axes[across][0]
         self.title = f"{'xyz'[across]} = {value:.4g} m"
 
@@ -135,11 +162,6 @@ class _Plane:
     def fill(self, axes: Any, values: Array, **options: Any) -> Any:
         """Draw values as coloured cells."""
         return axes.pcolormesh(self.x, self.y, self.image(values), shading="nearest", **options)
-
-
-def _plane(region: Region) -> _Plane:
-    """The plane of a slice."""
-    return _Plane(region)
 
 
 def _margin_scale(regions: Sequence[Region]) -> Any:
@@ -205,10 +227,11 @@ def _shown_limits(regions: Sequence[Region]) -> dict[tuple[int, int], Any]:
     n = regions[0].robot.n
     shown: dict[tuple[int, int], Any] = {}
     for limit, cable in sorted(keys):
-        if limit in SCALES:
-            shown[limit, cable] = colormaps[SCALES[limit]](0.35 + 0.6 * (cable + 0.5) / n)
+        kind = Limit(limit)
+        if kind in SCALES:
+            shown[limit, cable] = colormaps[SCALES[kind]](0.35 + 0.6 * (cable + 0.5) / n)
         else:
-            shown[limit, cable] = PLAIN[Limit(limit)]
+            shown[limit, cable] = PLAIN[kind]
     return shown
 
 
@@ -226,8 +249,7 @@ def _limit_legend(
     names = region.robot.cable_names
     handles += [Patch(color=c, label=describe(*key, names)) for key, c in shown.items()]
     handles.append(Line2D([], [], color=FRAME, marker="s", ls="", ms=4, label="exit points"))
-    if not box:
-        handles.append(Line2D([], [], color=FRAME, lw=0.8, ls="--", label="box of the robot file"))
+    handles.append(Line2D([], [], color=FRAME, lw=0.8, ls="--", label="box of the robot file"))
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
 
 

@@ -1,4 +1,4 @@
-"""Positions where no cable can pull the platform, whatever its rotation: a proof, no search."""
+"""Positions that cables cannot hold whatever the rotation: proofs, no search."""
 
 from __future__ import annotations
 
@@ -26,18 +26,49 @@ def beyond_frame(robot: Robot, position: Array) -> NDArray[np.bool_]:
     """
     from scipy.spatial import ConvexHull, QhullError
 
-    reach = float(np.linalg.norm(robot.anchor_points, axis=1).max())
-    reach += 2.0 * float(robot.pulley_radius.max())
-    beyond = position[:, 2] > robot.exit_points[:, 2].max() + reach
+    reach = _reach(robot)
+    beyond: NDArray[np.bool_] = position[:, 2] > robot.exit_points[:, 2].max() + reach
     try:
         sides = ConvexHull(robot.exit_points[:, :2]).equations
     except (QhullError, ValueError):  # exit points above one line
         return beyond
     distance = position[:, :2] @ sides[:, :2].T + sides[:, 2]
-    return beyond | (distance.max(axis=1) > reach)
+    beyond |= distance.max(axis=1) > reach
+    return beyond
+
+
+def too_flat(robot: Robot, position: Array) -> NDArray[np.bool_]:
+    """Whether cables at their upper tension limits are too flat to carry the weight.
+
+    No anchor point is farther from the platform origin than the longest lever, so that for any
+    rotation a cable is no steeper than from the lowest place and the least distance that this
+    leaves; a hanging cable is less steep at the platform than its chord.
+
+    Args:
+        robot: Robot description.
+        position: Platform origin in W [m], shape (B, 3).
+
+    Returns:
+        Shape (B,).
+    """
+    reach = _reach(robot)
+    chord = robot.exit_points - position[:, None]  # (B, n, 3)
+    rise = chord[..., 2] + reach
+    aside = np.maximum(np.linalg.norm(chord[..., :2], axis=-1) - reach, 0.0)
+    sine = np.where(rise > 0.0, rise / np.maximum(np.hypot(rise, aside), 1e-12), 0.0)
+    carried: Array = sine @ robot.tension_max
+    flat: NDArray[np.bool_] = carried < robot.weight
+    return flat
+
+
+def _reach(robot: Robot) -> float:
+    """How far an anchor point, and a tangent point of a pulley, can be from where it is put [m]."""
+    lever = float(np.linalg.norm(robot.anchor_points, axis=1).max())
+    return lever + 2.0 * float(robot.pulley_radius.max())
 
 
 def without_cable(robot: Robot, position: Array, rotation: Array | None) -> NDArray[np.bool_]:
     """Whether an anchor point is on its exit point or inside its pulley, shape (B,)."""
     cables = straight_length(robot, position, rotation)
-    return ~(cables.valid & (cables.length > 1e-6)).all(axis=1)
+    there: NDArray[np.bool_] = (cables.valid & (cables.length > 1e-6)).all(axis=1)
+    return ~there

@@ -87,7 +87,7 @@ def slice_grid(lower: Array, upper: Array, axis: str, value: float, count: int) 
     edge = float(np.sqrt(np.prod(span) / count))
     axes = [np.array([value])] * 3
     for k, size in zip(rest, span, strict=True):
-        axes[k] = np.linspace(lower[k], upper[k], max(int(round(size / edge)), 1) + 1)
+        axes[k] = np.linspace(lower[k], upper[k], max(round(size / edge), 1) + 1)
     return Grid((axes[0], axes[1], axes[2]))
 
 

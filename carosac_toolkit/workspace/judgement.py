@@ -13,7 +13,7 @@ from carosac_toolkit.physics.cable_distance import cable_distances, separate_pai
 from carosac_toolkit.physics.statics import Equilibrium
 from carosac_toolkit.physics.widest_rest import WidestRest, hold
 from carosac_toolkit.robot import Robot
-from carosac_toolkit.workspace.frame import beyond_frame, without_cable
+from carosac_toolkit.workspace.frame import beyond_frame, too_flat, without_cable
 from carosac_toolkit.workspace.limits import Limit, tension_limit
 from carosac_toolkit.workspace.settings import WorkspaceSettings
 
@@ -55,7 +55,8 @@ class Verdicts:
     @property
     def inside(self) -> NDArray[np.bool_]:
         """Whether each pose belongs to the workspace, shape (B,)."""
-        return self.limit == Limit.INSIDE
+        found: NDArray[np.bool_] = self.limit == Limit.INSIDE
+        return found
 
 
 def modelled(robot: Robot, settings: WorkspaceSettings) -> Robot:
@@ -92,7 +93,9 @@ def judge(
     turn = _rotation(robot, rotation, len(where))
     model = modelled(robot, asked)
     free = robot.n < 6
-    hopeless = beyond_frame(robot, where) if free else without_cable(robot, where, turn)
+    flat = too_flat(robot, where) if free else np.zeros(len(where), dtype=bool)
+    apart = beyond_frame(robot, where) if free else without_cable(robot, where, turn)
+    hopeless = apart | flat
     weight_only, worst = _hold(model, where, turn, asked, lines, hopeless)
     nearest, nearest_cable = tension_limit(worst.margin, worst.low, worst.high, worst.lowest)
     margin = np.where(hopeless, -np.inf, worst.margin)
@@ -101,9 +104,10 @@ def judge(
     distance, pair = _distance(model, rest)
     limit, cable = _first_limit(robot, asked, rest, tilt, distance)
     by_tension = np.where(np.isnan(margin), Limit.NOT_CONVERGED, nearest)
-    by_tension = np.where(hopeless, Limit.NO_PULL, by_tension)
+    by_tension = np.where(flat, Limit.TOO_FLAT, by_tension)
+    by_tension = np.where(apart, Limit.NO_PULL, by_tension)
     out = ~(margin >= 0.0)
-    unknown = np.isin(by_tension, (Limit.NOT_CONVERGED, Limit.NO_PULL))
+    unknown = hopeless | np.isnan(margin)
     return Verdicts(
         rest=rest,
         margin=margin,

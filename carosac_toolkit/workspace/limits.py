@@ -17,20 +17,22 @@ class Limit(IntEnum):
     INSIDE = 0
     NOT_CONVERGED = 1  # a failure to compute, no statement on the robot
     NO_PULL = 2  # no cable can pull there: beyond the frame, or inside a pulley
-    NO_EQUILIBRIUM = 3  # no tensions of pulling cables balance the wrench, whatever their limits
-    SLACK = 4  # a cable's lower tension limit
-    OVERLOAD = 5  # a cable's upper tension limit
-    UNSTABLE = 6
-    TILT = 7
-    TOO_SHORT = 8  # a cable shorter than its winch can wind
-    TOO_LONG = 9  # a cable longer than its winch has
-    COLLISION = 10  # two cables too near each other
+    TOO_FLAT = 3  # all cables at their upper limits would not carry the weight, in any rotation
+    NO_EQUILIBRIUM = 4  # no tensions of pulling cables balance the wrench, whatever their limits
+    SLACK = 5  # a cable's lower tension limit
+    OVERLOAD = 6  # a cable's upper tension limit
+    UNSTABLE = 7
+    TILT = 8
+    TOO_SHORT = 9  # a cable shorter than its winch can wind
+    TOO_LONG = 10  # a cable longer than its winch has
+    COLLISION = 11  # two cables too near each other
 
 
 WORDS = {
     Limit.INSIDE: "inside",
     Limit.NOT_CONVERGED: "not converged",
     Limit.NO_PULL: "no cable pulls there",
+    Limit.TOO_FLAT: "cables too flat for the weight",
     Limit.NO_EQUILIBRIUM: "no equilibrium",
     Limit.SLACK: "slack",
     Limit.OVERLOAD: "overloaded",

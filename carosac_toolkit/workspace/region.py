@@ -167,7 +167,8 @@ def _worst(found: Sequence[Verdicts]) -> Verdicts:
     margin = np.stack([np.where(np.isnan(v.margin), -np.inf, v.margin) for v in found])
     inside = np.stack([v.inside for v in found])
     chosen = np.lexsort((margin, inside), axis=0)[0]
-    return _choose(found, chosen)
+    worst: Verdicts = _choose(found, chosen)
+    return worst
 
 
 def _choose(found: Sequence[Any], chosen: NDArray[np.intp]) -> Any:

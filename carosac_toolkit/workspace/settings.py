@@ -50,4 +50,5 @@ class WorkspaceSettings:
         """
         half = np.array([*self.force, *self.moment])
         signs = [(-1.0, 1.0) if size > 0.0 else (0.0,) for size in half]
-        return np.array(list(product(*signs))) * half
+        corners: Array = np.array(list(product(*signs))) * half
+        return corners
