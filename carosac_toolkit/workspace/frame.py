@@ -70,5 +70,6 @@ def _reach(robot: Robot) -> float:
 def without_cable(robot: Robot, position: Array, rotation: Array | None) -> NDArray[np.bool_]:
     """Whether an anchor point is on its exit point or inside its pulley, shape (B,)."""
     cables = straight_length(robot, position, rotation)
-    there: NDArray[np.bool_] = (cables.valid & (cables.length > 1e-6)).all(axis=1)
-    return ~there
+    there = cables.valid.astype(bool) & (cables.length > 1e-6)
+    missing: NDArray[np.bool_] = (~there).any(axis=1)
+    return missing

@@ -32,7 +32,7 @@ WORDS = {
     Limit.INSIDE: "inside",
     Limit.NOT_CONVERGED: "not converged",
     Limit.NO_PULL: "no cable pulls there",
-    Limit.TOO_FLAT: "cables too flat for the weight",
+    Limit.TOO_FLAT: "cables too flat or weak for the weight",
     Limit.NO_EQUILIBRIUM: "no equilibrium",
     Limit.SLACK: "slack",
     Limit.OVERLOAD: "overloaded",
