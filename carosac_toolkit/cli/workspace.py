@@ -14,6 +14,7 @@ Exit status 1 means that the robot can hold its platform nowhere in the box.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -77,6 +78,8 @@ class Options(CommonOptions):
     limits, or the least ones, as the controllers choose them."""
     output: OutputFolder = None
     """Folder for pictures and tables; by default carosac-results/workspace/ROBOT."""
+    pictures: bool = True
+    """Draw slices, maps and the boundary in space."""
     table: Literal["csv", "parquet"] = "csv"
     """Format of the table of positions."""
 
@@ -210,12 +213,23 @@ def _print(found: dict[str, tuple[Region, list[Region]]], lower: Array, upper: A
             )
         for part in slices:
             print(f"  slice {_name(part.grid)} m: {part.share:.1%} inside")
+        ends = {row[:2]: row[2] for row in region.causes(at_the_end=True)}
         rows = [
-            (WORDS[Limit(limit)], _cable(region.robot, limit, cable), count)
+            (
+                WORDS[Limit(limit)],
+                _cable(region.robot, limit, cable),
+                count,
+                ends.get((limit, cable), 0),
+            )
             for limit, cable, count in region.causes()
         ]
         if rows:
-            print("\n" + format_table(("what keeps positions out", "cable", "positions"), rows))
+            print(
+                "\n"
+                + format_table(
+                    ("what keeps positions out", "cable", "positions", "at the end"), rows
+                )
+            )
         print()
     if len(found) == 2:
         change = _changes(found)
@@ -260,8 +274,6 @@ def _write(
     options: Options, folder: Path, found: dict[str, tuple[Region, list[Region]]]
 ) -> list[Path]:
     """Write pictures and tables."""
-    from carosac_toolkit.pictures.workspace import draw_maps, draw_slices, draw_space
-
     folder.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
 
@@ -272,17 +284,22 @@ def _write(
 
     for model, (whole, slices) in found.items():
         end = f"-{model}" if len(found) == 2 else ""
-        figure = draw_slices(slices)
-        save(f"slices{end}.png", lambda path, f=figure: f.savefig(path, dpi=130))
-        figure = draw_space(whole)
-        save(f"space{end}.png", lambda path, f=figure: f.savefig(path, dpi=130))
-        for region in slices:
-            figure = draw_maps(region, _maps(options, region))
-            name = _name(region.grid).replace("=", "_")
-            save(f"maps_{name}{end}.png", lambda path, f=figure: f.savefig(path, dpi=130))
+        for name, figure in _figures(options, whole, slices) if options.pictures else ():
+            save(f"{name}{end}.png", lambda path, f=figure: f.savefig(path, dpi=130))
         table = columns(whole, _maps(options, whole))
         save(f"positions{end}.{options.table}", lambda path, t=table: write_table(path, t))
     return files
+
+
+def _figures(options: Options, whole: Region, slices: list[Region]) -> Iterator[tuple[str, Any]]:
+    """The pictures of one model, by name."""
+    from carosac_toolkit.pictures.workspace import draw_maps, draw_slices, draw_space
+
+    yield "slices", draw_slices(slices)
+    yield "space", draw_space(whole)
+    for region in slices:
+        name = _name(region.grid).replace("=", "_")
+        yield f"maps_{name}", draw_maps(region, _maps(options, region))
 
 
 def _maps(options: Options, region: Region) -> Maps:

@@ -58,7 +58,9 @@ def draw_slices(regions: Sequence[Region]) -> Figure:
         _draw_limits(panels[1, k], region, plane, shown)
         panels[0, k].set_title(f"{plane.title}\n{region.share:.1%} inside", fontsize=9)
     label = "margin of the tensions [N]"
-    figure.colorbar(image, ax=list(panels[0]), label=label, extend="both", fraction=0.05)
+    figure.colorbar(
+        image, ax=panels, label=label, extend="both", fraction=0.05, shrink=0.45, anchor=(0.0, 1.0)
+    )
     _limit_legend(figure, regions[0], shown)
     figure.suptitle(f"{_title(regions[0])}; black line: end of the workspace", fontsize=11)
     return figure

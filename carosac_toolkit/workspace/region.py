@@ -49,15 +49,34 @@ class Region:
         """Positions where the computation did not converge; they count as outside."""
         return int((self.verdicts.limit == Limit.NOT_CONVERGED).sum())
 
-    def causes(self) -> list[tuple[int, int, int]]:
-        """Limit, cable (-1: none) and number of positions it keeps out, the largest first."""
+    def causes(self, *, at_the_end: bool = False) -> list[tuple[int, int, int]]:
+        """Limit, cable (-1: none) and number of positions it keeps out, the largest first.
+
+        Args:
+            at_the_end: Only of the positions beside one that is inside, where a platform that
+                leaves the workspace meets its limits.
+        """
         out = self.verdicts
-        pairs = np.stack([out.limit, out.cable], axis=1)[~out.inside]
+        chosen = self._beside() if at_the_end else ~out.inside
+        pairs = np.stack([out.limit, out.cable], axis=1)[chosen]
         if len(pairs) == 0:
             return []
         found, counts = np.unique(pairs, axis=0, return_counts=True)
         order = np.argsort(-counts, kind="stable")
         return [(int(found[k, 0]), int(found[k, 1]), int(counts[k])) for k in order]
+
+    def _beside(self) -> NDArray[np.bool_]:
+        """Positions outside, next to one inside along x, y or z."""
+        inside = self.verdicts.inside.reshape(self.grid.shape)
+        near = np.zeros_like(inside)
+        for axis in range(3):
+            ahead = [slice(None)] * 3
+            behind = [slice(None)] * 3
+            ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+            near[tuple(ahead)] |= inside[tuple(behind)]
+            near[tuple(behind)] |= inside[tuple(ahead)]
+        beside: NDArray[np.bool_] = (near & ~inside).ravel()
+        return beside
 
     def sentence(self) -> str:
         """The result in words."""
@@ -67,8 +86,13 @@ class Region:
             text = f"{name} can hold its platform everywhere in the box"
             return f"{text}; {self._nearest()}"
         if not self.verdicts.inside.any():
-            return f"{name} can hold its platform nowhere in the box; {self._outside()}"
-        return f"{name} can hold its platform in {share} of the box; {self._outside()}"
+            text = f"{name} can hold its platform nowhere in the box: {self._words(False)}"
+        else:
+            text = f"{name} can hold its platform in {share} of the box; "
+            text += f"where that ends, mostly {self._words(True)}"
+        if self.unknown:
+            text += f"; {self.unknown} positions did not converge and count as outside"
+        return text
 
     def _nearest(self) -> str:
         """What comes nearest inside."""
@@ -81,29 +105,20 @@ class Region:
         said = verb.get(Limit(int(out.nearest[k])), which)
         return f"the least margin is {out.margin[k]:.3g} N at ({place}) m, {cable} {said}"
 
-    def _outside(self) -> str:
-        """What keeps positions out, the two most frequent causes."""
-        causes = self.causes()
+    def _words(self, at_the_end: bool) -> str:
+        """What keeps positions out, the three most frequent causes."""
+        causes = self.causes(at_the_end=at_the_end)
         total = sum(count for _, _, count in causes)
-        parts = [
-            f"{describe(limit, cable, self.robot.cable_names)} ({count / total:.0%})".replace(
-                "%", " %"
-            )
-            for limit, cable, count in causes[:2]
-        ]
-        text = f"outside, mostly: {' and '.join(parts)} of the rest"
-        if len(causes) <= 2:
-            text = f"outside: {' and '.join(parts)} of the rest"
-        if self.unknown:
-            text += f"; {self.unknown} positions did not converge and count as outside"
-        return text
+        return ", ".join(
+            f"{describe(limit, cable, self.robot.cable_names)} ({100.0 * count / total:.0f} %)"
+            for limit, cable, count in causes[:3]
+        )
 
     def data(self) -> dict[str, Any]:
         """The numbers, as JSON knows them."""
         out = self.verdicts
         finite = out.margin[np.isfinite(out.margin)]
         inside = out.margin[out.inside]
-        names = self.robot.cable_names
         return {
             "model": "sag" if self.settings.sag else "straight",
             "positions": len(out.margin),
@@ -117,16 +132,22 @@ class Region:
                 "median_inside": float(np.median(inside)) if len(inside) else None,
                 "largest": float(finite.max()) if len(finite) else None,
             },
-            "limits": [
-                {
-                    "limit": WORDS[Limit(limit)],
-                    "cable": names[cable] if limit in OF_CABLE and cable >= 0 else None,
-                    "positions": count,
-                }
-                for limit, cable, count in self.causes()
-            ],
+            "limits": self._listed(at_the_end=False),
+            "limits_at_the_end": self._listed(at_the_end=True),
             "sentence": self.sentence(),
         }
+
+    def _listed(self, *, at_the_end: bool) -> list[dict[str, Any]]:
+        """The causes, as JSON knows them."""
+        names = self.robot.cable_names
+        return [
+            {
+                "limit": WORDS[Limit(limit)],
+                "cable": names[cable] if limit in OF_CABLE and cable >= 0 else None,
+                "positions": count,
+            }
+            for limit, cable, count in self.causes(at_the_end=at_the_end)
+        ]
 
 
 def compute(

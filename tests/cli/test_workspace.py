@@ -15,10 +15,20 @@ def run(tmp_path, *words):
     return status, out
 
 
-def test_pictures_table_numbers_and_words(tmp_path, capsys):
+def test_pictures_are_drawn(tmp_path):
+    words = ("--box", "frame", "--points", "60", "--slice", "z=2", "--slice-points", "40")
+    status, out = run(tmp_path, "cogiro", *words)
+    assert status == 0
+    names = {path.name for path in out.iterdir()}
+    assert names == {"slices.png", "space.png", "maps_z_2.png", "positions.csv"}
+    for name in names - {"positions.csv"}:
+        assert (out / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_table_numbers_and_words(tmp_path, capsys):
     status, out = run(
         tmp_path, "cogiro", "--box", "frame", "--points", "150", "--slice-points", "60",
-        "--slice", "z=2", "x=0", "--model", "both",
+        "--slice", "z=2", "x=0", "--model", "both", "--no-pictures",
     )  # fmt: skip
     assert status == 0
     said = capsys.readouterr().out
@@ -29,8 +39,9 @@ def test_pictures_table_numbers_and_words(tmp_path, capsys):
     assert data["volume_m3"] == pytest.approx(data["share"] * data["box_m3"])
     assert set(data["models"]) == {"sag", "straight"}
     assert [part["plane"] for part in data["slices"]["sag"]] == ["z=2", "x=0"]
-    names = {path.name for path in out.iterdir()}
-    assert {"slices-sag.png", "space-straight.png", "maps_z_2-sag.png"} <= names
+    assert {path.name for path in out.iterdir()} == {
+        "positions-sag.csv", "positions-straight.csv",
+    }  # fmt: skip
     with (out / "positions-sag.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == data["positions"]
@@ -40,14 +51,15 @@ def test_pictures_table_numbers_and_words(tmp_path, capsys):
         if row["inside"] == "1":
             tension = [float(row[f"tension_{k:02d}_N"]) for k in range(1, 9)]
             margin = min(min(t - 10.0, 5000.0 - t) for t in tension)
-            assert float(row["margin_N"]) <= margin + 1e-6
+            # A cable that could not hang with tension_min has a higher limit: never above.
+            assert float(row["margin_N"]) <= margin + 1e-5
             assert float(row["frequency_Hz"]) > 0.0 and float(row["sag_m"]) >= 0.0
 
 
 def test_nowhere_is_status_1_and_parquet_is_read_back(tmp_path, capsys):
     status, out = run(
         tmp_path, "carosac", "--lower", "0", "-2", "9", "--upper", "1", "-1", "10", "--points",
-        "30", "--slice-points", "20", "--table", "parquet",
+        "30", "--slice-points", "20", "--table", "parquet", "--no-pictures",
     )  # fmt: skip
     assert status == 1
     assert "nowhere in the box" in capsys.readouterr().out

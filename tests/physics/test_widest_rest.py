@@ -77,7 +77,8 @@ def test_free_rotation_against_a_general_optimiser_on_straight_cables():
 @pytest.mark.parametrize("name", ["carosac", "scampi", "cogiro"])
 def test_neighbours_chunks_and_batches_change_nothing(name, monkeypatch):
     robot = ct.load_robot(name)
-    line = np.linspace(robot.workspace_min, robot.workspace_max + [0.3, 0.5, 1.0], 30)
+    beyond = robot.workspace_max + np.array([0.3, 0.5, 1.0])
+    line = np.linspace(robot.workspace_min, beyond, 30)
     batch = np.concatenate([line, line[::-1]])
     along = widest_rest.hold(robot, batch, lines=[0, 30])
     alone = widest_rest.hold(robot, batch)

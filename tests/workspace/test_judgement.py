@@ -20,8 +20,9 @@ def hanging_square(**changes):
     """Four parallel vertical cables of 5 m; anchors and exits at the corners of a square."""
     corners = np.array([[x, y, 0.0] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))], dtype=float)
     base = simple_robot(
-        exit_points=corners + np.array([0.0, 0.0, 8.0]), anchor_points=corners, center_of_mass=np.zeros(3),
-        run_length=np.zeros(4), workspace_min=np.array([-0.5, -0.5, 2.0]),
+        exit_points=corners + np.array([0.0, 0.0, 8.0]), anchor_points=corners,
+        center_of_mass=np.zeros(3), run_length=np.zeros(4),
+        workspace_min=np.array([-0.5, -0.5, 2.0]),
         workspace_max=np.array([0.5, 0.5, 4.0]), home_position=np.array([0.0, 0.0, 3.0]),
     )  # fmt: skip
     return replace(base, **changes)
@@ -159,7 +160,6 @@ def test_volume_of_a_box_in_the_workspace_is_its_volume():
     region = compute(robot, box_grid(robot.workspace_min, robot.workspace_max, 200))
     assert region.share == 1.0 and region.unknown == 0
     assert "everywhere in the box" in region.sentence()
-    assert len(region.verdicts.margin) * (64.0 / len(region.verdicts.margin)) == pytest.approx(64.0)
     assert region.volume == pytest.approx(64.0)
 
 
