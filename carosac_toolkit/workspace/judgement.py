@@ -15,6 +15,7 @@ from carosac_toolkit.physics.widest_rest import WidestRest, hold
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.workspace.frame import beyond_frame, too_flat, without_cable
 from carosac_toolkit.workspace.limits import Limit, tension_limit
+from carosac_toolkit.workspace.second_opinion import second_opinion
 from carosac_toolkit.workspace.settings import WorkspaceSettings
 
 WEIGHTLESS = 1e-9  # of its own density: a cable that heavy is straight to rounding
@@ -151,6 +152,8 @@ def _hold(
     if turn is not None:
         turn = np.where(hopeless[:, None, None], robot.home_rotation, turn)
     found = hold(robot, where, turn, lines=lines)
+    if robot.n < 6:
+        found = second_opinion(robot, found, ~hopeless)
     shown = robot.home_rotation if rotation is None else rotation
     rest = replace(
         found.rest,

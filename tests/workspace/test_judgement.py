@@ -98,6 +98,23 @@ def test_what_a_proof_rules_out_no_search_finds():
     assert not beyond_frame(robot, inside).any() and not too_flat(robot, inside).any()
 
 
+def test_no_pose_that_inverse_kinematics_can_hold_is_called_infeasible():
+    robot = ct.load_robot("scampi")
+    edge = [[-1.67251, -8.13983, 2.67828], [0.3649, -8.13983, 1.41957], [0.77238, 4.58494, 3.937]]
+    rng = np.random.default_rng(7)
+    lower, upper = robot.exit_points.min(axis=0), robot.exit_points.max(axis=0)
+    others = rng.uniform([*lower[:2], 2.0], upper, (60, 3))
+    where = np.concatenate([np.array(edge), others])
+    other = ct.statics.inverse_kinematics(robot, where)
+    assert other.converged[:3].all()
+    found = judge(robot, where)
+    assert (found.margin >= 0.0)[other.converged & other.stable].all()
+    kept = found.rest.converged
+    tension = found.rest.tension
+    margin = np.minimum(tension - robot.tension_min, robot.tension_max - tension)
+    assert (found.margin[kept] <= margin.min(axis=1)[kept] + 1e-5).all()
+
+
 def test_a_pose_that_withstands_a_box_of_wrenches_withstands_all_in_it():
     robot = eight_cable_robot()
     rng = np.random.default_rng(4)
