@@ -35,7 +35,7 @@ from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.workspace.grid import AXES, Grid, box_grid, box_of, slice_grid
-from carosac_toolkit.workspace.limits import OF_CABLE, WORDS, Limit
+from carosac_toolkit.workspace.limits import OF_CABLE, PUSHES, WORDS, Limit
 from carosac_toolkit.workspace.maps import Maps, maps
 from carosac_toolkit.workspace.region import Region, compute
 from carosac_toolkit.workspace.settings import WorkspaceSettings
@@ -216,7 +216,7 @@ def _print(found: dict[str, tuple[Region, list[Region]]], lower: Array, upper: A
         ends = {row[:2]: row[2] for row in region.causes(at_the_end=True)}
         rows = [
             (
-                WORDS[Limit(limit)],
+                _words(limit, cable),
                 _cable(region.robot, limit, cable),
                 count,
                 ends.get((limit, cable), 0),
@@ -240,6 +240,12 @@ def _print(found: dict[str, tuple[Region, list[Region]]], lower: Array, upper: A
             f"{change['margin_change_N']['median']:+.3g} N in the median, "
             f"{change['margin_change_N']['least']:+.3g} N at worst"
         )
+
+
+def _words(limit: int, cable: int) -> str:
+    """What a limit does to a cable."""
+    pushes = limit == Limit.NO_EQUILIBRIUM and cable >= 0
+    return PUSHES if pushes else WORDS[Limit(limit)]
 
 
 def _cable(robot: Robot, limit: int, cable: int) -> str:

@@ -26,6 +26,7 @@ PLAIN = {
     Limit.UNSTABLE: "#c79a00", Limit.TILT: "#8a6d1f", Limit.COLLISION: "#d62728",
 }  # fmt: skip
 SCALES = {
+    Limit.NO_EQUILIBRIUM: "Greys",
     Limit.SLACK: "Blues", Limit.OVERLOAD: "Oranges", Limit.TOO_SHORT: "Greens",
     Limit.TOO_LONG: "Purples",
 }  # fmt: skip
@@ -104,7 +105,7 @@ def _norm(name: str, values: Array) -> Any:
     if name == "stiffness" and low > 0.0 and high > 10.0 * low:
         return LogNorm(low, high)
     if high - low < 1e-6 * max(abs(high), 1e-3):
-        low, high = low - 0.1 * max(abs(low), 1e-3), high + 0.1 * max(abs(high), 1e-3)
+        low, high = 0.9 * low, 1.1 * max(high, 1e-3)
     return Normalize(low, high)
 
 
@@ -230,7 +231,7 @@ def _shown_limits(regions: Sequence[Region]) -> dict[tuple[int, int], Any]:
     shown: dict[tuple[int, int], Any] = {}
     for limit, cable in sorted(keys):
         kind = Limit(limit)
-        if kind in SCALES:
+        if kind in SCALES and cable >= 0:
             shown[limit, cable] = colormaps[SCALES[kind]](0.35 + 0.6 * (cable + 0.5) / n)
         else:
             shown[limit, cable] = PLAIN[kind]

@@ -71,5 +71,5 @@ def without_cable(robot: Robot, position: Array, rotation: Array | None) -> NDAr
     """Whether an anchor point is on its exit point or inside its pulley, shape (B,)."""
     cables = straight_length(robot, position, rotation)
     there = cables.valid.astype(bool) & (cables.length > 1e-6)
-    missing: NDArray[np.bool_] = (~there).any(axis=1)
+    missing: NDArray[np.bool_] = np.asarray((~there).any(axis=1))
     return missing

@@ -33,7 +33,8 @@ class Verdicts:
             the required wrenches; negative: by so much the limits would have to be widened.
             Minus infinity where nothing balances, NaN where it was not computed.
         limit: The `Limit` that keeps each pose out, `Limit.INSIDE` where none does, shape (B,).
-        cable: Index of the cable that the limit is about, -1: none, shape (B,).
+        cable: Index of the cable that the limit is about, for `Limit.NO_EQUILIBRIUM` the one that
+            would have to push most; -1: none, shape (B,).
         nearest: The tension limit that counts most for the margin, inside as well: `Limit.SLACK`,
             `Limit.OVERLOAD` or `Limit.NO_EQUILIBRIUM`, shape (B,).
         nearest_cable: Its cable, -1: none, shape (B,).

@@ -18,7 +18,7 @@ class Limit(IntEnum):
     NOT_CONVERGED = 1  # a failure to compute, no statement on the robot
     NO_PULL = 2  # no cable can pull there: beyond the frame, or inside a pulley
     TOO_FLAT = 3  # all cables at their upper limits would not carry the weight, in any rotation
-    NO_EQUILIBRIUM = 4  # no tensions of pulling cables balance the wrench, whatever their limits
+    NO_EQUILIBRIUM = 4  # a cable would have to push, or nothing balances: limits do not matter
     SLACK = 5  # a cable's lower tension limit
     OVERLOAD = 6  # a cable's upper tension limit
     UNSTABLE = 7
@@ -42,7 +42,8 @@ WORDS = {
     Limit.TOO_LONG: "longer than its winch has",
     Limit.COLLISION: "cables too near each other",
 }
-OF_CABLE = (Limit.SLACK, Limit.OVERLOAD, Limit.TOO_SHORT, Limit.TOO_LONG)
+PUSHES = "would have to push"
+OF_CABLE = (Limit.NO_EQUILIBRIUM, Limit.SLACK, Limit.OVERLOAD, Limit.TOO_SHORT, Limit.TOO_LONG)
 
 
 def tension_limit(
@@ -61,7 +62,7 @@ def tension_limit(
 
     Returns:
         A `Limit` and the index of a cable, both of shape (B,), whether the margin is negative or
-        not; the cable is -1 where there is no equilibrium.
+        not; the cable is -1 where nothing balances, of whatever sign.
     """
     n = low.shape[1]
     strongest = np.argmax(np.concatenate([low, high], axis=1), axis=1)
@@ -69,7 +70,7 @@ def tension_limit(
     cable = strongest % n
     pushes = (high.max(axis=1) < 1e-9) & (margin + (low * lower).sum(axis=1) < 0.0)
     limit = np.where(pushes | np.isneginf(margin), Limit.NO_EQUILIBRIUM, limit)
-    cable = np.where(limit == Limit.NO_EQUILIBRIUM, -1, cable)
+    cable = np.where(np.isneginf(margin), -1, cable)
     return limit.astype(np.int32), cable.astype(np.int32)
 
 
@@ -77,5 +78,7 @@ def describe(limit: int, cable: int, names: Sequence[str]) -> str:
     """Say a limit in words."""
     found = Limit(limit)
     if found in OF_CABLE and cable >= 0:
-        return f"cable {names[cable]} {WORDS[found]}"
+        name = names[cable]
+        name = name if name.lower().startswith("cable") else f"cable {name}"
+        return f"{name} {PUSHES if found is Limit.NO_EQUILIBRIUM else WORDS[found]}"
     return WORDS[found]
