@@ -32,6 +32,7 @@ from carosac_toolkit.cli.common import (
 )
 from carosac_toolkit.cli.place import Place
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.report_page import check_folder
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.workspace.grid import AXES, Grid, box_grid, box_of, slice_grid
@@ -93,6 +94,7 @@ def run(options: Options) -> CommandResult:
     planes = _planes(options, lower, upper)
     grid = box_grid(lower, upper, _count("--points", options.points))
     folder = options.output or Path("carosac-results") / "workspace" / robot.name
+    check_folder("--output", folder)
     models = ("sag", "straight") if options.model == "both" else (options.model,)
     found: dict[str, tuple[Region, list[Region]]] = {}
     for model in models:
