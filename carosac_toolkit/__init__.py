@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from carosac_toolkit import loop, trajectories
+    from carosac_toolkit import loop, trajectories, workspace
     from carosac_toolkit.errors import CarosacError, InvalidField, InvalidFile
     from carosac_toolkit.physics import (
         catenary,
@@ -62,6 +62,7 @@ _MODULES = {
     "straight_line": "physics.straight_line",
     "tension_distribution": "physics.tension_distribution",
     "trajectories": "trajectories",
+    "workspace": "workspace",
 }
 
 __all__ = [
@@ -92,6 +93,7 @@ __all__ = [
     "tension_distribution",
     "trajectories",
     "validate",
+    "workspace",
 ]
 
 

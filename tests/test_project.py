@@ -21,6 +21,7 @@ PAGES = (
     "calibration", "calibration-identify", "calibration-lengths", "calibration-tachymeter",
     "calibration-without-poses", "commissioning", "drivers", "dynamic-estimator",
     "learned-control", "recordings", "robot-yaml", "statics", "trajectories",
+    "workspace",
 )  # fmt: skip
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 

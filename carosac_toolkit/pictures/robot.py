@@ -104,7 +104,7 @@ def _draw_space(axes: Any, report: RobotReport, cables: list[CableDrawing], limi
         axis.labelpad = 12.0 * span / spans.max() - 2.0
         axis.set_major_locator(MaxNLocator(nbins=max(2, round(7 * span / spans.max()))))
         axis.set_tick_params(labelsize=8)
-    for name, point in _labels(robot, 0.08 * spans.max()):
+    for name, point in exit_labels(robot, 0.08 * spans.max()):
         x, y, z = point
         axes.text(x, y, z + 0.025 * spans.max(), name, fontsize=7, ha="center")
 
@@ -129,7 +129,7 @@ def _draw_pulleys(
         axes.plot(*cable.incoming.T, color=FED, lw=1.4, label=label)
 
 
-def _labels(robot: Robot, near: float) -> list[tuple[str, Array]]:
+def exit_labels(robot: Robot, near: float) -> list[tuple[str, Array]]:
     """Cable names and where to write them [m]; exit points nearer than `near` share a label."""
     groups: list[list[int]] = []
     for i, point in enumerate(robot.exit_points):

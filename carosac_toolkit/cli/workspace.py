@@ -1,0 +1,315 @@
+"""Find where a robot can hold its platform, by how much, and which limit stops it there.
+
+Judges positions on a grid in a box, and on slices through it: tensions within their limits for the
+weight and for extra wrenches that you name, lengths that the winches can wind, stability, cables
+that do not touch. With six cables or more the orientation is held; with fewer the platform hangs
+as it may. Writes pictures and a table of all positions.
+
+  carosac workspace carosac
+  carosac workspace cogiro --box frame --force 50 50 50 --model both
+  carosac workspace ipanema1 --rpy-deg 0,0,0 10,0,0 --slice z=0.5 z=1.5
+
+Exit status 1 means that the robot can hold its platform nowhere in the box.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.cli.common import (
+    CommandResult,
+    CommonOptions,
+    OutputFolder,
+    format_table,
+    replacing,
+)
+from carosac_toolkit.cli.place import Place
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.report_page import check_folder
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.workspace.grid import AXES, Grid, box_grid, box_of, slice_grid
+from carosac_toolkit.workspace.limits import OF_CABLE, PUSHES, WORDS, Limit
+from carosac_toolkit.workspace.maps import Maps, maps
+from carosac_toolkit.workspace.region import Region, compute
+from carosac_toolkit.workspace.settings import WorkspaceSettings
+from carosac_toolkit.workspace.tables import columns, write_table
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(CommonOptions):
+    """Options of ``carosac workspace``."""
+
+    robot: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ROBOT")]
+    """A bundled robot (`carosac robots` lists them) or a path to a YAML file."""
+    box: Literal["workspace", "frame"] = "workspace"
+    """Where to look: the workspace box of the robot's file, or the box around its exit points."""
+    lower: Place = None
+    """Lower corner of another box [m]; goes with --upper."""
+    upper: Place = None
+    """Upper corner of another box [m]."""
+    points: int = 20000
+    """About how many positions in the box."""
+    slice: tuple[str, ...] = ()
+    """Planes such as x=0.4 z=2 [m]; by default three through the middle of the box."""
+    slice_points: int = 2500
+    """About how many positions on each plane."""
+    model: Literal["sag", "straight", "both"] = "sag"
+    """Cables that sag, straight ones, or both side by side."""
+    rpy_deg: tuple[str, ...] = ()
+    """Orientations with all of which a position must be held, each as ROLL,PITCH,YAW in degrees
+    (6 cables or more); by default that of the home pose."""
+    force: Place = None
+    """Extra forces to withstand, plus or minus these along x, y, z of the world [N]."""
+    moment: Place = None
+    """Extra moments to withstand, plus or minus these [N m]."""
+    tilt_max_deg: float | None = None
+    """Largest tilt of the platform against home [degrees]; by default any."""
+    clearance: float = 0.0
+    """Least distance between the surfaces of two cables [m]."""
+    tensions: Literal["widest", "least"] = "widest"
+    """Tensions that the maps of stiffness, frequency and sag are for: those farthest from their
+    limits, or the least ones, as the controllers choose them."""
+    output: OutputFolder = None
+    """Folder for pictures and tables; by default carosac-results/workspace/ROBOT."""
+    pictures: bool = True
+    """Draw slices, maps and the boundary in space."""
+    table: Literal["csv", "parquet"] = "csv"
+    """Format of the table of positions."""
+
+
+def run(options: Options) -> CommandResult:
+    """Find one robot's workspace."""
+    robot = load_robot(options.robot)
+    lower, upper = _box(options, robot)
+    settings = _settings(options)
+    turns = _orientations(options, robot)
+    planes = _planes(options, lower, upper)
+    grid = box_grid(lower, upper, _count("--points", options.points))
+    folder = options.output or Path("carosac-results") / "workspace" / robot.name
+    check_folder("--output", folder)
+    models = ("sag", "straight") if options.model == "both" else (options.model,)
+    found: dict[str, tuple[Region, list[Region]]] = {}
+    for model in models:
+        asked = replace(settings, sag=model == "sag")
+        whole = compute(robot, grid, settings=asked, orientations=turns)
+        slices = [compute(robot, p, settings=asked, orientations=turns) for p in planes]
+        found[model] = (whole, slices)
+    _print(found, lower, upper)
+    files = _write(options, folder, found)
+    print(f"\n{len(files)} files in {folder}: {', '.join(file.name for file in files)}")
+    first = found[models[0]][0]
+    data = {
+        "robot": robot.name,
+        "box_m": [lower, upper],
+        **first.data(),
+        "models": {model: region.data() for model, (region, _) in found.items()},
+        "slices": {
+            model: [{"plane": _name(r.grid), **r.data()} for r in slices]
+            for model, (_, slices) in found.items()
+        },
+    }
+    if len(found) == 2:
+        data["sag_changes"] = _changes(found)
+    return CommandResult(data, status=0 if first.verdicts.inside.any() else 1)
+
+
+def _count(option: str, value: int) -> int:
+    """A number of positions that makes sense."""
+    if not 1 <= value <= 10_000_000:
+        raise InvalidField(option, value, "1 to 10000000")
+    return value
+
+
+def _box(options: Options, robot: Robot) -> tuple[Array, Array]:
+    """The box to look at."""
+    if options.lower is None and options.upper is None:
+        return box_of(robot, options.box)
+    if options.lower is None or options.upper is None:
+        missing = "--lower" if options.lower is None else "--upper"
+        raise InvalidField(missing, "nothing", "three numbers: --lower and --upper go together")
+    lower, upper = np.array(options.lower), np.array(options.upper)
+    if not (np.isfinite(lower) & np.isfinite(upper) & (lower < upper)).all():
+        raise InvalidField("--lower", f"{options.lower} m", f"below --upper, {options.upper} m")
+    return lower, upper
+
+
+def _settings(options: Options) -> WorkspaceSettings:
+    """What is asked of a pose."""
+    tilt = options.tilt_max_deg
+    return WorkspaceSettings(
+        force=options.force or (0.0, 0.0, 0.0),
+        moment=options.moment or (0.0, 0.0, 0.0),
+        clearance=options.clearance,
+        tilt_max=None if tilt is None else float(np.radians(tilt)),
+    )
+
+
+def _orientations(options: Options, robot: Robot) -> list[Array] | None:
+    """Rotations from roll, pitch and yaw."""
+    from scipy.spatial.transform import Rotation
+
+    if not options.rpy_deg:
+        return None
+    if robot.n < 6:
+        allowed = f"nothing: the {robot.n} cables of {robot.name} leave the orientation free"
+        raise InvalidField("--rpy-deg", options.rpy_deg[0], allowed)
+    turns = []
+    for text in options.rpy_deg:
+        try:
+            roll, pitch, yaw = (float(word) for word in text.split(","))
+        except ValueError as error:
+            allowed = "ROLL,PITCH,YAW in degrees, such as 0,0,30"
+            raise InvalidField("--rpy-deg", repr(text), allowed) from error
+        turns.append(Rotation.from_euler("xyz", [roll, pitch, yaw], degrees=True).as_matrix())
+    return turns
+
+
+def _planes(options: Options, lower: Array, upper: Array) -> list[Grid]:
+    """The slices."""
+    count = _count("--slice-points", options.slice_points)
+    if not options.slice:
+        middle = 0.5 * (lower + upper)
+        return [slice_grid(lower, upper, a, float(middle[k]), count) for k, a in enumerate(AXES)]
+    planes = []
+    for text in options.slice:
+        axis, _, value = text.partition("=")
+        try:
+            place = float(value)
+        except ValueError:
+            place = float("nan")
+        if axis not in tuple(AXES) or not np.isfinite(place):
+            raise InvalidField("--slice", repr(text), "x=, y= or z= with a number, such as z=2")
+        planes.append(slice_grid(lower, upper, axis, place, count))
+    return planes
+
+
+def _name(grid: Grid) -> str:
+    """The plane of a slice."""
+    across = int(np.argmin(grid.shape))
+    return f"{AXES[across]}={grid.axes[across][0]:.6g}"
+
+
+def _print(found: dict[str, tuple[Region, list[Region]]], lower: Array, upper: Array) -> None:
+    """Print what was found."""
+    for model, (region, slices) in found.items():
+        title = "with sag" if model == "sag" else "straight cables"
+        print(f"{title}: {region.sentence()}.\n")
+        size = region.grid.cell * len(region.verdicts.margin)
+        print(
+            f"  {region.volume:.4g} m^3 of {size:.4g} m^3, box {_vector(lower)} to "
+            f"{_vector(upper)} m, {len(region.verdicts.margin)} positions"
+        )
+        inside = region.verdicts.margin[region.verdicts.inside]
+        if len(inside):
+            print(
+                f"  margin inside: {inside.min():.4g} to {inside.max():.4g} N, "
+                f"median {np.median(inside):.4g} N"
+            )
+        for part in slices:
+            print(f"  slice {_name(part.grid)} m: {part.share:.1%} inside")
+        ends = {row[:2]: row[2] for row in region.causes(at_the_end=True)}
+        rows = [
+            (
+                _words(limit, cable),
+                _cable(region.robot, limit, cable),
+                count,
+                ends.get((limit, cable), 0),
+            )
+            for limit, cable, count in region.causes()
+        ]
+        if rows:
+            print(
+                "\n"
+                + format_table(
+                    ("what keeps positions out", "cable", "positions", "at the end"), rows
+                )
+            )
+        print()
+    if len(found) == 2:
+        change = _changes(found)
+        print(
+            f"sag takes {change['lost']} positions ({change['lost_m3']:.3g} m^3) away from the "
+            f"workspace of straight cables and adds {change['gained']} "
+            f"({change['gained_m3']:.3g} m^3); where both can, the margin changes by "
+            f"{change['margin_change_N']['median']:+.3g} N in the median, "
+            f"{change['margin_change_N']['least']:+.3g} N at worst"
+        )
+
+
+def _words(limit: int, cable: int) -> str:
+    """What a limit does to a cable."""
+    pushes = limit == Limit.NO_EQUILIBRIUM and cable >= 0
+    return PUSHES if pushes else WORDS[Limit(limit)]
+
+
+def _cable(robot: Robot, limit: int, cable: int) -> str:
+    """The cable that a limit is about."""
+    return robot.cable_names[cable] if limit in OF_CABLE and cable >= 0 else "-"
+
+
+def _vector(values: Array) -> str:
+    """Write a vector."""
+    return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"
+
+
+def _changes(found: dict[str, tuple[Region, list[Region]]]) -> dict[str, Any]:
+    """How sag changes the workspace."""
+    sag, straight = found["sag"][0], found["straight"][0]
+    one, other = sag.verdicts.inside, straight.verdicts.inside
+    lost, gained = int((other & ~one).sum()), int((one & ~other).sum())
+    change = (sag.verdicts.margin - straight.verdicts.margin)[one & other]
+    return {
+        "lost": lost,
+        "gained": gained,
+        "lost_m3": lost * sag.grid.cell,
+        "gained_m3": gained * sag.grid.cell,
+        "margin_change_N": {
+            "median": float(np.median(change)) if len(change) else float("nan"),
+            "least": float(change.min()) if len(change) else float("nan"),
+        },
+    }
+
+
+def _write(
+    options: Options, folder: Path, found: dict[str, tuple[Region, list[Region]]]
+) -> list[Path]:
+    """Write pictures and tables."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files: list[Path] = []
+
+    def save(name: str, draw: Any) -> None:
+        with replacing(folder / name) as temporary:
+            draw(temporary)
+        files.append(folder / name)
+
+    for model, (whole, slices) in found.items():
+        end = f"-{model}" if len(found) == 2 else ""
+        for name, figure in _figures(options, whole, slices) if options.pictures else ():
+            save(f"{name}{end}.png", lambda path, f=figure: f.savefig(path, dpi=130))
+        table = columns(whole, _maps(options, whole))
+        save(f"positions{end}.{options.table}", lambda path, t=table: write_table(path, t))
+    return files
+
+
+def _figures(options: Options, whole: Region, slices: list[Region]) -> Iterator[tuple[str, Any]]:
+    """The pictures of one model, by name."""
+    from carosac_toolkit.pictures.workspace import draw_maps, draw_slices, draw_space
+
+    yield "slices", draw_slices(slices)
+    yield "space", draw_space(whole)
+    for region in slices:
+        name = _name(region.grid).replace("=", "_")
+        yield f"maps_{name}", draw_maps(region, _maps(options, region))
+
+
+def _maps(options: Options, region: Region) -> Maps:
+    """The maps of one region."""
+    return maps(region.robot, region.verdicts, settings=region.settings, tensions=options.tensions)

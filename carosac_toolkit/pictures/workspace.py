@@ -1,0 +1,297 @@
+"""A workspace, drawn: slices with margin and limits, maps, and the boundary in space."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.pictures.drawing import new_figure, set_space
+from carosac_toolkit.pictures.robot import box_edges, exit_labels
+from carosac_toolkit.workspace.limits import OF_CABLE, Limit, describe
+from carosac_toolkit.workspace.maps import Maps
+from carosac_toolkit.workspace.region import Region
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+INSIDE = "#eef1f4"
+FRAME = "#202020"
+PLAIN = {
+    Limit.NOT_CONVERGED: "#ff00ff", Limit.NO_PULL: "#9aa3ad", Limit.TOO_FLAT: "#f2b6a0",
+    Limit.NO_EQUILIBRIUM: "#5b6470",
+    Limit.UNSTABLE: "#c79a00", Limit.TILT: "#8a6d1f", Limit.COLLISION: "#d62728",
+}  # fmt: skip
+SCALES = {
+    Limit.NO_EQUILIBRIUM: "Greys",
+    Limit.SLACK: "Blues", Limit.OVERLOAD: "Oranges", Limit.TOO_SHORT: "Greens",
+    Limit.TOO_LONG: "Purples",
+}  # fmt: skip
+QUANTITIES = (
+    ("margin", "margin [N]", 1.0),
+    ("tilt", "tilt [deg]", 180.0 / np.pi),
+    ("stiffness", "least stiffness [N/m]", 1.0),
+    ("frequency", "lowest frequency [Hz]", 1.0),
+    ("sag", "largest sag [mm]", 1e3),
+    ("distance", "least cable distance [m]", 1.0),
+)
+
+
+def draw_slices(regions: Sequence[Region]) -> Figure:
+    """Draw slices: the margin above, the limit that decides below.
+
+    Args:
+        regions: Verdicts on planes; see `slice_grid`.
+    """
+    planes = [_Plane(region) for region in regions]
+    widths = [plane.width for plane in planes]
+    tall = max(plane.height for plane in planes)
+    unit = min(13.0 / sum(widths), 4.0 / tall)
+    figure = new_figure(3.0 + 0.8 * len(planes) + unit * sum(widths), 2.4 + 2.0 * unit * tall)
+    panels = figure.subplots(2, len(regions), squeeze=False, width_ratios=widths)
+    shown = _shown_limits(regions)
+    scale = _margin_scale(regions)
+    for k, (region, plane) in enumerate(zip(regions, planes, strict=True)):
+        image = _draw_margin(panels[0, k], region, plane, scale)
+        _draw_limits(panels[1, k], region, plane, shown)
+        panels[0, k].set_title(f"{plane.title}\n{region.share:.1%} inside", fontsize=9)
+    label = "margin of the tensions [N]"
+    figure.colorbar(
+        image, ax=panels, label=label, extend="both", fraction=0.05, shrink=0.45, anchor=(0.0, 1.0)
+    )
+    _limit_legend(figure, regions[0], shown)
+    figure.suptitle(f"{_title(regions[0])}; black line: end of the workspace", fontsize=11)
+    return figure
+
+
+def _title(region: Region) -> str:
+    """Robot and model."""
+    return f"{region.robot.name}, {'with sag' if region.settings.sag else 'straight cables'}"
+
+
+def draw_maps(region: Region, found: Maps) -> Figure:
+    """Draw margin, tilt, stiffness, frequency, sag and cable distance on one slice.
+
+    Args:
+        region: Verdicts on a plane.
+        found: Their maps.
+    """
+    plane = _Plane(region)
+    wide = plane.width > 1.4 * plane.height
+    rows, across = (3, 2) if wide else (2, 3)
+    unit = min(12.0 / (across * plane.width), 11.0 / (rows * plane.height))
+    size = (across * (unit * plane.width + 1.6), rows * (unit * plane.height + 0.8) + 0.5)
+    figure = new_figure(max(size[0], 6.0), size[1])
+    panels = figure.subplots(rows, across).ravel()
+    for axes, (name, label, factor) in zip(panels, QUANTITIES, strict=True):
+        record: Any = region.verdicts if name in ("margin", "distance") else found
+        values = np.where(region.verdicts.inside, getattr(record, name) * factor, np.nan)
+        mesh = plane.fill(axes, values, cmap="viridis", norm=_norm(name, values))
+        figure.colorbar(mesh, ax=axes, label=label, shrink=0.9)
+        _set_plane(axes, region, plane)
+    figure.suptitle(f"{_title(region)}, {plane.title}; white: outside", fontsize=11)
+    return figure
+
+
+def _norm(name: str, values: Array) -> Any:
+    """Colour scale of a map: logarithmic for stiffness, never finer than rounding."""
+    from matplotlib.colors import LogNorm, Normalize
+
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+    if name == "stiffness" and low > 0.0 and high > 10.0 * low:
+        return LogNorm(low, high)
+    if high - low < 1e-6 * max(abs(high), 1e-3):
+        low, high = 0.9 * low, 1.1 * max(high, 1e-3)
+    return Normalize(low, high)
+
+
+def draw_space(region: Region) -> Figure:
+    """Draw the boundary of a workspace in space, coloured by what is beyond it.
+
+    Args:
+        region: Verdicts on a grid in a box.
+    """
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    figure = new_figure(10.0, 7.6)
+    axes = figure.add_subplot(projection="3d")
+    faces, keys = _boundary(region)
+    shown = _shown_limits([region])
+    colors = [BOX_FACE if key == (0, -1) else shown[key] for key in keys]
+    if faces:
+        axes.add_collection3d(
+            Poly3DCollection(faces, facecolors=colors, edgecolors=(0, 0, 0, 0.12), linewidths=0.2)
+        )
+    robot = region.robot
+    axes.scatter(*robot.exit_points.T, color=FRAME, s=26, marker="s", depthshade=False)
+    for name, point in exit_labels(robot, 0.08 * float(np.ptp(robot.exit_points, axis=0).max())):
+        axes.text(*point, f" {name}", fontsize=7)
+    for edge in box_edges(robot):
+        axes.plot(*edge.T, color=FRAME, lw=0.8, ls="--", zorder=5)
+    drawn = np.vstack([robot.exit_points, region.grid.positions])
+    lower, upper = drawn.min(axis=0), drawn.max(axis=0)
+    pad = 0.03 * float((upper - lower).max())
+    set_space(axes, np.stack([lower - pad, upper + pad], axis=1))
+    _limit_legend(figure, region, shown, box=True)
+    figure.suptitle(f"{_title(region)}: {region.volume:.3g} m³, {region.share:.1%} of the box")
+    return figure
+
+
+BOX_FACE = "#dfe5ea"
+
+
+class _Plane:
+    """A slice: the axes it spans and its picture coordinates."""
+
+    def __init__(self, region: Region) -> None:
+        """Find the axis across."""
+        shape = region.grid.shape
+        across = int(np.argmin(shape))
+        self.right, self.up = (k for k in range(3) if k != across)
+        self.x, self.y = region.grid.axes[self.right], region.grid.axes[self.up]
+        self.size = (shape[self.right], shape[self.up])
+        self.width, self.height = (float(max(np.ptp(x), 1e-3)) for x in (self.x, self.y))
+        value = region.grid.axes[across][0]
+        self.title = f"{'xyz'[across]} = {value:.4g} m"
+
+    def image(self, values: Array) -> Array:
+        """Values of all positions as an image."""
+        return values.reshape(self.size).T
+
+    def fill(self, axes: Any, values: Array, **options: Any) -> Any:
+        """Draw values as coloured cells."""
+        return axes.pcolormesh(self.x, self.y, self.image(values), shading="nearest", **options)
+
+
+def _margin_scale(regions: Sequence[Region]) -> Any:
+    """Colours of margins: zero in the middle, as far down as up."""
+    from matplotlib.colors import TwoSlopeNorm
+
+    values = np.concatenate([r.verdicts.margin[r.verdicts.margin > 0.0] for r in regions])
+    most = float(np.max(values)) if len(values) else 1.0
+    return TwoSlopeNorm(vmin=-most, vcenter=0.0, vmax=most)
+
+
+def _draw_margin(axes: Any, region: Region, plane: _Plane, scale: Any) -> Any:
+    """Draw the margin and where the workspace ends."""
+    margin = np.where(np.isneginf(region.verdicts.margin), scale.vmin, region.verdicts.margin)
+    image = plane.fill(axes, margin, cmap="RdYlBu", norm=scale)
+    inside = region.verdicts.inside
+    if inside.any() and not inside.all():
+        levels = plane.image(inside.astype(float))
+        axes.contour(plane.x, plane.y, levels, levels=[0.5], colors="black", linewidths=1.3)
+    _set_plane(axes, region, plane)
+    return image
+
+
+def _draw_limits(axes: Any, region: Region, plane: _Plane, shown: dict[Any, Any]) -> None:
+    """Draw which limit keeps each position out."""
+    from matplotlib.colors import to_rgb
+
+    out = region.verdicts
+    colors = np.tile(to_rgb(INSIDE), (len(out.limit), 1))
+    for key, color in shown.items():
+        colors[_matches(out, key)] = to_rgb(color)
+    picture = colors.reshape(*plane.size, 3).swapaxes(0, 1)
+    axes.pcolormesh(plane.x, plane.y, picture, shading="nearest")
+    _set_plane(axes, region, plane)
+
+
+def _matches(out: Any, key: tuple[int, int]) -> NDArray[np.bool_]:
+    """Positions that a limit, and a cable where it is about one, keeps out."""
+    found: NDArray[np.bool_] = out.limit == key[0]
+    return found & (out.cable == key[1]) if key[0] in OF_CABLE else found
+
+
+def _set_plane(axes: Any, region: Region, plane: _Plane) -> None:
+    """Limits, labels, exit points and the workspace box of a plane."""
+    robot = region.robot
+    axes.set(xlabel=f"{'xyz'[plane.right]} [m]", ylabel=f"{'xyz'[plane.up]} [m]", aspect="equal")
+    low, high = robot.workspace_min, robot.workspace_max
+    corners = [(low, low), (high, low), (high, high), (low, high), (low, low)]
+    axes.plot(
+        [a[plane.right] for a, _ in corners], [b[plane.up] for _, b in corners],
+        color=FRAME, lw=0.8, ls="--",
+    )  # fmt: skip
+    columns = [plane.right, plane.up]
+    axes.plot(*robot.exit_points[:, columns].T, "s", color=FRAME, ms=4)
+
+
+def _shown_limits(regions: Sequence[Region]) -> dict[tuple[int, int], Any]:
+    """A colour for each limit, and cable, that keeps positions out."""
+    from matplotlib import colormaps
+
+    keys = {(limit, cable if limit in OF_CABLE else -1)
+            for region in regions for limit, cable, _ in region.causes()}  # fmt: skip
+    n = regions[0].robot.n
+    shown: dict[tuple[int, int], Any] = {}
+    for limit, cable in sorted(keys):
+        kind = Limit(limit)
+        if kind in SCALES and cable >= 0:
+            shown[limit, cable] = colormaps[SCALES[kind]](0.35 + 0.6 * (cable + 0.5) / n)
+        else:
+            shown[limit, cable] = PLAIN[kind]
+    return shown
+
+
+def _limit_legend(
+    figure: Figure, region: Region, shown: dict[tuple[int, int], Any], box: bool = False
+) -> None:
+    """Name the colours of the limits."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    first = Patch(color=INSIDE, label="inside")
+    if box:
+        first = Patch(color=BOX_FACE, label="face of the box")
+    handles: list[Any] = [first]
+    names = region.robot.cable_names
+    handles += [Patch(color=c, label=describe(*key, names)) for key, c in shown.items()]
+    handles.append(Line2D([], [], color=FRAME, marker="s", ls="", ms=4, label="exit points"))
+    handles.append(Line2D([], [], color=FRAME, lw=0.8, ls="--", label="box of the robot file"))
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+
+
+def _boundary(region: Region) -> tuple[list[Array], list[tuple[int, int]]]:
+    """Faces between cells inside and outside, with the limit beyond; (0, -1) at the box."""
+    shape = region.grid.shape
+    inside = region.verdicts.inside.reshape(shape)
+    limit, cable = (x.reshape(shape) for x in (region.verdicts.limit, region.verdicts.cable))
+    edges = [_edges(axis) for axis in region.grid.axes]
+    faces: list[Array] = []
+    keys: list[tuple[int, int]] = []
+    for axis in range(3):
+        for way in (-1, 1):
+            for cell in np.argwhere(inside):
+                beyond = cell.copy()
+                beyond[axis] += way
+                key = (0, -1)
+                if 0 <= beyond[axis] < shape[axis]:
+                    place = tuple(beyond)
+                    if inside[place]:
+                        continue
+                    kind = int(limit[place])
+                    key = (kind, int(cable[place]) if kind in OF_CABLE else -1)
+                faces.append(_face(edges, cell, axis, way))
+                keys.append(key)
+    return faces, keys
+
+
+def _edges(axis: Array) -> Array:
+    """Edges of the cells around coordinates."""
+    step = axis[1] - axis[0] if len(axis) > 1 else 0.1
+    return np.append(axis - 0.5 * step, axis[-1] + 0.5 * step)
+
+
+def _face(edges: list[Array], cell: NDArray[np.intp], axis: int, way: int) -> Array:
+    """Corners of one face of a cell, (4, 3)."""
+    a, b = (k for k in range(3) if k != axis)
+    corners = np.empty((4, 3))
+    corners[:, axis] = edges[axis][cell[axis] + (way > 0)]
+    corners[:, a] = edges[a][cell[a] + np.array([0, 1, 1, 0])]
+    corners[:, b] = edges[b][cell[b] + np.array([0, 0, 1, 1])]
+    return corners

@@ -1,0 +1,25 @@
+"""Where a robot can go, by how much, and which limit stops it there."""
+
+from __future__ import annotations
+
+from carosac_toolkit.workspace.grid import Grid, box_grid, box_of, slice_grid
+from carosac_toolkit.workspace.judgement import Verdicts, judge
+from carosac_toolkit.workspace.limits import Limit
+from carosac_toolkit.workspace.maps import Maps, maps
+from carosac_toolkit.workspace.region import Region, compute
+from carosac_toolkit.workspace.settings import WorkspaceSettings
+
+__all__ = [
+    "Grid",
+    "Limit",
+    "Maps",
+    "Region",
+    "Verdicts",
+    "WorkspaceSettings",
+    "box_grid",
+    "box_of",
+    "compute",
+    "judge",
+    "maps",
+    "slice_grid",
+]

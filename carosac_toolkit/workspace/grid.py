@@ -1,0 +1,111 @@
+"""Positions on a grid in a box, and on planes through it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.robot import Robot
+
+AXES = "xyz"
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Positions at all combinations of coordinates; the last axis with many is a line's.
+
+    Attributes:
+        axes: Coordinates along x, y and z of W [m], each rising.
+    """
+
+    axes: tuple[Array, Array, Array]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of coordinates along each axis."""
+        x, y, z = (len(axis) for axis in self.axes)
+        return x, y, z
+
+    @property
+    def positions(self) -> Array:
+        """All positions [m], shape (B, 3), z fastest."""
+        grid = np.meshgrid(*self.axes, indexing="ij")
+        return np.stack(grid, axis=-1).reshape(-1, 3)
+
+    @property
+    def lines(self) -> NDArray[np.int64]:
+        """Where each line of positions along z, or y where z is one value, begins."""
+        step = self.shape[2] if self.shape[2] > 1 else self.shape[1]
+        return np.arange(0, int(np.prod(self.shape)), step)
+
+    @property
+    def cell(self) -> float:
+        """Volume that each position stands for [m^3]."""
+        spans = [axis[-1] - axis[0] for axis in self.axes]
+        counts = [max(len(axis) - 1, 1) for axis in self.axes]
+        return float(np.prod([span / count for span, count in zip(spans, counts, strict=True)]))
+
+
+def box_grid(lower: Array, upper: Array, count: int) -> Grid:
+    """A grid of cubes as nearly as possible, positions in the middle of its cells.
+
+    Args:
+        lower: Lower corner of the box [m], shape (3,).
+        upper: Upper corner [m], shape (3,).
+        count: About how many positions.
+    """
+    span = upper - lower
+    if not (span > 0.0).all():
+        raise InvalidField("box", f"{lower} to {upper} m", "a lower corner below the upper one")
+    edge = float((np.prod(span) / count) ** (1.0 / 3.0))
+    numbers = np.maximum(np.round(span / edge).astype(int), 1)
+    axes = [
+        low + (np.arange(k) + 0.5) * (high - low) / k
+        for low, high, k in zip(lower, upper, numbers, strict=True)
+    ]
+    return Grid((axes[0], axes[1], axes[2]))
+
+
+def slice_grid(lower: Array, upper: Array, axis: str, value: float, count: int) -> Grid:
+    """A plane of positions across the box, edges included.
+
+    Args:
+        lower: Lower corner of the box [m], shape (3,).
+        upper: Upper corner [m], shape (3,).
+        axis: The axis across the plane: x, y or z.
+        value: Its coordinate there [m].
+        count: About how many positions.
+    """
+    across = AXES.index(axis)
+    rest = [k for k in range(3) if k != across]
+    span = (upper - lower)[rest]
+    edge = float(np.sqrt(np.prod(span) / count))
+    axes = [np.array([value])] * 3
+    for k, size in zip(rest, span, strict=True):
+        axes[k] = np.linspace(lower[k], upper[k], max(round(size / edge), 1) + 1)
+    return Grid((axes[0], axes[1], axes[2]))
+
+
+def box_of(robot: Robot, name: str) -> tuple[Array, Array]:
+    """Lower and upper corner of a box that a robot has [m].
+
+    Args:
+        robot: Robot description.
+        name: ``workspace``, the box of its file, or ``frame``, the one around its exit points and
+            that box.
+    """
+    if name == "workspace":
+        return robot.workspace_min, robot.workspace_max
+    lower = np.minimum(robot.exit_points.min(axis=0), robot.workspace_min)
+    upper = np.maximum(robot.exit_points.max(axis=0), robot.workspace_max)
+    return lower, upper
+
+
+def corners(numbers: Sequence[float]) -> tuple[Array, Array]:
+    """Lower and upper corner from six numbers."""
+    return np.array(numbers[:3], dtype=float), np.array(numbers[3:], dtype=float)

@@ -1,0 +1,205 @@
+"""The workspace on a grid: its volume, what bounds it, in numbers and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.workspace.grid import Grid
+from carosac_toolkit.workspace.judgement import Verdicts, judge
+from carosac_toolkit.workspace.limits import OF_CABLE, WORDS, Limit, describe
+from carosac_toolkit.workspace.settings import WorkspaceSettings
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Region:
+    """Verdicts on a grid of positions.
+
+    Attributes:
+        robot: The robot.
+        grid: The positions.
+        settings: What was asked of a pose.
+        verdicts: One for each position of `grid.positions`; with several orientations the worst.
+    """
+
+    robot: Robot
+    grid: Grid
+    settings: WorkspaceSettings
+    verdicts: Verdicts
+
+    @property
+    def share(self) -> float:
+        """Share of the positions inside."""
+        return float(self.verdicts.inside.mean())
+
+    @property
+    def volume(self) -> float:
+        """Cells whose middle is inside [m^3]."""
+        return float(self.verdicts.inside.sum()) * self.grid.cell
+
+    @property
+    def unknown(self) -> int:
+        """Positions where the computation did not converge; they count as outside."""
+        return int((self.verdicts.limit == Limit.NOT_CONVERGED).sum())
+
+    def causes(self, *, at_the_end: bool = False) -> list[tuple[int, int, int]]:
+        """Limit, cable (-1: none) and number of positions it keeps out, the largest first.
+
+        Args:
+            at_the_end: Only of the positions beside one that is inside, where a platform that
+                leaves the workspace meets its limits.
+        """
+        out = self.verdicts
+        chosen = self._beside() if at_the_end else ~out.inside
+        pairs = np.stack([out.limit, out.cable], axis=1)[chosen]
+        if len(pairs) == 0:
+            return []
+        found, counts = np.unique(pairs, axis=0, return_counts=True)
+        order = np.argsort(-counts, kind="stable")
+        return [(int(found[k, 0]), int(found[k, 1]), int(counts[k])) for k in order]
+
+    def _beside(self) -> NDArray[np.bool_]:
+        """Positions outside, next to one inside along x, y or z."""
+        inside = self.verdicts.inside.reshape(self.grid.shape)
+        near = np.zeros_like(inside)
+        for axis in range(3):
+            ahead = [slice(None)] * 3
+            behind = [slice(None)] * 3
+            ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+            near[tuple(ahead)] |= inside[tuple(behind)]
+            near[tuple(behind)] |= inside[tuple(ahead)]
+        beside: NDArray[np.bool_] = (near & ~inside).ravel()
+        return beside
+
+    def sentence(self) -> str:
+        """The result in words."""
+        name = self.robot.name
+        share = f"{self.share:.1%}".replace("%", " %")
+        if self.verdicts.inside.all():
+            text = f"{name} can hold its platform everywhere in the box"
+            return f"{text}; {self._nearest()}"
+        if not self.verdicts.inside.any():
+            text = f"{name} can hold its platform nowhere in the box: {self._words(False)}"
+        else:
+            text = f"{name} can hold its platform in {share} of the box; "
+            text += f"where that ends, mostly {self._words(True)}"
+        if self.unknown:
+            text += f"; {self.unknown} positions did not converge and count as outside"
+        return text
+
+    def _nearest(self) -> str:
+        """What comes nearest inside."""
+        out = self.verdicts
+        k = int(np.nanargmin(np.where(np.isfinite(out.margin), out.margin, np.nan)))
+        which = describe(out.nearest[k], out.nearest_cable[k], self.robot.cable_names)
+        verb = {Limit.SLACK: "first to fall slack", Limit.OVERLOAD: "first to be overloaded"}
+        cable = self.robot.cable_names[out.nearest_cable[k]]
+        place = ", ".join(f"{x:.2f}" for x in out.rest.position[k])
+        said = verb.get(Limit(int(out.nearest[k])), which)
+        return f"the least margin is {out.margin[k]:.3g} N at ({place}) m, {cable} {said}"
+
+    def _words(self, at_the_end: bool) -> str:
+        """What keeps positions out, the three most frequent causes."""
+        causes = self.causes(at_the_end=at_the_end)
+        total = sum(count for _, _, count in causes)
+        return ", ".join(
+            f"{describe(limit, cable, self.robot.cable_names)} ({100.0 * count / total:.0f} %)"
+            for limit, cable, count in causes[:3]
+        )
+
+    def data(self) -> dict[str, Any]:
+        """The numbers, as JSON knows them."""
+        out = self.verdicts
+        finite = out.margin[np.isfinite(out.margin)]
+        inside = out.margin[out.inside]
+        return {
+            "model": "sag" if self.settings.sag else "straight",
+            "positions": len(out.margin),
+            "inside": int(out.inside.sum()),
+            "share": self.share,
+            "volume_m3": self.volume,
+            "box_m3": self.grid.cell * len(out.margin),
+            "not_converged": self.unknown,
+            "margin_N": {
+                "least_inside": float(inside.min()) if len(inside) else None,
+                "median_inside": float(np.median(inside)) if len(inside) else None,
+                "largest": float(finite.max()) if len(finite) else None,
+            },
+            "limits": self._listed(at_the_end=False),
+            "limits_at_the_end": self._listed(at_the_end=True),
+            "sentence": self.sentence(),
+        }
+
+    def _listed(self, *, at_the_end: bool) -> list[dict[str, Any]]:
+        """The causes, as JSON knows them."""
+        names = self.robot.cable_names
+        return [
+            {
+                "limit": WORDS[Limit(limit)],
+                "cable": names[cable] if limit in OF_CABLE and cable >= 0 else None,
+                "positions": count,
+            }
+            for limit, cable, count in self.causes(at_the_end=at_the_end)
+        ]
+
+
+def compute(
+    robot: Robot,
+    grid: Grid,
+    *,
+    settings: WorkspaceSettings | None = None,
+    orientations: Sequence[Array] | None = None,
+) -> Region:
+    """Judge all positions of a grid.
+
+    Args:
+        robot: Robot description, n cables.
+        grid: Positions; see `box_grid` and `slice_grid`.
+        settings: What is asked of a pose; None: the defaults.
+        orientations: Rotations from P to W, each (3, 3), with all of which a position must be held
+            (n >= 6 only); None: the home rotation, or with n < 6 the one that is found.
+
+    Returns:
+        The verdicts, and with them volume and words.
+    """
+    asked = settings or WorkspaceSettings()
+    where = grid.positions
+    if orientations is None:
+        verdicts = judge(robot, where, settings=asked, lines=grid.lines)
+        return Region(robot=robot, grid=grid, settings=asked, verdicts=verdicts)
+    if len(orientations) == 0:
+        raise InvalidField("orientations", "none", "at least one rotation, or None")
+    found = [
+        judge(robot, where, np.broadcast_to(turn, (len(where), 3, 3)), settings=asked)
+        for turn in orientations
+    ]
+    return Region(robot=robot, grid=grid, settings=asked, verdicts=_worst(found))
+
+
+def _worst(found: Sequence[Verdicts]) -> Verdicts:
+    """Row by row the verdict that is outside, or has the least margin."""
+    margin = np.stack([np.where(np.isnan(v.margin), -np.inf, v.margin) for v in found])
+    inside = np.stack([v.inside for v in found])
+    chosen = np.lexsort((margin, inside), axis=0)[0]
+    worst: Verdicts = _choose(found, chosen)
+    return worst
+
+
+def _choose(found: Sequence[Any], chosen: NDArray[np.intp]) -> Any:
+    """Row by row one of several records of equal arrays."""
+    rows = np.arange(len(chosen))
+    values = {}
+    for field in fields(found[0]):
+        parts = [getattr(record, field.name) for record in found]
+        if isinstance(parts[0], np.ndarray):
+            values[field.name] = np.stack(parts)[chosen, rows]
+        else:
+            values[field.name] = _choose(parts, chosen)
+    return type(found[0])(**values)

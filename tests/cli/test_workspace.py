@@ -1,0 +1,87 @@
+"""`carosac workspace` as its user meets it."""
+
+import csv
+import json
+
+import pyarrow.parquet as pq
+import pytest
+
+from carosac_toolkit.cli.main import main
+
+
+def run(tmp_path, *words):
+    out = tmp_path / "out"
+    status = main(["workspace", *words, "--output", str(out), "--json", str(tmp_path / "w.json")])
+    return status, out
+
+
+def test_pictures_are_drawn(tmp_path):
+    words = ("--box", "frame", "--points", "60", "--slice", "z=2", "--slice-points", "40")
+    status, out = run(tmp_path, "cogiro", *words)
+    assert status == 0
+    names = {path.name for path in out.iterdir()}
+    assert names == {"slices.png", "space.png", "maps_z_2.png", "positions.csv"}
+    for name in names - {"positions.csv"}:
+        assert (out / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_table_numbers_and_words(tmp_path, capsys):
+    status, out = run(
+        tmp_path, "cogiro", "--box", "frame", "--points", "150", "--slice-points", "60",
+        "--slice", "z=2", "x=0", "--model", "both", "--no-pictures",
+    )  # fmt: skip
+    assert status == 0
+    said = capsys.readouterr().out
+    assert "cogiro can hold its platform in" in said and "sag takes" in said
+    data = json.loads((tmp_path / "w.json").read_text())
+    assert data["sentence"] in said
+    assert data["inside"] + sum(row["positions"] for row in data["limits"]) == data["positions"]
+    assert data["volume_m3"] == pytest.approx(data["share"] * data["box_m3"])
+    assert set(data["models"]) == {"sag", "straight"}
+    assert [part["plane"] for part in data["slices"]["sag"]] == ["z=2", "x=0"]
+    assert {path.name for path in out.iterdir()} == {
+        "positions-sag.csv", "positions-straight.csv",
+    }  # fmt: skip
+    with (out / "positions-sag.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == data["positions"]
+    assert sum(row["inside"] == "1" for row in rows) == data["inside"]
+    for row in rows:
+        assert (row["limit"] == "inside") == (row["inside"] == "1")
+        if row["inside"] == "1":
+            tension = [float(row[f"tension_{k:02d}_N"]) for k in range(1, 9)]
+            margin = min(min(t - 10.0, 5000.0 - t) for t in tension)
+            # A cable that could not hang with tension_min has a higher limit: never above.
+            assert float(row["margin_N"]) <= margin + 1e-5
+            assert float(row["frequency_Hz"]) > 0.0 and float(row["sag_m"]) >= 0.0
+
+
+def test_nowhere_is_status_1_and_parquet_is_read_back(tmp_path, capsys):
+    status, out = run(
+        tmp_path, "carosac", "--lower", "0", "-2", "9", "--upper", "1", "-1", "10", "--points",
+        "30", "--slice-points", "20", "--table", "parquet", "--no-pictures",
+    )  # fmt: skip
+    assert status == 1
+    assert "nowhere in the box" in capsys.readouterr().out
+    table = pq.read_table(out / "positions.parquet").to_pydict()
+    assert not any(table["inside"]) and set(table["limit"]) == {"no cable pulls there"}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["carosac", "--rpy-deg", "0,0,0"], "4 cables of carosac leave the orientation free"),
+        (["cogiro", "--rpy-deg", "0;0"], "ROLL,PITCH,YAW in degrees"),
+        (["carosac", "--slice", "q=1"], "x=, y= or z= with a number"),
+        (["carosac", "--lower", "0", "0", "0"], "--lower and --upper go together"),
+        (["carosac", "--lower", "0", "0", "3", "--upper", "1", "1", "2"], "below --upper"),
+        (["carosac", "--points", "0"], "1 to 10000000"),
+        (["carosac", "--force", "-1", "0", "0"], "force"),
+        (["carosac", "--tilt-max-deg", "200"], "tilt_max"),
+    ],
+)
+def test_wrong_input_is_one_message_and_nothing_is_written(tmp_path, capsys, words, message):
+    status, out = run(tmp_path, *words)
+    assert status == 2 and not out.exists() and not (tmp_path / "w.json").exists()
+    error = capsys.readouterr().err
+    assert message in error and len(error.strip().splitlines()) == 1
