@@ -20,10 +20,10 @@ $(STAMP): pyproject.toml constraints.txt
 	@echo "1/3 Making a virtual environment in $(VENV)."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "2/3 Installing the toolkit in place, with its dependencies and the tools for tests,"
-	@echo "    documentation and learning, at the versions of constraints.txt."
+	@echo "    documentation, learning and bags, at the versions of constraints.txt."
 	@echo "    This takes some minutes and about 3 GB of disk."
 	@PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install -qq \
-		--constraint constraints.txt --editable '.[dev,docs,learn]'
+		--constraint constraints.txt --editable '.[dev,docs,learn,ros]'
 	@echo "3/3 Checking that the installed packages fit together."
 	@$(BIN)/python -m pip check
 	@touch $@
