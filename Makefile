@@ -8,7 +8,7 @@ RESULTS := carosac-results
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench bars docs clean
+.PHONY: help setup demo test lint bench bars docs docs-commands clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-7s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -67,6 +67,9 @@ bars: $(STAMP)  ## run the slow acceptance measurements; figures go to benchmark
 docs: $(STAMP)  ## build the documentation into docs/_build
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
 	@echo "Open docs/_build/index.html"
+
+docs-commands: $(STAMP)  ## run every command of README and docs, some with shorter settings: long
+	$(BIN)/python docs/commands.py
 
 clean:  ## remove what the other targets made, but not .venv
 	rm -rf $(RESULTS) docs/_build build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import textwrap
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -42,10 +43,16 @@ SHORTER: dict[str, dict[str, tuple[str, ...]]] = {
 }
 
 # Commands whose answer is negative on purpose.
-NEGATIVE = ("carosac import robot gantry_bodies.xml gantry_cables.xml --form missing.yaml",)
+NEGATIVE = (
+    "carosac import robot gantry_bodies.xml gantry_cables.xml --form missing.yaml",
+    "carosac import robot gantry_bodies.xml --form missing.yaml",
+)
 
 # Commands that cannot run here, and why.
 EXCEPTIONS = {
+    "carosac compare --controllers tilted:Tilted input_shaping mpc --estimators dynamic_estimator "
+    "--suites lengths+imu --seeds 20 --output paper": "hours; the same with fewer seeds is the "
+    "first command of README",
     "carosac train --preset carosac --robot my-robot.yaml": "a second robot: 20 minutes, and the "
     "same command runs for the bundled one",
 }
@@ -86,6 +93,7 @@ def written() -> list[Written]:
         text = page.read_text(encoding="utf-8")
         for kind, block in re.findall(r"```(console|bash)\n(.*?)```", text, re.DOTALL):
             start = "$ carosac " if kind == "console" else "carosac "
+            block = textwrap.dedent(block)  # blocks in lists are indented
             for line in re.sub(r"\\\n\s*|\n(?=\s+[\[-])", " ", block).splitlines():
                 if line.startswith(start):
                     command = re.sub(r"\s+#.*", "", line.removeprefix("$ "))
@@ -110,8 +118,6 @@ def shortened(words: Sequence[str]) -> list[str]:
 def bring(folder: Path) -> None:
     """Put into a folder what readers bring: robot files, a survey, runs, a bag."""
     import carosac_toolkit as ct
-    from calibration.tachymeter.synthetic import SurveyPlan, draw_survey
-    from calibration.tachymeter.synthetic_files import write_csv, write_gsi, write_targets
     from carosac_toolkit.recordings.bundled import find_recording
     from carosac_toolkit.robot_file import robot_text
 
@@ -119,56 +125,33 @@ def bring(folder: Path) -> None:
         shutil.copy(file, folder)
     for name in ("my-robot", "surveyed", "calibrated", "identified"):
         (folder / f"{name}.yaml").write_text(robot_text("carosac"), encoding="utf-8")
-    robot = ct.load_robot("carosac")
-    scene = draw_survey(robot, np.random.default_rng(3), SurveyPlan(blunders=0.05))
-    write_gsi(folder, scene.survey, long=True)
-    write_csv(folder / "survey.csv", scene.survey)
-    write_targets(folder / "targets.yaml", scene.survey)
+    for page in ("calibration-tachymeter", "calibration-without-poses", "tutorial-calibrate"):
+        _program(page, folder)
+    (folder / "tilted.py").write_text(programs("your-controller")[0], encoding="utf-8")
     policies = ROOT / "learned" / "policies"
     shutil.copy(policies / "carosac-residual.onnx", folder / "policy.onnx")
     trained = folder / "carosac-results" / "train" / "carosac-carosac-seed0" / "sag"
     trained.mkdir(parents=True)
     shutil.copy(policies / "carosac-settle.onnx", trained / "policy.onnx")
-    _motor_angles(folder / "angles.csv")
     run = ct.load_recording(find_recording("synthetic"))
     run.slice(0, 600).save(folder / "run.csv")
-    _poses(folder / "poses.csv")
     _bag(folder / "run.bag")
 
 
-def _poses(path: Path) -> None:
-    """Lengths and poses at rest, as before a calibration."""
-    import carosac_toolkit as ct
-
-    robot = ct.load_robot("carosac")
-    rng = np.random.default_rng(0)
-    where = rng.uniform(robot.workspace_min, robot.workspace_max, (60, 3))
-    rest = ct.statics.inverse_kinematics(robot, where)
-    good = rest.converged & rest.stable
-    poses = ct.PoseSamples.from_rotation(
-        2.0 * np.arange(good.sum()),
-        rest.position[good] + rng.normal(0, 1e-3, (good.sum(), 3)),
-        rest.rotation[good],
-    )
-    lengths = rest.unstrained_length[good] + rng.normal(0, 1e-3, (good.sum(), 4))
-    metadata = ct.RecordingMetadata(robot="carosac")
-    ct.Recording(time=poses.time, unstrained_length=lengths, poses=poses, metadata=metadata).save(
-        path
-    )
+def programs(page: str) -> list[str]:
+    """The Python programs of a page."""
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+    return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
 
 
-def _motor_angles(path: Path) -> None:
-    """What `docs/calibration-without-poses.md` writes for its own commands."""
-    page = (DOCS / "calibration-without-poses.md").read_text(encoding="utf-8")
-    program = re.search(r"```python\n(.*?)```", page, re.DOTALL)
-    assert program is not None
+def _program(page: str, folder: Path) -> None:
+    """Run the first program of a page, as its reader does: it writes files."""
     before = Path.cwd()
-    os.chdir(path.parent)
+    os.chdir(folder)
     try:
-        exec(program[1], {})  # our own page, as its reader runs it
+        exec(programs(page)[0], {})
     finally:
         os.chdir(before)
-    assert path.exists()
 
 
 def _bag(path: Path) -> None:
@@ -219,26 +202,26 @@ def _bag(path: Path) -> None:
                  linear_acceleration_covariance=nothing)  # fmt: skip
 
 
-def to_run(quick: bool) -> Iterator[Written]:
-    """Commands to run, each once."""
+def to_run(names: Sequence[str]) -> Iterator[Written]:
+    """Commands to run, each once; those of some names only, if there are any."""
     seen: set[str] = set()
     for command in written():
         if command.synopsis or command.text in EXCEPTIONS or command.text in seen:
             continue
-        if not quick or command.name in QUICK:
+        if not names or command.name in names:
             seen.add(command.text)
             yield command
 
 
-def run_all(run: Callable[[list[str]], int], *, quick: bool) -> list[str]:
+def run_all(run: Callable[[list[str]], int], names: Sequence[str]) -> list[str]:
     """Run commands in the current folder; returns what failed.
 
     Args:
         run: Takes what stands after ``carosac``, returns the exit status.
-        quick: Only those of `QUICK`.
+        names: Only commands of these names, such as `QUICK`; empty: all.
     """
     failed = []
-    for command in to_run(quick):
+    for command in to_run(names):
         start, cpu = time.perf_counter(), time.process_time()
         status = run(shortened(command.words))
         took = f"{time.perf_counter() - start:6.1f} s, {time.process_time() - cpu:6.1f} s here"
@@ -252,7 +235,9 @@ def main() -> int:
     """Run all of them, each in a process of its own."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="only those that the tests run")
-    quick = parser.parse_args().quick
+    parser.add_argument("--only", nargs="+", default=[], help="only these, such as compare")
+    options = parser.parse_args()
+    names = QUICK if options.quick else tuple(options.only)
     background: list[subprocess.Popen[str]] = []
 
     def run(words: list[str]) -> int:
@@ -274,7 +259,7 @@ def main() -> int:
         os.chdir(folder)
         bring(Path(folder))
         try:
-            failed = run_all(run, quick=quick)
+            failed = run_all(run, names)
         finally:
             for process in background:
                 process.terminate()

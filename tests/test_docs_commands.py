@@ -17,7 +17,7 @@ sys.path.insert(0, str(ROOT / "docs"))
 import commands  # noqa: E402
 
 ALL = commands.written()
-USUAL = ("--json", "--seed", "--help")
+PAGES = ("interchange", "tutorial-robot")
 
 
 def command_of(words):
@@ -53,4 +53,7 @@ def test_synopses_name_options_that_there_are(command, capsys):
 def test_quick_commands_run(tmp_path, monkeypatch, quick_pictures):
     monkeypatch.chdir(tmp_path)
     commands.bring(tmp_path)
-    assert commands.run_all(main, quick=True) == []
+    assert commands.run_all(main, commands.QUICK) == []
+    for page in PAGES:
+        for program in commands.programs(page):
+            exec(program, {})  # works on what the commands of the page have made
