@@ -34,7 +34,7 @@ QUICK = ("calibrate", "check", "import", "robots", "validate")
 SHORTER: dict[str, dict[str, tuple[str, ...]]] = {
     "compare": {"--seeds": ("1",), "--trajectories": ("waypoints",), "--workers": ("0",)},
     "evaluate": {"--trajectories": ("2",)},
-    "identify": {"--train": ("0:40",), "--test": ("40:60",)},
+    "identify": {"--train": ("0:110",), "--test": ("110:160",)},
     "plc": {"--duration": ("40",)},
     "run": {"--duration": ("2",)},
     "smooth": {"--stop": ("60",)},

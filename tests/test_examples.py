@@ -15,7 +15,9 @@ LINES = 100
 
 
 # Not run twice: tests of studies, identification and controllers say that their numbers come again.
-LONG = ("06_identify", "07_stop_the_sway", "08_learned_control", "my_controller")
+LONG = (
+    "06_identify", "07_stop_the_sway", "08_learned_control", "15_smooth", "my_controller",
+)  # fmt: skip
 
 
 def run(program: Path, folder: Path) -> str:
