@@ -8,7 +8,7 @@ RESULTS := carosac-results
 JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench bars docs clean
+.PHONY: help setup demo test lint bench bars docs docs-commands clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-7s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -20,10 +20,10 @@ $(STAMP): pyproject.toml constraints.txt
 	@echo "1/3 Making a virtual environment in $(VENV)."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "2/3 Installing the toolkit in place, with its dependencies and the tools for tests,"
-	@echo "    documentation, learning and viewing, at the versions of constraints.txt."
+	@echo "    documentation, learning, viewing and bags, at the versions of constraints.txt."
 	@echo "    This takes some minutes and about 3 GB of disk."
 	@PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install -qq \
-		--constraint constraints.txt --editable '.[dev,docs,learn,view]'
+		--constraint constraints.txt --editable '.[dev,docs,learn,ros,view]'
 	@echo "3/3 Checking that the installed packages fit together."
 	@$(BIN)/python -m pip check
 	@touch $@
@@ -68,6 +68,9 @@ bars: $(STAMP)  ## run the slow acceptance measurements; figures go to benchmark
 docs: $(STAMP)  ## build the documentation into docs/_build
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
 	@echo "Open docs/_build/index.html"
+
+docs-commands: $(STAMP)  ## run every command of README and docs, some with shorter settings: long
+	$(BIN)/python docs/commands.py
 
 clean:  ## remove what the other targets made, but not .venv
 	rm -rf $(RESULTS) docs/_build build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

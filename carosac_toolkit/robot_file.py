@@ -24,6 +24,9 @@ from carosac_toolkit.yaml_lines import FieldPath, did_you_mean, format_path, nea
 
 _SUFFIXES = (".yaml", ".yml")
 _LONGEST = 80
+_INSTEAD: dict[FieldPath, tuple[str, ...]] = {  # of the ways to give a section, the usual one
+    ("workspace",): ("min", "max"), ("home",): ("position", "rpy_deg"),
+}  # fmt: skip
 _SECTIONS = (
     "frame", "platform", "cable_types", "winches", "chains", "tension_limits", "workspace", "home",
     "sensors", "hardware",
@@ -110,11 +113,7 @@ def parse_file(text: str, *, source: str = "robot") -> tuple[Robot, RobotFile]:
         if not faults:
             faults = [(1, f"got {_shown(document.data)}; allowed: {_allowed(RobotFile, ())}")]
         raise InvalidFile(source, _sorted(faults))
-    model, parts, errors = _validate(document.data)
-    unknown = _unknown_keys(errors)
-    problems = _schema_faults(errors, unknown) + cross_faults(
-        _repaired(document.data, unknown), parts
-    )
+    model, problems = _check(document.data)
     faults += [(document.line(path), f"{format_path(path)}: {what}") for path, what in problems]
     if faults or model is None:
         raise InvalidFile(source, _sorted(faults))
@@ -122,6 +121,34 @@ def parse_file(text: str, *, source: str = "robot") -> tuple[Robot, RobotFile]:
         return build_robot(model), model
     except InvalidField as error:
         raise InvalidFile(source, [str(error)]) from error
+
+
+def document_faults(data: dict[str, Any]) -> list[tuple[FieldPath, str]]:
+    """What is wrong with a robot file that is plain data: paths, and what is wrong there.
+
+    What is said of a field that is not there starts with ``missing``.
+    """
+    return _check(data)[1]
+
+
+def fields_to_give(path: FieldPath) -> list[tuple[FieldPath, str]]:
+    """The single fields that are required at a path, each with what it allows."""
+    model = _model_of(_annotation_at(RobotFile, path))
+    if model is None:
+        return [(path, _allowed(RobotFile, path))]
+    required = [
+        field.alias or name for name, field in model.model_fields.items() if field.is_required()
+    ]
+    names = _INSTEAD.get(path, ()) or required or list(model.model_fields)
+    return [leaf for name in names for leaf in fields_to_give((*path, name))]
+
+
+def _check(data: dict[str, Any]) -> tuple[RobotFile | None, list[tuple[FieldPath, str]]]:
+    """Check plain data, field by field and against each other."""
+    model, parts, errors = _validate(data)
+    unknown = _unknown_keys(errors)
+    found = _schema_faults(errors, unknown) + cross_faults(_repaired(data, unknown), parts)
+    return model, found
 
 
 def _looks_like_path(text: str) -> bool:

@@ -1,0 +1,211 @@
+"""Make a recording from a bag of ROS 1 or 2 or an MCAP file.
+
+With a bag alone it lists the topics and says which may hold what. Each channel keeps its own time
+stamps, those of message headers where there are any; nothing is interpolated.
+
+carosac import recording run.bag
+
+carosac import recording run.bag --lengths /joint_states --pose /mocap/pose --output run.parquet
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from carosac_toolkit.cli.common import (
+    CommandResult,
+    CommonOptions,
+    OutputFile,
+    check_writable,
+    format_table,
+)
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.interchange.bag import Bag, Topic, open_bag
+from carosac_toolkit.interchange.bag_channels import (
+    IMU,
+    LENGTH_TYPES,
+    POSE_TYPES,
+    TF_TYPES,
+    numeric,
+)
+from carosac_toolkit.interchange.bag_recording import Imported, Topics, read_bag
+
+_CHANNELS = ("tension", "command", "rates", "pose", "imu", "output")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(CommonOptions):
+    """Options of ``carosac import recording``."""
+
+    bag: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="BAG ...")]
+    """A .bag of ROS 1 (or its parts), the folder of a ROS 2 bag, or a single .mcap or .db3."""
+    output: OutputFile = None
+    """Write the recording here (.parquet or .csv)."""
+    lengths: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TOPIC[.FIELD] ...")] = ()
+    """Cable lengths: one topic with a number for each cable, or a topic for each cable. Known are
+    arrays, JointState (position) and single numbers; of other messages name the FIELD, such as
+    `/winches.drives.length`."""
+    tension: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TOPIC[.FIELD] ...")] = ()
+    """Tensions at the platform [N], in the same way; of JointState the effort."""
+    command: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TOPIC[.FIELD] ...")] = ()
+    """Commanded lengths, in the same way."""
+    rates: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TOPIC[.FIELD] ...")] = ()
+    """Rates of the lengths, in the same way; of JointState the velocity."""
+    pose: Annotated[str | None, tyro.conf.arg(metavar="TOPIC[.FIELD]")] = None
+    """Measured poses: PoseStamped, TransformStamped, Odometry, tf, or the FIELD with a pose."""
+    frames: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PARENT CHILD")] = ()
+    """For a topic of tf: the frames of world and platform."""
+    imu: Annotated[str | None, tyro.conf.arg(metavar="TOPIC")] = None
+    """Inertial samples: sensor_msgs/Imu."""
+    names: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
+    """For JointState: the joints of the cables, in the order of the robot's cables."""
+    length_unit: Literal["m", "cm", "mm"] = "m"
+    """Unit of lengths and commands, and with /s of rates."""
+    relative: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Lengths are known but for a constant for each cable."""
+    stamps: Literal["header", "receive"] = "header"
+    """`header`: stamps of the message headers, where there are any; `receive`: when the recorder
+    got the message."""
+    together: float | None = None
+    """With a topic for each cable: samples that are so near in time [s] are one, at the time of
+    the first topic's."""
+    definitions: str | None = None
+    """Folder with PACKAGE/msg/NAME.msg, for a bag that does not define its message types."""
+    robot: str | None = None
+    """Which robot it was: a bundled name or a YAML file; stands in the recording."""
+
+
+def run(options: Options) -> CommandResult:
+    """List topics, or import."""
+    check_writable("--output", options.output, (".parquet", ".csv"))
+    if not options.bag:
+        raise InvalidField("BAG", "nothing", "a bag; see 'carosac import recording --help'")
+    definitions = Path(options.definitions) if options.definitions else None
+    with open_bag([Path(bag) for bag in options.bag], definitions=definitions) as bag:
+        asked = [name for name in _CHANNELS if getattr(options, name)]
+        if not options.lengths and not asked:
+            return _list(bag)
+        imported = read_bag(bag, _topics(options))
+    _say(imported)
+    if options.output is not None:
+        imported.recording.save(options.output)
+        print(f"\nrecording: {options.output}; next: carosac validate {options.output}")
+    return CommandResult(_data(imported))
+
+
+def _topics(options: Options) -> Topics:
+    """What the options ask for."""
+    if options.frames and len(options.frames) != 2:
+        raise InvalidField("--frames", " ".join(options.frames), "two: PARENT CHILD")
+    return Topics(
+        lengths=options.lengths,
+        tensions=options.tension,
+        commands=options.command,
+        rates=options.rates,
+        pose=options.pose,
+        imu=options.imu,
+        frames=options.frames,
+        names=options.names,
+        together=options.together,
+        stamps=options.stamps,
+        length_unit=options.length_unit,
+        length_kind="relative" if options.relative else "unstrained",
+        robot=options.robot,
+    )
+
+
+def _list(bag: Bag) -> CommandResult:
+    """All topics, and what they may be."""
+    rows = [
+        (topic.name, topic.kind, topic.count, "" if topic.rate is None else f"{topic.rate:.1f}",
+         _use(bag, topic))
+        for topic in bag.topics.values()
+    ]  # fmt: skip
+    print(format_table(("topic", "type", "messages", "rate [Hz]", "may be"), rows))
+    print("\nName the topics: --lengths /joint_states --pose /mocap/pose --output run.parquet")
+    if bag.assumed:
+        print("The bag does not define its message types; those of ROS 2 are taken.")
+    data = [
+        {"topic": topic.name, "type": topic.kind, "messages": topic.count, "rate_Hz": topic.rate}
+        for topic in bag.topics.values()
+    ]
+    return CommandResult({"topics": data})
+
+
+def _use(bag: Bag, topic: Topic) -> str:
+    """Which option a message type fits; of unknown ones the fields with numbers."""
+    kind = topic.kind
+    if kind == IMU:
+        return "--imu"
+    if kind in TF_TYPES:
+        return "--pose, with --frames"
+    if kind in POSE_TYPES:
+        return "--pose"
+    if kind in LENGTH_TYPES:
+        return "--lengths, --tension"
+    fields = numeric(bag.first(topic.name))
+    return f"{topic.name}.FIELD of {fields}" if fields else ""
+
+
+def _say(imported: Imported) -> None:
+    """Channels, clocks and what was left out."""
+    rates = imported.recording.rates
+    rows = [
+        (
+            name,
+            samples.topic,
+            len(samples.time),
+            samples.value.shape[1],
+            "" if rates[name] is None else f"{rates[name]:.1f}",
+            samples.clock,
+            "" if samples.behind is None else f"{1e3 * samples.behind:.1f}",
+        )
+        for name, samples in imported.channels.items()
+    ]
+    header = (
+        "channel",
+        "topic",
+        "samples",
+        "columns",
+        "rate [Hz]",
+        "stamps",
+        "received after [ms]",
+    )
+    print(format_table(header, rows))
+    labels = imported.channels["unstrained_length"].labels
+    if labels:
+        print("\ncables: " + ", ".join(f"{i + 1} is {name}" for i, name in enumerate(labels)))
+    for note in imported.notes:
+        print(f"left out: {note}")
+    for warning in imported.warnings:
+        print(f"warning: {warning}")
+    print(f"\n{imported.recording.duration:.3f} s, {imported.recording.n} cables; "
+          f"{imported.recording.metadata.description}")  # fmt: skip
+
+
+def _data(imported: Imported) -> dict[str, Any]:
+    """What ``--json`` writes."""
+    recording = imported.recording
+    return {
+        "duration_s": recording.duration,
+        "cables": recording.n,
+        "channels": {
+            name: {
+                "topic": samples.topic,
+                "samples": len(samples.time),
+                "rate_Hz": recording.rates[name],
+                "stamps": samples.clock,
+                "received_after_s": samples.behind,
+                "left_out": samples.repeated,
+                "labels": list(samples.labels),
+            }
+            for name, samples in imported.channels.items()
+        },
+        "notes": imported.notes,
+        "warnings": imported.warnings,
+        "metadata": recording.metadata.to_dict(),
+    }

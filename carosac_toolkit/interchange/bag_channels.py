@@ -1,0 +1,262 @@
+"""From the messages of a topic to numbers with time stamps."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.interchange.bag import Bag
+
+Nanoseconds = NDArray[np.int64]
+STAMPS = ("header", "receive")
+_DEFAULT = {
+    "std_msgs/msg/Float64MultiArray": "data", "std_msgs/msg/Float32MultiArray": "data",
+    "std_msgs/msg/Float64": "data", "std_msgs/msg/Float32": "data",
+    "sensor_msgs/msg/JointState": "position",
+}  # fmt: skip
+_EFFORT = {"sensor_msgs/msg/JointState": "effort"}
+_RATE = {"sensor_msgs/msg/JointState": "velocity"}
+_POSE = {
+    "geometry_msgs/msg/PoseStamped": "pose",
+    "geometry_msgs/msg/PoseWithCovarianceStamped": "pose.pose",
+    "nav_msgs/msg/Odometry": "pose.pose", "geometry_msgs/msg/TransformStamped": "transform",
+    "geometry_msgs/msg/Pose": "", "geometry_msgs/msg/Transform": "",
+}  # fmt: skip
+TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+IMU = "sensor_msgs/msg/Imu"
+POSE_TYPES = (*_POSE, *TF_TYPES)
+LENGTH_TYPES = tuple(_DEFAULT)
+_SPEC = re.compile(r"(?P<topic>/?[^.\[\]]+)(?:\.(?P<field>[\w.]+))?")
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Numbers of a topic, in order of their stamps.
+
+    Attributes:
+        topic: Its name and field, for people.
+        time: Stamps since 1970 [ns], strictly increasing, shape (K,).
+        value: Shape (K, columns).
+        clock: ``header`` or ``receive``.
+        behind: Median of the time of receipt after the header's stamp [s]; None without headers.
+        repeated: Messages left out as they have the stamp of an earlier one.
+        labels: Names of the columns, where the messages have them.
+    """
+
+    topic: str
+    time: Nanoseconds
+    value: Array
+    clock: str
+    behind: float | None
+    repeated: int
+    labels: tuple[str, ...] = ()
+
+
+def numbers(bag: Bag, spec: str, option: str, *, stamps: str, names: Sequence[str] = ()) -> Samples:
+    """Numbers of a topic.
+
+    Args:
+        bag: Where the topic is.
+        spec: ``/topic`` or ``/topic.field``; the field may be a number, a list of numbers, or a
+            number in each message of a list, such as ``/winches.drives.length``.
+        option: Which option asked for it.
+        stamps: Which clock is preferred, `header` or `receive`.
+        names: Of a topic with names (JointState), which to take, in this order.
+
+    Raises:
+        InvalidField: No such topic or field, or messages that do not go together.
+    """
+    topic, field = split_spec(spec, option)
+    kind = bag.topic(topic, option).kind
+    own = {"--tension": _EFFORT, "--rates": _RATE}.get(option, {})
+    path = field or own.get(kind) or _DEFAULT.get(kind)
+    times: list[int | None] = []
+    received, rows = list[int](), list[Array]()
+    labels: tuple[str, ...] = ()
+    for time, message in bag.messages(topic):
+        if path is None:
+            raise InvalidField(
+                option, repr(spec), f"{topic}.FIELD, FIELD one of {numeric(message)}"
+            )
+        row = _row(_at(message, path, spec, option), spec, option)
+        chosen, labels = _named(message, row, names, labels, spec, option)
+        if rows and len(chosen) != len(rows[0]):
+            got = f"{len(chosen)} numbers in message {len(rows)} of {spec!r}, {len(rows[0])} before"
+            raise InvalidField(option, got, "as many in each message")
+        rows.append(chosen)
+        received.append(time)
+        times.append(_stamp(message))
+    return _ordered(f"{topic}.{path}", times, received, np.array(rows), stamps, labels)
+
+
+def poses(bag: Bag, spec: str, *, stamps: str, frames: Sequence[str] = ()) -> Samples:
+    """Positions and quaternions w x y z of a topic, shape (K, 7); in ROS the order is x y z w.
+
+    Args:
+        bag: Where the topic is.
+        spec: ``/topic`` or ``/topic.field``.
+        stamps: Which clock is preferred.
+        frames: Parent and child frame, for a topic of many transforms (tf).
+
+    Raises:
+        InvalidField: No such topic or field or frames.
+    """
+    topic, field = split_spec(spec, "--pose")
+    kind = bag.topic(topic, "--pose").kind
+    times, received, rows = [], [], []
+    seen: set[tuple[str, str]] = set()
+    for time, message in bag.messages(topic):
+        parts = message.transforms if kind in TF_TYPES else [message]
+        for part in parts:
+            if kind in TF_TYPES:
+                pair = (part.header.frame_id.lstrip("/"), part.child_frame_id.lstrip("/"))
+                seen.add(pair)
+                if list(pair) != [frame.lstrip("/") for frame in frames]:
+                    continue
+            path = (
+                "transform" if kind in TF_TYPES else field if field is not None else _POSE.get(kind)
+            )
+            if path is None:
+                allowed = f"{topic}.FIELD with the pose, or a topic of {', '.join(POSE_TYPES)}"
+                raise InvalidField("--pose", repr(spec), allowed)
+            rows.append(_pose(_at(part, path, spec, "--pose"), spec))
+            received.append(time)
+            times.append(_stamp(part))
+    if not rows:
+        pairs = ", ".join(" ".join(pair) for pair in sorted(seen))
+        got = " ".join(frames) or "nothing"
+        raise InvalidField("--frames", got, f"parent and child, one of: {pairs}")
+    return _ordered(topic, times, received, np.array(rows), stamps)
+
+
+def inertial(bag: Bag, spec: str, *, stamps: str) -> Samples:
+    """Angular rates [rad/s] and specific forces [m/s^2] of ``sensor_msgs/Imu``, shape (K, 6).
+
+    Its `linear_acceleration` is what an accelerometer reads: +g upwards at rest.
+    """
+    topic, field = split_spec(spec, "--imu")
+    kind = bag.topic(topic, "--imu").kind
+    if kind != IMU or field:
+        raise InvalidField("--imu", f"{spec!r}, {kind}", f"a topic of {IMU}")
+    times, received, rows = [], [], []
+    for time, message in bag.messages(topic):
+        rate, force = message.angular_velocity, message.linear_acceleration
+        rows.append([rate.x, rate.y, rate.z, force.x, force.y, force.z])
+        received.append(time)
+        times.append(_stamp(message))
+    return _ordered(topic, times, received, np.array(rows, dtype=np.float64), stamps)
+
+
+def split_spec(spec: str, option: str) -> tuple[str, str | None]:
+    """Topic and field of ``/topic.field``."""
+    match = _SPEC.fullmatch(spec)
+    if match is None:
+        raise InvalidField(option, repr(spec), "/topic or /topic.field")
+    return match["topic"], match["field"]
+
+
+def _at(message: Any, path: str, spec: str, option: str) -> Any:
+    """What is at a field; of a list of messages, what is there in each."""
+    found = message
+    for part in filter(None, path.split(".")):
+        if isinstance(found, list | tuple):
+            found = [_at(entry, part, spec, option) for entry in found]
+        elif hasattr(found, part) and is_dataclass(found):
+            found = getattr(found, part)
+        else:
+            raise InvalidField(option, repr(spec), f"a field of the message: {_fields(found)}")
+    return found
+
+
+def _row(value: Any, spec: str, option: str) -> Array:
+    """Numbers as a row."""
+    try:
+        return np.atleast_1d(np.asarray(value, dtype=np.float64)).ravel()
+    except (TypeError, ValueError) as error:
+        got = f"{str(value)[:60]} in {spec!r}"
+        raise InvalidField(option, got, "a field with a number, or with several") from error
+
+
+def _fields(message: Any) -> str:
+    names = [field.name for field in fields(message)] if is_dataclass(message) else []
+    return ", ".join(name for name in names if not name.startswith("__")) or "it has none"
+
+
+def numeric(message: Any, start: str = "") -> str:
+    """Fields of a message that hold numbers, for people."""
+    found = []
+    for name in [field.name for field in fields(message)] if is_dataclass(message) else []:
+        value = getattr(message, name)
+        if name == "header" or name.startswith("__"):
+            continue
+        first = value[0] if isinstance(value, list) and value else value
+        if is_dataclass(first):
+            found.append(numeric(first, f"{start}{name}."))
+        elif isinstance(value, int | float | np.ndarray) and not isinstance(value, bool):
+            found.append(f"{start}{name}")
+    return ", ".join(entry for entry in found if entry)
+
+
+def _named(
+    message: Any,
+    row: Array,
+    names: Sequence[str],
+    labels: tuple[str, ...],
+    spec: str,
+    option: str,
+) -> tuple[Array, tuple[str, ...]]:
+    """Columns by name, where the message has one for each; every message has the same."""
+    own = getattr(message, "name", None)
+    if not isinstance(own, list) or len(own) != len(row):
+        return row, ()
+    wanted = tuple(names) or labels or tuple(own)
+    missing = [name for name in wanted if name not in own]
+    if missing or len(set(own)) < len(own):
+        got = f"{missing[0] if missing else 'a name twice'} in {spec}"
+        raise InvalidField("--names" if names else option, got, f"names of it: {', '.join(own)}")
+    return row[[own.index(name) for name in wanted]], wanted
+
+
+def _pose(pose: Any, spec: str) -> list[float]:
+    """Position and quaternion w x y z of a Pose or Transform."""
+    place = getattr(pose, "position", None) or getattr(pose, "translation", None)
+    turn = getattr(pose, "orientation", None) or getattr(pose, "rotation", None)
+    if place is None or turn is None:
+        allowed = "a field with position and orientation, or translation and rotation"
+        raise InvalidField("--pose", repr(spec), allowed)
+    return [place.x, place.y, place.z, turn.w, turn.x, turn.y, turn.z]
+
+
+def _stamp(message: Any) -> int | None:
+    """Stamp of the header [ns], or None where there is none or it was never set."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    if stamp is None or (stamp.sec == 0 and stamp.nanosec == 0):
+        return None
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def _ordered(
+    topic: str,
+    times: Sequence[int | None],
+    received: Sequence[int],
+    rows: Array,
+    stamps: str,
+    labels: tuple[str, ...] = (),
+) -> Samples:
+    """Samples in order of one clock, a stamp once."""
+    known = [time for time in times if time is not None]
+    complete = len(known) == len(times)
+    clock = "header" if stamps == "header" and complete else "receive"
+    time = np.array(known if clock == "header" else received, dtype=np.int64)
+    behind = None
+    if complete and known:
+        behind = 1e-9 * float(np.median(np.array(received) - np.array(known, dtype=np.int64)))
+    time, first = np.unique(time, return_index=True)
+    return Samples(topic, time, rows[first], clock, behind, len(times) - len(time), labels)

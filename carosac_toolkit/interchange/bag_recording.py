@@ -1,0 +1,246 @@
+"""A recording out of the topics of a bag: each channel keeps its stamps, none is interpolated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from carosac_toolkit import __version__
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.interchange.bag import Bag
+from carosac_toolkit.interchange.bag_channels import (
+    STAMPS,
+    Nanoseconds,
+    Samples,
+    inertial,
+    numbers,
+    poses,
+)
+from carosac_toolkit.recording import Recording
+from carosac_toolkit.recordings.metadata import RecordingMetadata
+from carosac_toolkit.recordings.poses import PoseSamples
+from carosac_toolkit.units import parse_quantity
+from carosac_toolkit.values import Imu, Stamped
+
+_APART = 1.0  # [s] by which delays of two channels may differ before a warning
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topics:
+    """Which topics hold what; see `read_bag`.
+
+    Attributes:
+        lengths: One topic with a number for each cable, or one topic for each cable.
+        tensions: In the same way, or nothing.
+        commands: Commanded lengths, in the same way, or nothing.
+        rates: Rates of the lengths, in the same way, or nothing.
+        pose: A topic of poses, or None.
+        imu: A topic of ``sensor_msgs/Imu``, or None.
+        frames: Parent and child frame, where `pose` is a topic of many transforms.
+        names: Of a topic with names, such as JointState: those of the cables, in their order.
+        together: Stamps of the topics of single cables that are one sample [s], or None.
+        stamps: Which clock is preferred, `header` or `receive`.
+        length_unit: Of lengths, commands and rates per second.
+        length_kind: `unstrained` or `relative`.
+        robot: Which robot it was, for the metadata.
+    """
+
+    lengths: tuple[str, ...]
+    tensions: tuple[str, ...] = ()
+    commands: tuple[str, ...] = ()
+    rates: tuple[str, ...] = ()
+    pose: str | None = None
+    imu: str | None = None
+    frames: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+    together: float | None = None
+    stamps: str = "header"
+    length_unit: str = "m"
+    length_kind: str = "unstrained"
+    robot: str | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what no bag can answer."""
+        if self.stamps not in STAMPS:
+            raise InvalidField("--stamps", repr(self.stamps), f"one of {', '.join(STAMPS)}")
+        if not self.lengths:
+            allowed = "a topic with cable lengths; a recording needs them"
+            raise InvalidField("--lengths", "nothing", allowed)
+        if self.together is not None and not self.together > 0.0:
+            raise InvalidField("--together", f"{self.together} s", "> 0")
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A recording and what happened on the way.
+
+    Attributes:
+        recording: Time 0 is the first stamp of all.
+        channels: Samples by channel, as they were in the bag.
+        notes: What was left out, or put together.
+        warnings: What looks wrong.
+    """
+
+    recording: Recording
+    channels: dict[str, Samples]
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+def read_bag(bag: Bag, topics: Topics) -> Imported:
+    """Read a recording out of a bag.
+
+    Raises:
+        InvalidField: Topics that are not there, or that do not make a recording.
+    """
+    notes: list[str] = []
+    scale = parse_quantity(f"1 {topics.length_unit}", "m")
+    found: dict[str, Samples] = {}
+    for channel, option, specs in (
+        ("unstrained_length", "--lengths", topics.lengths),
+        ("tension", "--tension", topics.tensions),
+        ("command", "--command", topics.commands),
+        ("length_rate", "--rates", topics.rates),
+    ):
+        if specs:
+            found[channel] = _cables(bag, specs, option, topics, notes)
+    if topics.pose is not None:
+        found["poses"] = poses(bag, topics.pose, stamps=topics.stamps, frames=topics.frames)
+    if topics.imu is not None:
+        found["imu"] = inertial(bag, topics.imu, stamps=topics.stamps)
+    if topics.names and not any(samples.labels for samples in found.values()):
+        allowed = "none, as these topics have no names"
+        raise InvalidField("--names", " ".join(topics.names), allowed)
+    for channel, samples in found.items():
+        if samples.repeated:
+            notes.append(f"{channel}: {samples.repeated} messages with the stamp of an earlier one")
+    start = min(int(samples.time[0]) for samples in found.values())
+    recording = _recording(found, start, scale, topics, bag)
+    return Imported(recording, found, notes, _clock_warnings(found))
+
+
+def _cables(
+    bag: Bag, specs: Sequence[str], option: str, topics: Topics, notes: list[str]
+) -> Samples:
+    """A number for each cable: of one topic, or of one topic for each."""
+    each = [numbers(bag, spec, option, stamps=topics.stamps, names=topics.names) for spec in specs]
+    if len(each) == 1:
+        return each[0]
+    wide = [samples.topic for samples in each if samples.value.shape[1] != 1]
+    if wide:
+        allowed = "one number a message, where there is a topic for each cable"
+        raise InvalidField(option, f"several numbers in {wide[0]}", allowed)
+    if len({samples.clock for samples in each}) > 1:
+        allowed = "topics with stamps of one clock; --stamps receive takes that of the recorder"
+        raise InvalidField(option, "some topics with header stamps, some without", allowed)
+    rows = _matched(each, topics.together, option)
+    first = each[0]
+    kept = np.all([row >= 0 for row in rows], axis=0)
+    if not kept.all():
+        notes.append(f"{option}: {np.sum(~kept)} of {len(kept)} samples without all cables")
+    value = np.column_stack(
+        [samples.value[row[kept], 0] for samples, row in zip(each, rows, strict=True)]
+    )
+    if not len(value):
+        raise InvalidField(option, "no sample with all cables", "topics recorded together")
+    title = ", ".join(samples.topic for samples in each)
+    repeated = sum(samples.repeated for samples in each)
+    labels = tuple(samples.topic for samples in each)
+    return Samples(title, first.time[kept], value, first.clock, first.behind, repeated, labels)
+
+
+def _matched(
+    each: Sequence[Samples], together: float | None, option: str
+) -> list[np.ndarray[tuple[int], np.dtype[np.int64]]]:
+    """For each sample of the first topic, the row of each topic that belongs to it, or -1."""
+    first = each[0].time
+    rows = []
+    worst = 0
+    for samples in each:
+        near = _nearest(samples.time, first)
+        distance = np.abs(samples.time[near] - first)
+        worst = max(worst, int(np.percentile(distance, 99)))
+        limit = 0 if together is None else round(together * 1e9)
+        rows.append(np.where(distance <= limit, near, -1))
+    if together is None and worst > 0:
+        got = f"topics whose stamps differ by {1e-9 * worst:.3g} s"
+        allowed = (
+            f"topics of equal stamps; --together {2e-9 * worst:.1g} takes samples that near to "
+            "each other as one, at the time of the first topic's"
+        )
+        raise InvalidField(option, got, allowed)
+    return rows
+
+
+def _nearest(time: Nanoseconds, when: Nanoseconds) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Index of the stamp nearest to each of others."""
+    right = np.clip(np.searchsorted(time, when), 0, len(time) - 1)
+    left = np.maximum(right - 1, 0)
+    closer = np.abs(time[left] - when) < np.abs(time[right] - when)
+    return np.where(closer, left, right).astype(np.int64)
+
+
+def _recording(
+    found: dict[str, Samples], start: int, scale: float, topics: Topics, bag: Bag
+) -> Recording:
+    """All channels by one clock that begins with the first sample."""
+    lengths = found["unstrained_length"]
+    stamped = {
+        name: Stamped(time=_seconds(samples, start), value=factor * samples.value)
+        for name, factor in (("tension", 1.0), ("command", scale), ("length_rate", scale))
+        if (samples := found.get(name)) is not None
+    }
+    where = found.get("poses")
+    imu = found.get("imu")
+    said = f"time 0 is {start // 10**9}.{start % 10**9:09d} s since 1970"
+    return Recording(
+        time=_seconds(lengths, start),
+        unstrained_length=scale * lengths.value,
+        poses=None
+        if where is None
+        else PoseSamples(
+            time=_seconds(where, start), position=where.value[:, :3], quaternion=where.value[:, 3:]
+        ),
+        imu=None
+        if imu is None
+        else Imu(
+            time=_seconds(imu, start),
+            angular_rate=imu.value[:, :3],
+            specific_force=imu.value[:, 3:],
+        ),
+        metadata=RecordingMetadata(
+            robot=topics.robot,
+            description=f"imported from a bag; {said}",
+            source="; ".join([bag.name, *(f"{n}: {s.topic}" for n, s in found.items())]),
+            created_by=f"carosac import recording {__version__}",
+            length_kind=topics.length_kind,
+        ),
+        tension=stamped.get("tension"),
+        command=stamped.get("command"),
+        length_rate=stamped.get("length_rate"),
+    )
+
+
+def _seconds(samples: Samples, start: int) -> Array:
+    """Stamps as seconds since the first one."""
+    return np.asarray((samples.time - start) / 1e9, dtype=np.float64)
+
+
+def _clock_warnings(found: dict[str, Samples]) -> list[str]:
+    """Channels whose clocks can hardly be one."""
+    warnings = []
+    clocks = {samples.clock for samples in found.values()}
+    if len(clocks) > 1:
+        late = ", ".join(name for name, s in found.items() if s.clock == "receive")
+        warnings.append(
+            f"header stamps, but times of receipt for {late} (no header): their delay against each "
+            "other is not known; --stamps receive takes times of receipt for all"
+        )
+    delays = {n: s.behind for n, s in found.items() if s.behind is not None and s.clock == "header"}
+    if delays and max(delays.values()) - min(delays.values()) > _APART:
+        said = ", ".join(f"{name} {delay:.3g} s" for name, delay in delays.items())
+        warnings.append(f"header stamps of different clocks? received after their stamps: {said}")
+    return warnings

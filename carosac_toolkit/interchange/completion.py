@@ -1,0 +1,282 @@
+"""From a draft to a robot file: what the user adds, what is still missing, the text of the file."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from carosac_toolkit.errors import CarosacError, InvalidField, InvalidFile
+from carosac_toolkit.interchange.draft import Draft
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot_file import document_faults, fields_to_give, parse_robot
+from carosac_toolkit.yaml_lines import Document, FieldPath, format_path, read_yaml
+
+_ORDER = (
+    "schema", "name", "description", "licence", "gravity", "frame", "platform", "cable_types",
+    "winches", "chains", "tension_limits", "workspace", "home",
+)  # fmt: skip
+_TEXTS = ("schema", "name", "description", "licence")
+_HINTS: dict[FieldPath, str] = {
+    ("licence",): "a text: under which licence the numbers may be used",
+    ("workspace", "min"): "3 numbers in m, the lowest corner of the box of platform positions",
+    ("workspace", "max"): "3 numbers in m, the highest corner of that box",
+    ("home", "position"): "3 numbers in m, inside the workspace",
+    ("home", "rpy_deg"): "3 numbers in degrees: roll, pitch, yaw",
+}
+_STIFFNESS = (
+    "EA, a force in N (or mN, kN, MN), > 0; or youngs_modulus with area or material_density"
+)
+_MODULUS = (
+    "a force in N (or mN, kN, MN), > 0, instead of the file's youngs_modulus; or, to that, the "
+    "load-bearing area (m^2 or mm^2; not pi d^2/4 of a rope), or material_density (kg/m^3)"
+)
+
+
+@dataclass(frozen=True)
+class Completed:
+    """A draft with what was added to it.
+
+    Attributes:
+        draft: With the additions in it.
+        missing: Fields that a robot file needs, with what they allow.
+        replaced: Paths whose value in the file gave way to the user's.
+    """
+
+    draft: Draft
+    missing: tuple[tuple[FieldPath, str], ...]
+    replaced: tuple[str, ...]
+
+
+def complete(
+    draft: Draft, *, fragment: str = "", name: str = "", pairs: Sequence[str] = ()
+) -> Completed:
+    """Add to a draft what its format does not hold.
+
+    Args:
+        draft: What the file says; it is changed.
+        fragment: YAML in the layout of the robot file, of any of its fields. Empty ones do not
+            count, so that a form may be filled in bit by bit.
+        name: What to call the fragment in messages and provenance.
+        pairs: ``PATH=VALUE``, single fields.
+
+    Raises:
+        InvalidFile: A fragment with faults.
+        InvalidField: A pair that is none.
+    """
+    document = read_yaml(fragment) if fragment.strip() else Document(data={})
+    if document.faults or not isinstance(document.data, dict):
+        faults = [f"line {line}: {what}" for line, what in document.faults]
+        raise InvalidFile(name, faults or ["not a mapping of fields of a robot file"])
+    replaced: list[str] = []
+    own = document.data.pop("provenance", None) or {}
+    _merge(draft, document.data, own, f"given in {Path(name).name}", replaced)
+    for pair in pairs:
+        _merge(draft, _nested(pair), {}, "given on the command line", replaced)
+    draft.provenance.update({str(path): str(source) for path, source in own.items()})
+    missing, wrong = _sorted_faults(draft)
+    if wrong:
+        raise InvalidFile(name or draft.source, [_located(fault, document) for fault in wrong])
+    return Completed(draft, tuple(missing), tuple(replaced))
+
+
+def robot_and_text(completed: Completed) -> tuple[Robot, str]:
+    """The robot and the text of its file.
+
+    Raises:
+        CarosacError: Something is missing.
+    """
+    if completed.missing:
+        raise CarosacError("\n".join([*missing_lines(completed)]))
+    data = {key: completed.draft.data[key] for key in _ORDER if key in completed.draft.data}
+    rest = {key: value for key, value in completed.draft.data.items() if key not in _ORDER}
+    text = _dumped({**data, **rest, "provenance": _needed(completed.draft)})
+    return parse_robot(text, source="imported robot"), text
+
+
+def missing_lines(completed: Completed) -> Iterator[str]:
+    """One line for each field that is missing."""
+    for path, allowed in completed.missing:
+        yield f"{format_path(path)}: {allowed}"
+
+
+def form(completed: Completed) -> str:
+    """A YAML fragment with the missing fields, to be filled in."""
+    lines = ["# What the file does not hold, to be filled in. Units may be written: 4 mm, 10 g/m."]
+    tree: dict[str | int, Any] = {}
+    for path, allowed in completed.missing:
+        place = tree
+        for part in path[:-1]:
+            place = place.setdefault(part, {})
+        place[path[-1]] = allowed
+    lines += _form_lines(tree, 0)
+    lines.append("provenance:  # where numbers come from, as in `platform.mass: weighed`")
+    return "\n".join([*lines, ""])
+
+
+def _form_lines(tree: dict[str | int, Any], depth: int) -> Iterator[str]:
+    """Keys, indented; those without keys of their own with what they allow."""
+    for key, value in tree.items():
+        start = f"{'  ' * depth}{_key(key)}:"
+        if isinstance(value, dict):
+            yield start
+            yield from _form_lines(value, depth + 1)
+        else:
+            yield f"{start}  # {value}"
+
+
+def _key(part: str | int) -> str:
+    """A key of YAML."""
+    text = str(part)
+    return text if text.replace("_", "a").isalnum() and not text.isdigit() else f'"{text}"'
+
+
+def _nested(pair: str) -> dict[str, Any]:
+    """``a.b=1 mm`` as nested mappings."""
+    path, equals, value = pair.partition("=")
+    parts = [part.strip() for part in path.split(".")]
+    if not equals or not value.strip() or not all(parts):
+        raise InvalidField("--set", repr(pair), "PATH=VALUE, such as gravity=9.81")
+    document = read_yaml(value)
+    if document.faults:
+        raise InvalidField("--set", repr(pair), "PATH=VALUE with a value as in YAML")
+    result: Any = document.data
+    for part in reversed(parts):
+        result = {part: result}
+    return dict(result)
+
+
+def _merge(
+    draft: Draft, given: Mapping[str, Any], own: Mapping[str, Any], source: str, replaced: list[str]
+) -> None:
+    """Put the leaves of a mapping into the draft."""
+    for path, value in _leaves((), given):
+        if value is None:
+            continue
+        place: Any = draft.data
+        for part in path[:-1]:
+            place = place.setdefault(part, {})
+            if not isinstance(place, dict):
+                raise InvalidField(format_path(path), "a field of it", "the whole field")
+        name = format_path(path)
+        if path[-1] in place and path[0] not in _TEXTS:
+            replaced.append(name)
+        _instead(place, path)
+        place[path[-1]] = value
+        if path[0] in _TEXTS:
+            continue
+        for known in [p for p in draft.provenance if _covers(name, p)]:
+            del draft.provenance[known]
+        if not any(_covers(str(known), name) for known in own):
+            draft.provenance[name] = source
+
+
+def _instead(place: dict[str, Any], path: FieldPath) -> None:
+    """Take away what a new value excludes."""
+    if path[0] == "cable_types" and path[-1] == "axial_stiffness":
+        for other in ("youngs_modulus", "area", "material_density"):
+            place.pop(other, None)
+    if path[0] == "cable_types" and path[-1] == "youngs_modulus":
+        place.pop("axial_stiffness", None)
+    if path[0] == "home" and path[-1] in ("rpy_deg", "quaternion_wxyz"):
+        place.pop("rpy_deg", None)
+        place.pop("quaternion_wxyz", None)
+    if path[0] == "workspace" and len(path) == 2:
+        ways = (("min", "max"), ("center", "size"))
+        for other in ways[1] if path[-1] in ways[0] else ways[0]:
+            place.pop(other, None)
+
+
+def _leaves(path: FieldPath, value: Any) -> Iterator[tuple[FieldPath, Any]]:
+    """Fields below a path; a list is one."""
+    if isinstance(value, dict) and value:
+        for key, entry in value.items():
+            yield from _leaves((*path, key), entry)
+    elif path and value != {}:
+        yield path, value
+
+
+def _covers(path: str, other: str) -> bool:
+    """Whether one path is another, or the start of it."""
+    return other == path or other.startswith((f"{path}.", f"{path}["))
+
+
+def _sorted_faults(
+    draft: Draft,
+) -> tuple[list[tuple[FieldPath, str]], list[tuple[FieldPath, str]]]:
+    """Fields that are missing, one by one, and other faults."""
+    data = {**draft.data, "provenance": _needed(draft)}
+    missing: list[tuple[FieldPath, str]] = []
+    faults: list[tuple[FieldPath, str]] = []
+    kinds = data.get("cable_types")
+    for name, kind in (kinds if isinstance(kinds, dict) else {}).items():
+        ways = ("axial_stiffness", "area", "material_density")
+        if isinstance(kind, dict) and not any(way in kind for way in ways):
+            allowed = _MODULUS if "youngs_modulus" in kind else _STIFFNESS
+            missing.append((("cable_types", name, "axial_stiffness"), allowed))
+    for path, what in document_faults(data):
+        known = [known for known, _ in missing]
+        if what.startswith(("missing", "rotation missing")):
+            rotation = what.startswith("rotation")
+            for leaf in [((*path, "rpy_deg"), what)] if rotation else fields_to_give(path):
+                missing += [leaf] if leaf[0] not in known else []
+        elif path not in known:
+            faults.append((path, what))
+    missing.sort(key=lambda entry: _ORDER.index(str(entry[0][0])))
+    return [(path, _HINTS.get(path, allowed)) for path, allowed in missing], faults
+
+
+def _needed(draft: Draft) -> dict[str, str]:
+    """Provenance of what is there."""
+    paths = {format_path(path) for path, _ in _walk((), draft.data)}
+    return {path: source for path, source in draft.provenance.items() if path in paths}
+
+
+def _walk(path: FieldPath, value: Any) -> Iterator[tuple[FieldPath, Any]]:
+    """All paths below a value."""
+    entries: list[tuple[str | int, Any]] = []
+    if isinstance(value, dict):
+        entries = list(value.items())
+    elif isinstance(value, list):
+        entries = list(enumerate(value))
+    for key, entry in entries:
+        yield (*path, key), entry
+        yield from _walk((*path, key), entry)
+
+
+def _located(fault: tuple[FieldPath, str], document: Document) -> str:
+    """A fault with the line of the fragment, where it is in there."""
+    path, what = fault
+    line = f"line {document.lines[path]}: " if path in document.lines else ""
+    return f"{line}{format_path(path)}: {what}"
+
+
+def _dumped(data: dict[str, Any]) -> str:
+    """YAML in the style of the bundled files."""
+    from ruamel.yaml import YAML
+
+    yaml = YAML()
+    yaml.width = 4096
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    stream = io.StringIO()
+    yaml.dump({key: _styled(value) for key, value in data.items()}, stream)
+    return stream.getvalue()
+
+
+def _styled(value: Any, inside: bool = False) -> Any:
+    """Vectors, matrices and chains on one line."""
+    from ruamel.yaml.comments import CommentedMap, CommentedSeq
+
+    if isinstance(value, dict):
+        made = CommentedMap({key: _styled(entry) for key, entry in value.items()})
+        if inside:
+            made.fa.set_flow_style()
+        return made
+    if isinstance(value, list):
+        row = CommentedSeq([_styled(entry, inside=True) for entry in value])
+        if not any(isinstance(entry, dict) for entry in value):
+            row.fa.set_flow_style()
+        return row
+    return value

@@ -1,0 +1,283 @@
+"""The ``carosac`` commands of README and docs: which there are, what they need, how they are run.
+
+``python docs/commands.py`` runs them all in a scratch folder, some with shorter settings
+(`SHORTER`), and prints what each took; ``--quick`` runs those of `QUICK` alone, as the tests do.
+Files that a reader brings (a survey, a run, a bag) are made by `bring`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+import textwrap
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+DOCS = Path(__file__).resolve().parent
+ROOT = DOCS.parent
+PAGES = (ROOT / "README.md", *sorted(DOCS.glob("*.md")))
+
+# Run in the tests; they take a second or so each, in one process.
+QUICK = ("calibrate", "check", "import", "robots", "validate")
+
+# Options that are put in place of the page's, or added, so that a run takes seconds.
+SHORTER: dict[str, dict[str, tuple[str, ...]]] = {
+    "compare": {"--seeds": ("1",), "--trajectories": ("waypoints",), "--workers": ("0",)},
+    "evaluate": {"--trajectories": ("2",)},
+    "identify": {"--train": ("0:110",), "--test": ("110:160",)},
+    "plc": {"--duration": ("40",)},
+    "run": {"--duration": ("2",)},
+    "smooth": {"--stop": ("60",)},
+    "train": {"--steps": ("200",)},
+    "validate": {"--stop": ("40",)},
+}
+
+# Commands whose answer is negative on purpose.
+NEGATIVE = (
+    "carosac import robot gantry_bodies.xml gantry_cables.xml --form missing.yaml",
+    "carosac import robot gantry_bodies.xml --form missing.yaml",
+)
+
+# Commands in real time: 1 is a fault of the guard, as on a computer that is busy with other things.
+LIVE = ("run",)
+
+# Commands that cannot run here, and why.
+EXCEPTIONS = {
+    "carosac compare --controllers tilted:Tilted input_shaping mpc --estimators dynamic_estimator "
+    "--suites lengths+imu --seeds 20 --output paper": "hours; the same with fewer seeds is the "
+    "first command of README",
+    "carosac train --preset carosac --robot my-robot.yaml": "a second robot: 20 minutes, and the "
+    "same command runs for the bundled one",
+}
+
+
+@dataclass(frozen=True)
+class Written:
+    """A command as it is written on a page.
+
+    Attributes:
+        page: Name of the page.
+        text: The command, on one line, without comments.
+    """
+
+    page: str
+    text: str
+
+    @property
+    def words(self) -> list[str]:
+        """What stands after ``carosac``."""
+        return shlex.split(self.text)[1:]
+
+    @property
+    def name(self) -> str:
+        """First word of the command."""
+        return self.words[0]
+
+    @property
+    def synopsis(self) -> bool:
+        """Whether it says what may be written, with brackets and placeholders, and is none."""
+        return "[" in self.text or re.search(r" [A-Z]{3,}\b| X Y Z", self.text) is not None
+
+
+def written() -> list[Written]:
+    """All commands in blocks of README and docs, in order of the pages."""
+    found = []
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for kind, block in re.findall(r"```(console|bash)\n(.*?)```", text, re.DOTALL):
+            start = "$ carosac " if kind == "console" else "carosac "
+            block = textwrap.dedent(block)  # blocks in lists are indented
+            for line in re.sub(r"\\\n\s*|\n(?=\s+[\[-])", " ", block).splitlines():
+                if line.startswith(start):
+                    command = re.sub(r"\s+#.*", "", line.removeprefix("$ "))
+                    found.append(Written(page.name, re.sub(r"\s+", " ", command).strip()))
+    return found
+
+
+def shortened(words: Sequence[str]) -> list[str]:
+    """A command with the options of `SHORTER` for its own."""
+    result = list(words)
+    for option, values in SHORTER.get(words[0], {}).items():
+        if option in result:
+            at = result.index(option)
+            end = at + 1
+            while end < len(result) and not result[end].startswith("--"):
+                end += 1
+            del result[at:end]
+        result += [option, *values]
+    return result
+
+
+def bring(folder: Path) -> None:
+    """Put into a folder what readers bring: robot files, a survey, runs, a bag."""
+    import carosac_toolkit as ct
+    from carosac_toolkit.recordings.bundled import find_recording
+    from carosac_toolkit.robot_file import robot_text
+
+    for file in (DOCS / "files").iterdir():
+        shutil.copy(file, folder)
+    for name in ("my-robot", "surveyed", "calibrated", "identified"):
+        (folder / f"{name}.yaml").write_text(robot_text("carosac"), encoding="utf-8")
+    for page in ("calibration-tachymeter", "calibration-without-poses", "tutorial-calibrate"):
+        _program(page, folder)
+    (folder / "tilted.py").write_text(programs("your-controller")[0], encoding="utf-8")
+    policies = ROOT / "learned" / "policies"
+    shutil.copy(policies / "carosac-residual.onnx", folder / "policy.onnx")
+    trained = folder / "carosac-results" / "train" / "carosac-carosac-seed0" / "sag"
+    trained.mkdir(parents=True)
+    shutil.copy(policies / "carosac-settle.onnx", trained / "policy.onnx")
+    run = ct.load_recording(find_recording("synthetic"))
+    run.slice(0, 600).save(folder / "run.csv")
+    _bag(folder / "run.bag")
+
+
+def programs(page: str) -> list[str]:
+    """The Python programs of a page."""
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+    return re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+
+
+def _program(page: str, folder: Path) -> None:
+    """Run the first program of a page, as its reader does: it writes files."""
+    before = Path.cwd()
+    os.chdir(folder)
+    try:
+        exec(programs(page)[0], {})
+    finally:
+        os.chdir(before)
+
+
+def _bag(path: Path) -> None:
+    """Five seconds of the bundled run as a bag of ROS 1."""
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    import carosac_toolkit as ct
+    from carosac_toolkit.recordings.bundled import find_recording
+
+    run = ct.load_recording(find_recording("synthetic")).slice(0, 100)
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kinds = store.types
+
+    def header(seconds: float) -> object:
+        whole = int(seconds)
+        stamp = kinds["builtin_interfaces/msg/Time"](whole, round((seconds - whole) * 1e9))
+        return kinds["std_msgs/msg/Header"](seq=0, stamp=stamp, frame_id="world")
+
+    def vector(values: Sequence[float], kind: str = "Vector3") -> object:
+        return kinds[f"geometry_msgs/msg/{kind}"](*(float(value) for value in values))
+
+    def turn(wxyz: Sequence[float]) -> object:
+        return vector([*wxyz[1:], wxyz[0]], "Quaternion")
+
+    start, nothing = 1.75e9, np.zeros(9)
+    names, none = ["front_left", "front_right", "rear_right", "rear_left"], np.zeros(0)
+    with Writer(path) as writer:
+
+        def send(topic: str, kind: str, seconds: float, **values: object) -> None:
+            message = kinds[kind](header=header(seconds), **values)
+            known = {c.topic: c for c in writer.connections}
+            link = known.get(topic) or writer.add_connection(topic, kind, typestore=store)
+            writer.write(link, round(seconds * 1e9), store.serialize_ros1(message, kind))
+
+        for when, lengths in zip(run.time, run.unstrained_length, strict=True):
+            send("/joint_states", "sensor_msgs/msg/JointState", start + when, name=names,
+                 position=lengths, velocity=none, effort=none)  # fmt: skip
+        for when, place, wxyz in zip(
+            run.poses.time, run.poses.position, run.poses.quaternion, strict=True
+        ):
+            pose = kinds["geometry_msgs/msg/Pose"](vector(place, "Point"), turn(wxyz))
+            send("/mocap/pose", "geometry_msgs/msg/PoseStamped", start + when, pose=pose)
+        for k in range(200):
+            send("/imu", "sensor_msgs/msg/Imu", start + 0.005 * k, orientation=turn([1, 0, 0, 0]),
+                 orientation_covariance=nothing, angular_velocity=vector([0, 0, 0]),
+                 angular_velocity_covariance=nothing, linear_acceleration=vector([0, 0, 9.81]),
+                 linear_acceleration_covariance=nothing)  # fmt: skip
+
+
+def to_run(names: Sequence[str]) -> Iterator[Written]:
+    """Commands to run, each once; those of some names only, if there are any."""
+    seen: set[str] = set()
+    for command in written():
+        if command.synopsis or command.text in EXCEPTIONS or command.text in seen:
+            continue
+        if not names or command.name in names:
+            seen.add(command.text)
+            yield command
+
+
+def run_all(run: Callable[[list[str]], int], names: Sequence[str]) -> list[str]:
+    """Run commands in the current folder; returns what failed.
+
+    Args:
+        run: Takes what stands after ``carosac``, returns the exit status.
+        names: Only commands of these names, such as `QUICK`; empty: all.
+    """
+    failed = []
+    for command in to_run(names):
+        start, cpu = time.perf_counter(), time.process_time()
+        status = run(shortened(command.words))
+        took = f"{time.perf_counter() - start:6.1f} s, {time.process_time() - cpu:6.1f} s here"
+        print(f"{took}  status {status}  {command.page}: {command.text}", flush=True)
+        allowed = (1,) if command.text in NEGATIVE else (0, 1) if command.name in LIVE else (0,)
+        if status not in allowed:
+            failed.append(f"{command.page}: {command.text}: status {status}")
+    return failed
+
+
+def main() -> int:
+    """Run all of them, each in a process of its own."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="only those that the tests run")
+    parser.add_argument("--only", nargs="+", default=[], help="only these, such as compare")
+    options = parser.parse_args()
+    names = QUICK if options.quick else tuple(options.only)
+    background: list[subprocess.Popen[str]] = []
+
+    def plc(words: list[str]) -> int:
+        for old in background:
+            old.terminate()
+            old.wait()
+        call = [sys.executable, "-m", "carosac_toolkit.cli.main", *words]
+        background[:] = [subprocess.Popen(call, stdout=subprocess.PIPE, text=True)]
+        stream = background[0].stdout
+        assert stream is not None
+        return 0 if "ready" in stream.readline() else 1
+
+    def run(words: list[str]) -> int:
+        call = [sys.executable, "-m", "carosac_toolkit.cli.main", *words]
+        if words[0] == "plc":  # stays, for `carosac run` after it
+            return plc(words)
+        if "ads" in words:
+            plc(shortened(["plc", "carosac"]))
+        done = subprocess.run(call, capture_output=True, text=True, timeout=1200)
+        if done.returncode:
+            print(done.stderr, file=sys.stderr)
+        return done.returncode
+
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+        os.chdir(folder)
+        bring(Path(folder))
+        try:
+            failed = run_all(run, names)
+        finally:
+            for process in background:
+                process.terminate()
+            os.chdir(ROOT)
+    print("\n".join(failed) or "all ran")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
