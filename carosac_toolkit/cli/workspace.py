@@ -214,7 +214,7 @@ def _print(found: dict[str, tuple[Region, list[Region]]], lower: Array, upper: A
                 f"median {np.median(inside):.4g} N"
             )
         for part in slices:
-            print(f"  slice {_name(part.grid)} m: {part.share:.1%} inside")
+            print(f"  slice {_name(part.grid)} m, to the faces of the box: {part.share:.1%} inside")
         ends = {row[:2]: row[2] for row in region.causes(at_the_end=True)}
         rows = [
             (

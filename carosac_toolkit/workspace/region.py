@@ -83,7 +83,8 @@ class Region:
         name = self.robot.name
         share = f"{self.share:.1%}".replace("%", " %")
         if self.verdicts.inside.all():
-            text = f"{name} can hold its platform everywhere in the box"
+            count = len(self.verdicts.margin)
+            text = f"{name} can hold its platform at all {count} positions in the box"
             return f"{text}; {self._nearest()}"
         if not self.verdicts.inside.any():
             text = f"{name} can hold its platform nowhere in the box: {self._words(False)}"

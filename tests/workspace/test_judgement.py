@@ -176,7 +176,7 @@ def test_volume_of_a_box_in_the_workspace_is_its_volume():
     robot = ct.load_robot("carosac")
     region = compute(robot, box_grid(robot.workspace_min, robot.workspace_max, 200))
     assert region.share == 1.0 and region.unknown == 0
-    assert "everywhere in the box" in region.sentence()
+    assert "positions in the box" in region.sentence()
     assert region.volume == pytest.approx(64.0)
 
 
