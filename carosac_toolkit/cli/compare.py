@@ -21,12 +21,21 @@ from carosac_toolkit.report_page import check_folder
 from carosac_toolkit.studies.chosen_settings import chosen_settings
 from carosac_toolkit.studies.engine import TIMEOUT
 from carosac_toolkit.studies.findings import conclusions
-from carosac_toolkit.studies.report import write_report
+from carosac_toolkit.studies.paired import Block, check_baseline, paired_blocks, ways_of
+from carosac_toolkit.studies.paper_tables import text_tables
+from carosac_toolkit.studies.report import TABLES_LATEX, TABLES_MARKDOWN, write_report
 from carosac_toolkit.studies.results import StudyResults
 from carosac_toolkit.studies.run_case import DRIVER
 from carosac_toolkit.studies.study import QUICK_SEEDS, SEEDS, TRAJECTORIES, Study
 from carosac_toolkit.studies.tables import failures, text_table, units
 from carosac_toolkit.text_tables import counted, terminal_width, wrapped
+
+PAIRED_UNITS = (
+    "difference: of the RMSE to that of the baseline in the same case, median over the seeds, mean "
+    "over the paths, with its 95 % interval (cluster bootstrap over the seeds, from 3 on); ratio: "
+    "of such errors; won: cases with the smaller error, failed ones are lost; p: of won and lost, "
+    "exact, labels exchanged seed by seed, after Holm; failed: cases of it and of the baseline."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +76,9 @@ class Options(CommonOptions):
     ] = ()
     """Setting of a plug-in: controller.NAME.FIELD=VALUE, estimator.NAME.FIELD=VALUE or
     driver.FIELD=VALUE, VALUE as JSON or text; may be given several times."""
+    baseline: str | None = None
+    """What all others are compared with in pairs: a controller, or `CONTROLLER / ESTIMATOR / SUITE`
+    as far as they differ; by default the first row of the table."""
     quick: tyro.conf.FlagCreatePairsOff[bool] = False
     """Two draws, unless --seeds says otherwise; with the other defaults, in under a minute. A full
     run in the same folder goes on from there."""
@@ -87,18 +99,23 @@ def run(options: Options) -> CommandResult:
     """Run the study, print and draw it."""
     study = _study(options)
     study.check()
+    if options.baseline is not None:
+        ways = ways_of(study.controllers, study.estimators, study.suites)
+        check_baseline(options.baseline, ways)
     study = replace(study, output=study.folder())
     check_folder("--output", study.folder())
     width = terminal_width()
     print(wrapped(_what(study), width), flush=True)
     results = study.run()
     said = conclusions(results)
-    _print(results, said, width)
-    files = write_report(results, said, _words(options, study))
+    blocks = paired_blocks(results, options.baseline)
+    _print(results, said, blocks, width)
+    files = write_report(results, said, _words(options, study), blocks)
     pictures = sum(file.suffix == ".png" for file in files)
     print(f"\nreport: {results.folder / 'report.html'}, with {pictures} pictures and the rows of")
-    print("all cases (Parquet) beside it")
-    data = {**results.data(), "conclusions": said, "output": str(results.folder)}
+    print(f"all cases (Parquet) beside it; tables for a paper: {TABLES_MARKDOWN}, {TABLES_LATEX}")
+    paired = [block.data() for block in blocks]
+    data = {**results.data(), "paired": paired, "conclusions": said, "output": str(results.folder)}
     return CommandResult(data, status=0 if results.complete else 1)
 
 
@@ -138,6 +155,7 @@ def _words(options: Options, study: Study) -> list[str]:
         words += [f"--{name}", *getattr(options, name)]
     words += ["--seed", str(options.seed), "--seeds", str(len(study.seed_list))]
     words += ["--driver", options.driver, "--timeout", f"{options.timeout:g}"]
+    words += ["--baseline", options.baseline] if options.baseline is not None else []
     words += ["--speed", f"{options.speed:g}", "--acceleration", f"{options.acceleration:g}"]
     return words + [word for text in options.settings for word in ("--set", text)]
 
@@ -153,10 +171,14 @@ def _what(study: Study) -> str:
     )
 
 
-def _print(results: StudyResults, said: list[str], width: int) -> None:
-    """Print the table, what failed, and what it all says."""
+def _print(results: StudyResults, said: list[str], blocks: list[Block], width: int) -> None:
+    """Print the tables, what failed, and what it all says."""
     print(f"\n{text_table(results, width)}\n")
     print(wrapped(units(results), width))
+    paired = text_tables(blocks, width)
+    if paired:
+        print(f"\n{paired}\n")
+        print(wrapped(PAIRED_UNITS, width))
     lost = failures(results)
     if lost:
         print()
