@@ -19,7 +19,7 @@ from carosac_toolkit.report_page import (
     table,
     write_files,
 )
-from carosac_toolkit.studies.paired import Block
+from carosac_toolkit.studies.paired import Block, paired_blocks
 from carosac_toolkit.studies.paper_tables import explanation, latex, markdown, sheets
 from carosac_toolkit.studies.results import StudyResults, estimated, tracked
 from carosac_toolkit.studies.tables import failures, header, name_columns, rows, units
@@ -41,7 +41,10 @@ CAPTIONS = {
 
 
 def write_report(
-    results: StudyResults, said: Sequence[str], words: Sequence[str], blocks: Sequence[Block]
+    results: StudyResults,
+    said: Sequence[str],
+    words: Sequence[str],
+    blocks: Sequence[Block] | None = None,
 ) -> list[Path]:
     """Draw the pictures and write tables and ``report.html`` into the folder of the study.
 
@@ -49,13 +52,14 @@ def write_report(
         results: What was found.
         said: Sentences on it.
         words: The command that repeats it.
-        blocks: Its paired comparisons.
+        blocks: Its paired comparisons; by default those with the first of each block.
 
     Returns:
         The files, the report last.
     """
     from carosac_toolkit.pictures.comparison import PICTURES
 
+    blocks = paired_blocks(results) if blocks is None else blocks
     names = list(PICTURES) if tracked(results.rows) else []
     if all(len(tracked(rows)) < 2 for rows in results.groups):  # one case does not scatter
         names = [name for name in names if name != "rmse_gaussians"]
