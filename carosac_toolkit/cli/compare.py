@@ -26,7 +26,14 @@ from carosac_toolkit.studies.paper_tables import text_tables
 from carosac_toolkit.studies.report import TABLES_LATEX, TABLES_MARKDOWN, write_report
 from carosac_toolkit.studies.results import StudyResults
 from carosac_toolkit.studies.run_case import DRIVER
-from carosac_toolkit.studies.study import QUICK_SEEDS, SEEDS, TRAJECTORIES, Study
+from carosac_toolkit.studies.study import (
+    CONTROLLERS,
+    ESTIMATORS,
+    QUICK_SEEDS,
+    SEEDS,
+    TRAJECTORIES,
+    Study,
+)
 from carosac_toolkit.studies.tables import failures, text_table, units
 from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 
@@ -44,17 +51,20 @@ class Options(CommonOptions):
 
     robots: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--robot"])] = ("carosac",)
     """Bundled robots or YAML files."""
-    controllers: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--controller"])] = (
-        "straight_line",
-        "kinematic_solver",
-    )
-    """Controllers by name, or `module:Class` for your own."""
-    estimators: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--estimator"])] = (
-        "kinematic_solver",
-    )
-    """Estimators by name, or `module:Class`; `truth` is what a simulated driver knows. NAME@LABEL
-    is NAME with settings of its own, here and among the controllers."""
-    suites: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--suite"])] = ("lengths",)
+    controllers: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--controller"])] = ()
+    """Controllers by name, or `module:Class` for your own; by default straight_line and
+    kinematic_solver."""
+    estimators: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--estimator"])] = ()
+    """Estimators by name, or `module:Class`; `truth` is what a simulated driver knows; by default
+    kinematic_solver. NAME@LABEL is NAME with settings of its own, here and among the
+    controllers."""
+    suite: str | None = None
+    """Run a reference suite, `reference`: it fixes robots, paths, plants, seeds and sensors. With
+    --controllers or --estimators only these run, beside its baseline."""
+    against: str | None = None
+    """With --suite: folder of results of the same suite to compare with in pairs, such as
+    benchmarks/reference."""
+    suites: tuple[str, ...] = ("lengths",)
     """Sensor suites of the driver."""
     trajectories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--trajectory"])] = TRAJECTORIES
     """Trajectories of the catalogue."""
@@ -97,6 +107,12 @@ class Options(CommonOptions):
 
 def run(options: Options) -> CommandResult:
     """Run the study, print and draw it."""
+    if options.suite is not None:
+        from carosac_toolkit.cli.compare_reference import run_suite
+
+        return run_suite(options, options.suite)
+    if options.against is not None:
+        raise InvalidField("--against", repr(options.against), "nothing without --suite")
     study = _study(options)
     study.check()
     if options.baseline is not None:
@@ -126,10 +142,12 @@ def _study(options: Options) -> Study:
         raise InvalidField("--seeds", str(count), "1 or more")
     if options.seed < 0:
         raise InvalidField("--seed", str(options.seed), "0 or more")
+    controllers = options.controllers or CONTROLLERS
+    estimators = options.estimators or ESTIMATORS
     return Study(
         robots=options.robots,
-        controllers=options.controllers,
-        estimators=options.estimators,
+        controllers=controllers,
+        estimators=estimators,
         suites=options.suites,
         trajectories=options.trajectories,
         perturbations=options.perturbations,
@@ -142,9 +160,7 @@ def _study(options: Options) -> Study:
         workers=options.workers,
         timeout=options.timeout,
         retry=options.retry,
-        **chosen_settings(
-            options.settings, controllers=options.controllers, estimators=options.estimators
-        ),
+        **chosen_settings(options.settings, controllers=controllers, estimators=estimators),
     )
 
 
@@ -152,7 +168,7 @@ def _words(options: Options, study: Study) -> list[str]:
     """The command that repeats this."""
     words = ["carosac", "compare"]
     for name in ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations"):
-        words += [f"--{name}", *getattr(options, name)]
+        words += [f"--{name}", *getattr(study, name)]
     words += ["--seed", str(options.seed), "--seeds", str(len(study.seed_list))]
     words += ["--driver", options.driver, "--timeout", f"{options.timeout:g}"]
     words += ["--baseline", options.baseline] if options.baseline is not None else []

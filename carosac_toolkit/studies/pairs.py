@@ -141,6 +141,12 @@ def typical_of(rows: Sequence[Row], column: str) -> Estimate | None:
     return estimate(_table(list(found), list(found.values()))) if found else None
 
 
+def typical_value(rows: Sequence[Row], column: str) -> float | None:
+    """Typical error over the cases of a group that have it, without an interval."""
+    found = {key: x for key, x in errors_by_case(rows, column).items() if np.isfinite(x)}
+    return _typical(_table(list(found), list(found.values()))) if found else None
+
+
 def estimate(table: Array) -> Estimate:
     """Typical value of a table (S, T), one row per seed, NaN where there is no case."""
     ends = interval(typical, table)

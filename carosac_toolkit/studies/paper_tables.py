@@ -106,7 +106,7 @@ def markdown(blocks: Sequence[Block], origin: str = "") -> str:
         blocks: Of the study.
         origin: How they were made, as a last paragraph.
     """
-    parts = [f"**{sheet.title}**\n\n{_markdown_table(sheet)}" for sheet in sheets(blocks)]
+    parts = [f"**{sheet.title}**\n\n{markdown_table(sheet)}" for sheet in sheets(blocks)]
     return "\n\n".join(filter(None, [*parts, explanation(blocks), origin])) + "\n"
 
 
@@ -219,7 +219,7 @@ def _milliseconds(value: float | None) -> str:
     return "-" if value is None else f"{1e3 * value:.2f}"
 
 
-def _markdown_table(sheet: Sheet) -> str:
+def markdown_table(sheet: Sheet) -> str:
     """One table as Markdown."""
     lines = [f"| {' | '.join(sheet.header)} |"]
     lines.append("|" + "---|" * sheet.left + "---:|" * (len(sheet.header) - sheet.left))
