@@ -129,15 +129,16 @@ def _finish(
         shown = [with_published(part, rows) for part in parts]
         for line in _said(agreement([row for part in parts for row in part.rows], rows)):
             print(wrapped(line, width, "* "))
-    made = made_with() | {"wall time": f"{took / 60:.1f} minutes, with what was there already"}
+    made = made_with() | {"time": f"{took / 60:.1f} minutes, without what was there already"}
     for part in shown:
         print(f"\n{part.task.part.capitalize()}: {text_tables(part.blocks, width)}")
-    data: dict[str, Any] = record(suite, shown, made, command) | {"output": str(folder)}
+    data: dict[str, Any] = record(suite, shown, made, command) | {"minutes": took / 60}
     origin = "\n".join([f"    {name}: {text}" for name, text in
                         {"command": command, **made}.items() if text])  # fmt: skip
     texts = {RESULTS: write_rows(parts), TABLES: tables(suite, shown, origin)}
     write_files(folder, {name: text.encode() for name, text in texts.items()})
     write_json(folder / RECORD, data)
+    data["output"] = str(folder)
     print(f"\n{folder}: {TABLES}, {RESULTS} (one row per case), {RECORD}; a report of each study")
     return CommandResult(data, status=0 if all(part.results.complete for part in parts) else 1)
 

@@ -61,20 +61,20 @@ def draw_commanded(results: StudyResults) -> Figure:
         flat = values.ravel()
         everything.hist(flat, bins=bins, histtype="step", density=True, color=colors[label], lw=1.5)
     each.set_xticks(range(cables), [f"cable {k + 1}" for k in range(cables)])
-    each.set_ylabel("achieved minus commanded length [mm]")
+    each.set_ylabel("measured minus commanded length [mm]")
     each.set_title("per cable; dot: mean", fontsize=10)
-    everything.set(xlabel="achieved minus commanded length [mm]", ylabel="density [1/mm]")
+    everything.set(xlabel="measured minus commanded length [mm]", ylabel="density [1/mm]")
     everything.set_title(f"all cables; drawn where {SHOWN:g} % are", fontsize=10)
     for axes in (each, everything):
         axes.grid(axis="y", alpha=0.25)
         axes.set_axisbelow(True)
-    figure.suptitle("Cable-length error of the winches: achieved minus commanded, first seed")
+    figure.suptitle("Cable-length error of the winches: measured minus commanded, first seed")
     put_patches(figure, colors)
     return figure
 
 
 def length_errors(results: StudyResults) -> dict[str, Array]:
-    """Achieved minus commanded lengths of example cases [mm], shape (S, n), by label."""
+    """Measured minus commanded lengths of example cases [mm], shape (S, n), by label."""
     found = {}
     for label, rows in list(zip(results.labels, results.groups, strict=True))[:MOST]:
         series = [json.loads(str(row["series"])) for row in scored(rows) if row.get("series")]
@@ -143,7 +143,7 @@ FIGURES = (
     ),
     PaperFigure(
         place=4, name="commanded_length_error", command=COMPARE, draw=_commanded,
-        what="cable-length error, commanded against achieved",
+        what="cable-length error, commanded against measured",
     ),
     PaperFigure(
         place=10, name="rmse_gaussians", command=DRIVE, draw=_scatter,
