@@ -78,7 +78,7 @@ def length_errors(results: StudyResults) -> dict[str, Array]:
     found = {}
     for label, rows in list(zip(results.labels, results.groups, strict=True))[:MOST]:
         series = [json.loads(str(row["series"])) for row in scored(rows) if row.get("series")]
-        values = [MM * np.array(one["length_error_m"]) for one in series]
+        values = [MM * np.array(one["length_error_m"]) for one in series if "length_error_m" in one]
         if values:
             found[label] = np.concatenate(values)
     return found

@@ -26,6 +26,8 @@ from carosac_toolkit.studies.tables import failures, header, name_columns, rows,
 
 TABLES_MARKDOWN, TABLES_LATEX, STATISTICS = "tables.md", "tables.tex", "statistics.json"
 CAPTIONS = {
+    "paired": "Every error over that of the baseline on the same draws, with its interval: left of "
+    "1 is better.",
     "paths": "One case: where the platform origin went, against the reference.",
     "error_over_time": "One case: absolute tracking error per axis; grey: the reference rests.",
     "error_violins": "Distribution of the absolute tracking error over the samples of all "
@@ -58,6 +60,7 @@ def write_report(
         The files, the report last.
     """
     from carosac_toolkit.pictures.comparison import PICTURES
+    from carosac_toolkit.pictures.paired import comparable, draw_paired
 
     blocks = paired_blocks(results) if blocks is None else blocks
     names = list(PICTURES) if tracked(results.rows) else []
@@ -66,6 +69,8 @@ def write_report(
     if not names and estimated(results.rows):  # nothing follows commands on a recording
         names = ["estimation"]
     images = {f"{name}.png": png(PICTURES[name](results)) for name in names}
+    if comparable(blocks):
+        images = {"paired.png": png(draw_paired(blocks)), **images}
     document = _html(results, said, words, images, blocks)
     origin = _origin(results, words)
     tables = {
