@@ -15,7 +15,7 @@ from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.report_page import check_folder, made_with, write_files
 from carosac_toolkit.studies.chosen_settings import chosen_settings
 from carosac_toolkit.studies.findings import conclusions
-from carosac_toolkit.studies.paper_tables import text_tables
+from carosac_toolkit.studies.paper_tables import text_errors, text_tables
 from carosac_toolkit.studies.reference import ReferenceSuite, Task
 from carosac_toolkit.studies.reference_check import Agreement, agreement
 from carosac_toolkit.studies.reference_results import (
@@ -31,7 +31,7 @@ from carosac_toolkit.studies.reference_results import (
     write_rows,
 )
 from carosac_toolkit.studies.report import write_report
-from carosac_toolkit.studies.tables import failures, text_table
+from carosac_toolkit.studies.tables import failures
 from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 
 if TYPE_CHECKING:
@@ -107,11 +107,11 @@ def _run(task: Task, folder: Path, options: Options, suite: ReferenceSuite) -> P
     """Run one study and print its table."""
     width = terminal_width()
     place = folder / task.part / task.robot
-    print(f"\n{task.part.capitalize()} on {task.robot}:", flush=True)
+    print(f"\n{task.part.capitalize()} on {task.robot}", flush=True)
     results = replace(task.study, output=place).run()
     part = PartResults(task=task, results=results)
     write_report(results, conclusions(results), _words(options, suite), part.blocks)
-    print(f"\n{text_table(results, width)}\n")
+    print(f"\n{text_errors(part.blocks, width)}\n")
     for line in failures(results):
         indent = " " * (len(line) - len(line.lstrip()))
         print(wrapped(line.lstrip(), width, indent))
@@ -131,7 +131,7 @@ def _finish(
             print(wrapped(line, width, "* "))
     made = made_with() | {"time": f"{took / 60:.1f} minutes, without what was there already"}
     for part in shown:
-        print(f"\n{part.task.part.capitalize()}: {text_tables(part.blocks, width)}")
+        print(f"\n{part.task.part.capitalize()}. {text_tables(part.blocks, width)}")
     data: dict[str, Any] = record(suite, shown, made, command) | {"minutes": took / 60}
     origin = "\n".join([f"    {name}: {text}" for name, text in
                         {"command": command, **made}.items() if text])  # fmt: skip

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from carosac_toolkit.pictures.drawing import COLORS, MEASURED, new_figure, put_legend
 from carosac_toolkit.studies.paired import LEVEL, Block
 from carosac_toolkit.studies.pairs import Pair
-from carosac_toolkit.studies.paper_tables import TITLES
+from carosac_toolkit.studies.paper_tables import TITLES, differing
 from carosac_toolkit.text_tables import counted
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def _rows(block: Block) -> list[tuple[str, str, Pair]]:
     """Error, label and comparison, of each that has a ratio above zero."""
     return [
         (name, one.label, one.pairs[name])
-        for name in TITLES
+        for name in differing(block)
         for one in block.compared
         if name in one.pairs
         and (ratio := one.pairs[name].ratio) is not None

@@ -22,7 +22,7 @@ TITLES = {
 }
 SHOWN = ("tracking", "estimation")  # in the terminal
 MM = 1e3
-MOST_DECIMALS = 3
+MOST_DECIMALS = 2
 DIGITS = 3  # significant ones of the smallest number of a column, where it is not below them
 P_SHOWN = 1e-3
 
@@ -51,7 +51,7 @@ def sheets(blocks: Sequence[Block]) -> list[Sheet]:
     found = []
     for block in blocks:
         found.append(_errors(block))
-        if any(one.pairs for one in block.compared):
+        if differing(block):
             found.append(_differences(block))
     return found
 
@@ -89,14 +89,33 @@ def text_tables(blocks: Sequence[Block], width: int) -> str:
     """The paired differences of tracking and estimation, within a width."""
     parts = []
     for block in blocks:
-        shown = [name for name in SHOWN if any(name in one.pairs for one in block.compared)]
-        if shown:
-            sheet = _differences(block, shown)
-            groups = (sheet.left, *[1] * (len(sheet.header) - sheet.left))
-            cells = list(sheet.rows)
-            lines = fit(sheet.header, cells, groups, width)
-            parts.append(wrapped(f"Paired, {sheet.title}", width) + f"\n\n{lines}")
+        if any(name in differing(block) for name in SHOWN):
+            sheet = _differences(block, SHOWN)
+            parts.append(wrapped(f"Paired, {sheet.title}", width) + f"\n\n{_text(sheet, width)}")
     return "\n\n".join(parts)
+
+
+def text_errors(blocks: Sequence[Block], width: int) -> str:
+    """The typical errors, within a width."""
+    found = [_errors(block) for block in blocks]
+    return "\n\n".join(f"{wrapped(one.title, width)}\n\n{_text(one, width)}" for one in found)
+
+
+def differing(block: Block) -> list[str]:
+    """Errors in which anything differs from the baseline: estimates may move nothing, say."""
+    return [
+        name for name in TITLES
+        if any(
+            (pair := one.pairs.get(name)) is not None and (pair.won or pair.lost)
+            for one in block.compared
+        )
+    ]  # fmt: skip
+
+
+def _text(sheet: Sheet, width: int) -> str:
+    """One table within a width."""
+    groups = (sheet.left, *[1] * (len(sheet.header) - sheet.left))
+    return fit(sheet.header, list(sheet.rows), groups, width)
 
 
 def markdown(blocks: Sequence[Block], origin: str = "") -> str:
@@ -145,7 +164,7 @@ def _errors(block: Block) -> Sheet:
 def _differences(block: Block, wanted: Sequence[str] = tuple(TITLES)) -> Sheet:
     """Paired differences with the baseline."""
     names, rows = _names(block), []
-    errors = [name for name in wanted if any(name in one.pairs for one in block.compared)]
+    errors = [name for name in wanted if name in differing(block)]
     for name in errors:
         pairs = [(one, one.pairs[name]) for one in block.compared if name in one.pairs]
         places = _decimals(
