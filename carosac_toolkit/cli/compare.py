@@ -24,6 +24,7 @@ from carosac_toolkit.studies.findings import conclusions
 from carosac_toolkit.studies.paired import Block, check_baseline, paired_blocks, ways_of
 from carosac_toolkit.studies.paper_tables import text_tables
 from carosac_toolkit.studies.report import TABLES_LATEX, TABLES_MARKDOWN, write_report
+from carosac_toolkit.studies.resampling import FEWEST
 from carosac_toolkit.studies.results import StudyResults
 from carosac_toolkit.studies.run_case import DRIVER
 from carosac_toolkit.studies.study import (
@@ -39,7 +40,7 @@ from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 
 PAIRED_UNITS = (
     "difference: of the RMSE to that of the baseline in the same case, median over the seeds, mean "
-    "over the paths, with its 95 % interval (cluster bootstrap over the seeds, from 3 on); ratio: "
+    f"over the paths, with its 95 % interval (cluster bootstrap, from {FEWEST} seeds on); ratio: "
     "of such errors; won: cases with the smaller error, failed ones are lost; p: of won and lost, "
     "exact, labels exchanged seed by seed, after Holm; failed: cases of it and of the baseline."
 )

@@ -139,7 +139,8 @@ def _finish(
     write_files(folder, {name: text.encode() for name, text in texts.items()})
     write_json(folder / RECORD, data)
     data["output"] = str(folder)
-    print(f"\n{folder}: {TABLES}, {RESULTS} (one row per case), {RECORD}; a report of each study")
+    print(f"\nresults: {folder}, with {TABLES}, {RESULTS} (one row per case) and {RECORD};")
+    print("below it, a report of each study")
     return CommandResult(data, status=0 if all(part.results.complete for part in parts) else 1)
 
 
@@ -149,7 +150,7 @@ def _said(found: Agreement) -> list[str]:
         return ["Nothing that was published ran here: nothing tells whether both agree."]
     if found.faults:
         return ["This machine finds other numbers than were published:", *found.faults]
-    return [f"What ran here and was published agrees within {100 * found.largest:.2g} %."]
+    return [f"What ran here and was published agrees within {100 * found.largest:.2f} %."]
 
 
 def _words(options: Options, suite: ReferenceSuite) -> list[str]:

@@ -83,7 +83,10 @@ class ReferenceSuite:
 
     def quick(self) -> ReferenceSuite:
         """Two seeds of one trajectory: another definition, to see that all runs."""
-        fewer = {"seeds": QUICK_SEEDS, "trajectories": self.definition["trajectories"][:1]}
+        fewer = {
+            "seeds": self.definition["seeds"][:QUICK_SEEDS],
+            "trajectories": self.definition["trajectories"][:1],
+        }
         return replace(self, name=f"{self.name}-quick", definition={**self.definition, **fewer})
 
     def tasks(

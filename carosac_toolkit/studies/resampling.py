@@ -15,7 +15,7 @@ from carosac_toolkit.arrays import Array
 
 CONFIDENCE = 0.95
 RESAMPLES = 5000
-FEWEST = 3  # seeds from which an interval is given
+FEWEST = 5  # seeds from which an interval is given
 EXACT = 14  # seeds up to which all sign changes are tried
 CHUNK = 2_000_000  # numbers that are sorted at once
 ROUNDING = 1e-9  # share of the largest sum by which equal sums may differ

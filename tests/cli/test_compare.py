@@ -100,7 +100,12 @@ def test_the_contract_of_the_json_the_table_and_the_files(capsys):
     assert "cycle: latency of estimator and controller" in " ".join(out.split())
     assert all(f"* {line}" in " ".join(out.split()) for line in data["conclusions"])
     kinds = {path.suffix for path in Path("out").iterdir()}
-    assert {".parquet", ".png", ".html", ".json"} <= kinds
+    assert {".parquet", ".png", ".html", ".json", ".md", ".tex"} <= kinds
+    block = data["paired"][0]
+    assert block["baseline"] == "straight_line"
+    pair = block["compared"][1]["against_baseline"]["tracking"]
+    assert pair["cases"] == pair["scored"] == 2 and pair["difference"]["low"] is None
+    assert "Paired, carosac" in out and f"{pair['ratio']['value']:.2f}" in out
     assert "--trajectories line circle" in Path("out/report.html").read_text()
 
 
@@ -230,6 +235,8 @@ def test_the_quick_preset_is_a_part_of_the_whole():
         ),
         (["--set", "driver.suite=lengths"], "driver_settings.suite: got 'lengths'; allowed: none"),
         (["--set", "driver.wind=NaN"], "--set: got 'driver.wind=NaN'; allowed: finite numbers"),
+        (["--baseline", "nobody"], "baseline: got 'nobody'; allowed: one of ['straight_line'"),
+        (["--against", "."], "--against: got '.'; allowed: nothing without --suite"),
         (["--suites", "lenghts"], "suite: got 'lenghts'"),
         (["--suites", "lengths+imu", "--driver", "quasi_static"], "no inertia"),
         (["--trajectories", "spirall"], "did you mean 'spiral'"),

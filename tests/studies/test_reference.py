@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from benchmarks.reference import check
+from carosac_toolkit import trajectories
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics import statics
+from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.studies.reference import LATEST, ReferenceSuite, suites
 from carosac_toolkit.studies.reference_check import agreement
 from carosac_toolkit.studies.reference_results import (
@@ -31,11 +34,11 @@ SUITE = ReferenceSuite.load("reference")
 def test_the_definition_has_not_changed_under_its_name():
     """A change of the suite, of its robots or of its condition needs a new version."""
     assert SUITE.name == LATEST == suites()[-1]
-    assert SUITE.digest == "cb9b41bb7017bb38"
+    assert SUITE.digest == "70942b8d9daa7d52"
 
 
 def test_the_digest_is_of_all_that_decides_the_draws():
-    seeds = replace(SUITE, definition={**SUITE.definition, "seeds": 9})
+    seeds = replace(SUITE, definition={**SUITE.definition, "seeds": [0, 1, 2]})
     robots = replace(SUITE, definition={**SUITE.definition, "robots": ["carosac"]})
     assert len({SUITE.digest, SUITE.quick().digest, seeds.digest, robots.digest}) == 4
     assert replace(SUITE, definition=dict(SUITE.definition)).digest == SUITE.digest
@@ -54,8 +57,21 @@ def test_all_of_ours_run_and_a_policy_only_on_its_robot():
     assert "ks_ekf" in ways["estimation", "scampi"][1]
     for task in SUITE.tasks():
         task.study.check()
-        assert task.study.seed_list == tuple(range(8)) and task.study.speed_max == 2.0
+        assert task.study.seed_list == (0, 1, 3, 4, 5, 6, 7, 8) and task.study.speed_max == 2.0
         assert task.study.driver_settings["cables"] == "particles"
+
+
+def test_robots_can_rest_along_all_its_paths():
+    """Otherwise controllers that refuse such a path lose it for nothing."""
+    for task in SUITE.tasks(controllers=["straight_line"]):
+        robot, cases = load_robot(task.robot), task.study.cases()
+        paths = {(case.trajectory, case.path_seed % 2**32) for case in cases}
+        points = []
+        for name, seed in paths:
+            path = trajectories.build(name, robot, seed, speed_max=2.0, acceleration_max=2.0)
+            points.append(path.sample(np.linspace(0.0, path.duration, 25)).position)
+        rest = statics.inverse_kinematics(robot, np.concatenate(points))
+        assert len(paths) == 24 and (rest.converged & rest.stable).all()
 
 
 def test_an_entry_runs_beside_the_baseline_only_and_on_the_same_draws():
@@ -87,7 +103,7 @@ def test_a_suite_that_is_not_there():
         ReferenceSuite.load("lengths")
 
 
-def part_of(scales, folder, *, seeds=8):
+def part_of(scales, folder, *, seeds=4):
     """Made-up rows of the part `tracking` on carosac, errors by controller."""
     task = SUITE.tasks(controllers=list(scales))[0]
     rows = []
@@ -117,7 +133,7 @@ def written(part, folder, suite=SUITE):
 def test_rows_survive_the_file_within_their_digits(tmp_path):
     part = part_of({"kinematic_solver": 1.0, "mpc": 0.2}, tmp_path)
     back = read_rows(written(part, tmp_path / "a"))
-    assert len(back) == len(part.rows) == 48
+    assert len(back) == len(part.rows) == 24
     for one, other in zip(part.rows, back, strict=True):
         assert other["tracking_rmse_norm_m"] == pytest.approx(one["tracking_rmse_norm_m"], rel=1e-5)
         assert {k: other[k] for k in ("part", "seed", "status", "reason")} == {
@@ -136,9 +152,10 @@ def test_results_of_another_definition_are_refused(tmp_path):
 
 def test_an_entry_is_compared_with_what_was_published(tmp_path):
     published = written(
-        part_of({"kinematic_solver": 1.0, "mpc": 0.2, "td3": 0.6}, tmp_path), tmp_path / "p"
+        part_of({"kinematic_solver": 1.0, "mpc": 0.2, "td3": 0.6}, tmp_path, seeds=8),
+        tmp_path / "p",
     )
-    mine = part_of({"kinematic_solver": 1.0, "mine": 0.5}, tmp_path)
+    mine = part_of({"kinematic_solver": 1.0, "mine": 0.5}, tmp_path, seeds=8)
     shown = with_published(mine, read_rows(published))
     block = shown.blocks[0]
     labels = ["kinematic_solver", "mine", "mpc (published)", "td3 (published)"]

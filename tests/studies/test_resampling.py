@@ -59,11 +59,11 @@ def test_paired_intervals_are_shorter_than_those_of_the_same_data_unpaired():
 
 
 def test_an_interval_needs_some_seeds_and_a_value_in_each_resample():
-    table = np.arange(12.0).reshape(4, 3)
+    table = np.arange(18.0).reshape(6, 3)
     assert interval(typical, table[: FEWEST - 1]) is None
     assert interval(typical, table[:FEWEST]) is not None
     table[:2] = np.nan
-    assert interval(typical, table) is None  # two seeds are left
+    assert interval(typical, table) is None  # four seeds are left
 
 
 def test_an_interval_is_the_same_again_and_its_end_scales_with_the_unit():
