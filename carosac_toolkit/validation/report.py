@@ -110,7 +110,9 @@ def write_report(
     }
     settings = json.dumps(context.settings, indent=2, ensure_ascii=False) + "\n"
     document = _html(result, said, context, images)
-    files = {SETTINGS: settings.encode(), SAMPLES: samples_bytes(result)}
+    files = {SETTINGS: settings.encode()}
+    if images:
+        files[SAMPLES] = samples_bytes(result)
     return write_files(folder, {**images, **files, "report.html": document.encode()})
 
 
