@@ -45,7 +45,9 @@ lint: $(STAMP)  ## check style, formatting and types
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
-bench: $(STAMP)  ## measure speed: statics, limits, learning, simulator beside MuJoCo
+bench: $(STAMP)  ## reference suite against its committed table, and speed of all parts
+	$(BIN)/carosac compare --suite reference --output $(RESULTS)/reference-1
+	$(BIN)/python -m benchmarks.reference $(RESULTS)/reference-1
 	@$(BIN)/python -m pip install -qq --constraint constraints.txt mujoco
 	$(BIN)/python -m benchmarks.statics
 	$(BIN)/python -m benchmarks.limits

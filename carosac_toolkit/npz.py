@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -29,9 +30,15 @@ def write_npz(path: str | Path, key: str, rest: Any, arrays: dict[str, NDArray[A
     if not target.parent.is_dir():
         raise MissingFile(target.parent, "the folder must exist")
     temporary = target.with_name(target.name + ".part")
-    with temporary.open("wb") as stream:
-        np.savez(stream, allow_pickle=False, **{key: np.array(json.dumps(rest))}, **arrays)
+    temporary.write_bytes(npz_bytes(key, rest, arrays))
     temporary.replace(target)
+
+
+def npz_bytes(key: str, rest: Any, arrays: dict[str, NDArray[Any]]) -> bytes:
+    """The content of such a file."""
+    stream = io.BytesIO()
+    np.savez(stream, allow_pickle=False, **{key: np.array(json.dumps(rest))}, **arrays)
+    return stream.getvalue()
 
 
 def read_npz(path: str | Path, key: str, writer: str) -> tuple[Any, dict[str, NDArray[Any]]]:

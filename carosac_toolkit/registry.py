@@ -1,4 +1,4 @@
-"""Plug-ins by name: controllers, estimators, drivers and commands that the core never imports.
+"""Plug-ins by name: controllers, estimators, drivers, commands and figures of other packages.
 
 Each is an entry point of an installed distribution, in the group ``carosac.<kind>``, or is named
 directly as ``module:Class``. Looking up reads metadata only; `load` imports the one asked for.
@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 
 from carosac_toolkit.errors import CarosacError, InvalidField
 
-Kind = Literal["controllers", "estimators", "drivers", "commands"]
+Kind = Literal["controllers", "estimators", "drivers", "commands", "figures"]
 
 OUR_PACKAGES = ("baselines", "learned", "sim_warp", "calibration")
 _MARKER = "__carosac__"
@@ -29,11 +29,11 @@ def load(kind: Kind, name: str) -> Any:
     """Import one plug-in.
 
     Args:
-        kind: ``"controllers"``, ``"estimators"``, ``"drivers"`` or ``"commands"``.
+        kind: ``"controllers"``, ``"estimators"``, ``"drivers"``, ``"commands"`` or ``"figures"``.
         name: A name from `names`, or ``module:Class`` for what is importable but not installed.
 
     Returns:
-        What the name stands for: a class, or a module for most commands.
+        What the name stands for: a class, or a module for most commands and figures.
 
     Raises:
         InvalidField: There is no such plug-in; the message lists those there are.

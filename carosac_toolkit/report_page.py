@@ -5,13 +5,15 @@ from __future__ import annotations
 import base64
 import io
 import os
+import platform
 import shlex
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from html import escape
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DPI = 110
+LIBRARIES = ("numpy", "warp-lang", "scipy", "casadi", "osqp")
 _STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#202020;max-width:1180px;margin:2em auto;
 padding:0 1em}
@@ -115,16 +118,20 @@ def bullets(lines: Iterable[str]) -> str:
     return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
 
-def table(header: tuple[str, ...], rows: Rows, *, left: int) -> str:
-    """An HTML table; the first columns hold text."""
+def table(
+    header: tuple[str, ...], rows: Rows, *, left: int, bold: Collection[tuple[int, int]] = ()
+) -> str:
+    """An HTML table; the first columns hold text, and some cells by row and column stand out."""
 
-    def line(cells: tuple[str, ...], tag: str) -> str:
+    def line(cells: tuple[str, ...], tag: str, row: int = -1) -> str:
         kinds = [' class="t"' if i < left else "" for i in range(len(cells))]
-        texts = [f"<{tag}{k}>{escape(c)}</{tag}>" for k, c in zip(kinds, cells, strict=True)]
+        said = [f"<b>{escape(c)}</b>" if (row, i) in bold else escape(c)
+                for i, c in enumerate(cells)]  # fmt: skip
+        texts = [f"<{tag}{k}>{c}</{tag}>" for k, c in zip(kinds, said, strict=True)]
         first = ' class="m"' if tag == "td" and cells[0] else ""
         return f"<tr{first}>{''.join(texts)}</tr>"
 
-    body = "".join(line(row, "td") for row in rows)
+    body = "".join(line(row, "td", k) for k, row in enumerate(rows))
     return f'<div class="wide"><table>{line(header, "th")}{body}</table></div>'
 
 
@@ -153,8 +160,20 @@ def made_with() -> dict[str, str]:
     return {
         "toolkit": f"carosac-toolkit {__version__}",
         "git commit": commit_of_code() or "",
+        "versions": ", ".join(_versions()),
         "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     }
+
+
+def _versions() -> list[str]:
+    """Python, and the libraries that the numbers depend on."""
+    found = [f"Python {platform.python_version()}"]
+    for name in LIBRARIES:
+        try:
+            found.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            continue
+    return [*found, f"{platform.system()} {platform.machine()}"]
 
 
 def commit_of_code() -> str | None:

@@ -88,6 +88,11 @@ class Scores:
         return data
 
 
+def sound_paths(scores: Scores) -> NDArray[np.bool_]:
+    """Paths on which nothing failed, shape (N,)."""
+    return np.asarray(~scores.failed.any(axis=1))
+
+
 def score(environment: CableEnvironment, act: Act, paths: list[Path]) -> Scores:
     """Follow paths to the end of the longest, as many at once as the environment has rows.
 

@@ -21,12 +21,29 @@ from carosac_toolkit.report_page import check_folder
 from carosac_toolkit.studies.chosen_settings import chosen_settings
 from carosac_toolkit.studies.engine import TIMEOUT
 from carosac_toolkit.studies.findings import conclusions
-from carosac_toolkit.studies.report import write_report
+from carosac_toolkit.studies.paired import Block, check_baseline, paired_blocks, ways_of
+from carosac_toolkit.studies.paper_tables import text_tables
+from carosac_toolkit.studies.report import TABLES_LATEX, TABLES_MARKDOWN, write_report
+from carosac_toolkit.studies.resampling import FEWEST
 from carosac_toolkit.studies.results import StudyResults
 from carosac_toolkit.studies.run_case import DRIVER
-from carosac_toolkit.studies.study import QUICK_SEEDS, SEEDS, TRAJECTORIES, Study
+from carosac_toolkit.studies.study import (
+    CONTROLLERS,
+    ESTIMATORS,
+    QUICK_SEEDS,
+    SEEDS,
+    TRAJECTORIES,
+    Study,
+)
 from carosac_toolkit.studies.tables import failures, text_table, units
 from carosac_toolkit.text_tables import counted, terminal_width, wrapped
+
+PAIRED_UNITS = (
+    "difference: of the RMSE to that of the baseline in the same case, median over the seeds, mean "
+    f"over the paths, with its 95 % interval (cluster bootstrap, from {FEWEST} seeds on); ratio: "
+    "of such errors; won: cases with the smaller error, failed ones are lost; p: of won and lost, "
+    "exact, labels exchanged seed by seed, after Holm; failed: cases of it and of the baseline."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,17 +52,20 @@ class Options(CommonOptions):
 
     robots: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--robot"])] = ("carosac",)
     """Bundled robots or YAML files."""
-    controllers: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--controller"])] = (
-        "straight_line",
-        "kinematic_solver",
-    )
-    """Controllers by name, or `module:Class` for your own."""
-    estimators: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--estimator"])] = (
-        "kinematic_solver",
-    )
-    """Estimators by name, or `module:Class`; `truth` is what a simulated driver knows. NAME@LABEL
-    is NAME with settings of its own, here and among the controllers."""
-    suites: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--suite"])] = ("lengths",)
+    controllers: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--controller"])] = ()
+    """Controllers by name, or `module:Class` for your own; by default straight_line and
+    kinematic_solver."""
+    estimators: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--estimator"])] = ()
+    """Estimators by name, or `module:Class`; `truth` is what a simulated driver knows; by default
+    kinematic_solver. NAME@LABEL is NAME with settings of its own, here and among the
+    controllers."""
+    suite: str | None = None
+    """Run a reference suite, `reference`: it fixes robots, paths, plants, seeds and sensors. With
+    --controllers or --estimators only these run, beside its baseline."""
+    against: str | None = None
+    """With --suite: folder of results of the same suite to compare with in pairs, such as
+    benchmarks/reference."""
+    suites: tuple[str, ...] = ("lengths",)
     """Sensor suites of the driver."""
     trajectories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--trajectory"])] = TRAJECTORIES
     """Trajectories of the catalogue."""
@@ -67,6 +87,9 @@ class Options(CommonOptions):
     ] = ()
     """Setting of a plug-in: controller.NAME.FIELD=VALUE, estimator.NAME.FIELD=VALUE or
     driver.FIELD=VALUE, VALUE as JSON or text; may be given several times."""
+    baseline: str | None = None
+    """What all others are compared with in pairs: a controller, or `CONTROLLER / ESTIMATOR / SUITE`
+    as far as they differ; by default the first row of the table."""
     quick: tyro.conf.FlagCreatePairsOff[bool] = False
     """Two draws, unless --seeds says otherwise; with the other defaults, in under a minute. A full
     run in the same folder goes on from there."""
@@ -85,20 +108,31 @@ class Options(CommonOptions):
 
 def run(options: Options) -> CommandResult:
     """Run the study, print and draw it."""
+    if options.suite is not None:
+        from carosac_toolkit.cli.compare_reference import run_suite
+
+        return run_suite(options, options.suite)
+    if options.against is not None:
+        raise InvalidField("--against", repr(options.against), "nothing without --suite")
     study = _study(options)
     study.check()
+    if options.baseline is not None:
+        ways = ways_of(study.controllers, study.estimators, study.suites)
+        check_baseline(options.baseline, ways)
     study = replace(study, output=study.folder())
     check_folder("--output", study.folder())
     width = terminal_width()
     print(wrapped(_what(study), width), flush=True)
     results = study.run()
     said = conclusions(results)
-    _print(results, said, width)
-    files = write_report(results, said, _words(options, study))
+    blocks = paired_blocks(results, options.baseline)
+    _print(results, said, blocks, width)
+    files = write_report(results, said, _words(options, study), blocks)
     pictures = sum(file.suffix == ".png" for file in files)
     print(f"\nreport: {results.folder / 'report.html'}, with {pictures} pictures and the rows of")
-    print("all cases (Parquet) beside it")
-    data = {**results.data(), "conclusions": said, "output": str(results.folder)}
+    print(f"all cases (Parquet) beside it; tables for a paper: {TABLES_MARKDOWN}, {TABLES_LATEX}")
+    paired = [block.data() for block in blocks]
+    data = {**results.data(), "paired": paired, "conclusions": said, "output": str(results.folder)}
     return CommandResult(data, status=0 if results.complete else 1)
 
 
@@ -109,10 +143,12 @@ def _study(options: Options) -> Study:
         raise InvalidField("--seeds", str(count), "1 or more")
     if options.seed < 0:
         raise InvalidField("--seed", str(options.seed), "0 or more")
+    controllers = options.controllers or CONTROLLERS
+    estimators = options.estimators or ESTIMATORS
     return Study(
         robots=options.robots,
-        controllers=options.controllers,
-        estimators=options.estimators,
+        controllers=controllers,
+        estimators=estimators,
         suites=options.suites,
         trajectories=options.trajectories,
         perturbations=options.perturbations,
@@ -125,9 +161,7 @@ def _study(options: Options) -> Study:
         workers=options.workers,
         timeout=options.timeout,
         retry=options.retry,
-        **chosen_settings(
-            options.settings, controllers=options.controllers, estimators=options.estimators
-        ),
+        **chosen_settings(options.settings, controllers=controllers, estimators=estimators),
     )
 
 
@@ -135,9 +169,10 @@ def _words(options: Options, study: Study) -> list[str]:
     """The command that repeats this."""
     words = ["carosac", "compare"]
     for name in ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations"):
-        words += [f"--{name}", *getattr(options, name)]
+        words += [f"--{name}", *getattr(study, name)]
     words += ["--seed", str(options.seed), "--seeds", str(len(study.seed_list))]
     words += ["--driver", options.driver, "--timeout", f"{options.timeout:g}"]
+    words += ["--baseline", options.baseline] if options.baseline is not None else []
     words += ["--speed", f"{options.speed:g}", "--acceleration", f"{options.acceleration:g}"]
     return words + [word for text in options.settings for word in ("--set", text)]
 
@@ -153,10 +188,14 @@ def _what(study: Study) -> str:
     )
 
 
-def _print(results: StudyResults, said: list[str], width: int) -> None:
-    """Print the table, what failed, and what it all says."""
+def _print(results: StudyResults, said: list[str], blocks: list[Block], width: int) -> None:
+    """Print the tables, what failed, and what it all says."""
     print(f"\n{text_table(results, width)}\n")
     print(wrapped(units(results), width))
+    paired = text_tables(blocks, width)
+    if paired:
+        print(f"\n{paired}\n")
+        print(wrapped(PAIRED_UNITS, width))
     lost = failures(results)
     if lost:
         print()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from carosac_toolkit.studies.results import (
     PAIR,
+    WAYS,
     StudyResults,
     estimated,
     pooled,
@@ -21,7 +22,6 @@ SWAY_MIN = 1e-3  # [m]: a smaller swing is not worth a sentence
 CLOSE = 1.2  # ratio below which two digits do not tell what is between
 ENOUGH = 3  # seeds that can show that a covariance is right
 ALIKE = 1.01  # ratio of two errors below which they are not told apart
-WAYS = ("controller", "estimator", "suite")  # what is compared
 BLOCKS = 3  # robots and perturbations that get sentences
 
 

@@ -10,14 +10,14 @@ How rows become one line:
   other, and runs of one seed have plant and sensor biases in common, so the band in which 95 % of
   such means lie is that of as many independent draws as there are seeds: wider than it could be,
   never narrower.
-* Latency is the median over the cases of their 95th percentile.
+* Latencies are medians over the cases of their median, 95th and 99th percentile.
 * Cases that failed, crashed or timed out have no errors; they are counted, with their reasons.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -28,9 +28,11 @@ import numpy as np
 from carosac_toolkit.consistency import POSE_SIZE, STATE_SIZE, band
 from carosac_toolkit.studies.rows import Row
 
+WAYS = ("controller", "estimator", "suite")  # what is compared
 GROUP = ("robot", "controller", "estimator", "suite", "perturbation")
 PAIR = ("trajectory", "seed")  # with robot and perturbation: the same plant on the same path
 NAMES = ("x", "y", "z", "norm")
+LATENCIES = ("latency_median_s", "latency_p95_s", "latency_p99_s")
 _NUMBER = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 
 
@@ -66,11 +68,7 @@ class StudyResults:
 
     def labels_of(self, names: Sequence[str]) -> list[str]:
         """Names of the groups by those of some fields that they do not share."""
-        varies = [name for name in names if len({line[name] for line in self.summary}) > 1]
-        return [
-            " / ".join(str(line[name]) for name in varies or ["controller"])
-            for line in self.summary
-        ]
+        return labels_by(names, self.summary)
 
     @property
     def complete(self) -> bool:
@@ -80,6 +78,12 @@ class StudyResults:
     def data(self) -> dict[str, Any]:
         """All numbers under names with units, ready for JSON."""
         return {"summary": self.summary, "cases": len(self.rows)}
+
+
+def labels_by(names: Sequence[str], lines: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Name lines by those of some fields that they do not share."""
+    varies = [name for name in names if len({line[name] for line in lines}) > 1]
+    return [" / ".join(str(line[name]) for name in varies or ["controller"]) for line in lines]
 
 
 def scored(rows: Sequence[Row]) -> list[Row]:
@@ -131,7 +135,6 @@ def _line(rows: Sequence[Row]) -> dict[str, Any]:
     norms = [float(row["tracking_rmse_norm_m"] or 0.0) for row in moved]
     inside = [_number(row, "centre_steps") for row in moved]
     outside = [all_steps - k for all_steps, k in zip(steps(moved), inside, strict=True)]
-    latency = [_number(row, "latency_p95_s") for row in good]
     return {
         **{name: rows[0][name] for name in GROUP},
         "cases": len(rows),
@@ -152,7 +155,7 @@ def _line(rows: Sequence[Row]) -> dict[str, Any]:
         "residual_sway_m": pooled(moved, "residual_sway_m", [1.0] * len(moved)),
         "command_rmse_m": pooled(good, "command_rmse_m", steps(good)),
         "limited": int(sum(_number(row, "limited") for row in good)),
-        "latency_p95_s": float(np.median(latency)) if latency else None,
+        **{name: _middle(good, name) for name in LATENCIES},
         "reasons": reasons(rows),
     }
 
@@ -166,6 +169,12 @@ def _mean(rows: Sequence[Row], name: str) -> float | None:
     """Mean of a column, None where no row has it."""
     known = [float(value) for row in rows if (value := row.get(name)) is not None]
     return float(np.mean(known)) if known else None
+
+
+def _middle(rows: Sequence[Row], name: str) -> float | None:
+    """Median of a column, None where no row has it."""
+    known = [float(value) for row in rows if (value := row.get(name)) is not None]
+    return float(np.median(known)) if known else None
 
 
 def _normalised(rows: Sequence[Row], name: str, dof: float | None) -> dict[str, Any] | None:

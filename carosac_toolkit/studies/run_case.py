@@ -141,6 +141,7 @@ def score(log: Log, robot: Robot, duration: float, *, replayed: bool = False) ->
     row: dict[str, Any] = {
         "latency_median_s": float(np.median(log.latency)),
         "latency_p95_s": float(np.quantile(log.latency, 0.95)),
+        "latency_p99_s": float(np.quantile(log.latency, 0.99)),
         "command_rmse_m": _rms(log.asked - log.command),
         "limited": len({cycle for cycle, _ in log.limited}),
         "completed": log.completed,

@@ -21,6 +21,8 @@ FUNCTION = "carosac_toolkit.studies.run_case:run_case"
 FOLDER = Path("carosac-results") / "compare"
 SEEDS = 10
 QUICK_SEEDS = 2
+CONTROLLERS = ("straight_line", "kinematic_solver")
+ESTIMATORS = ("kinematic_solver",)
 TRAJECTORIES = ("minimum_snap", "cubic_spline", "waypoints", "circle", "spiral")
 
 
@@ -55,8 +57,8 @@ class Study:
     """
 
     robots: Sequence[str] = ("carosac",)
-    controllers: Sequence[str] = ("straight_line", "kinematic_solver")
-    estimators: Sequence[str] = ("kinematic_solver",)
+    controllers: Sequence[str] = CONTROLLERS
+    estimators: Sequence[str] = ESTIMATORS
     suites: Sequence[str] = ("lengths",)
     trajectories: Sequence[str] = TRAJECTORIES
     perturbations: Sequence[str] = ("nominal-1",)

@@ -23,6 +23,7 @@ from carosac_toolkit.report_page import (
 )
 from carosac_toolkit.validation.phases import REST_DURATION, REST_SPEED
 from carosac_toolkit.validation.result import ValidationResult
+from carosac_toolkit.validation.saved import SAMPLES, samples_bytes
 from carosac_toolkit.validation.tables import (
     CAUSE_HEADER,
     PART_HEADER,
@@ -109,9 +110,10 @@ def write_report(
     }
     settings = json.dumps(context.settings, indent=2, ensure_ascii=False) + "\n"
     document = _html(result, said, context, images)
-    return write_files(
-        folder, {**images, SETTINGS: settings.encode(), "report.html": document.encode()}
-    )
+    files = {SETTINGS: settings.encode()}
+    if images:
+        files[SAMPLES] = samples_bytes(result)
+    return write_files(folder, {**images, **files, "report.html": document.encode()})
 
 
 def _any_scored(result: ValidationResult) -> bool:

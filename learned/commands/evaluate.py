@@ -29,15 +29,14 @@ from learned.evaluation import (
     evaluate,
     evaluate_inverse_kinematics,
     rmse_ratio,
-    trajectory_errors,
     trajectory_rmse,
 )
 from learned.policy_controller import check_robot, find_policy
 from learned.policy_file import Policy, PolicyDescription
-from learned.scores import Scores
+from learned.saved_scores import SCORES, SavedScores
+from learned.scores import Scores, sound_paths
 from learned.settings_data import environment_settings
 
-SAMPLES = 4  # paths that are drawn
 SOLVER, FEEDFORWARD = "catenary IK", "with feedforward"  # columns beside the policy
 BY_DEFINITION = (  # none, for inverse kinematics of set-points
     "length_error_m", "inconsistency_m", "p95_inconsistency_m", "median_tilt_rad"
@@ -97,9 +96,11 @@ def run(options: Options) -> CommandResult:
     print(_table(data))
     folder = options.output or _default_folder(description, protocol)
     data["pictures"] = draw(scores["policy"], robot, folder)
+    saved = SavedScores(policy=options.policy, protocol=protocol, robot=robot, scores=scores)
+    saved.write(folder)
     if protocol == "realtime":
         data["pictures"] += draw_rmse(scores, folder)
-    print(f"pictures: {folder}")
+    print(f"pictures, and the scores of all points ({SCORES}): {folder}")
     return CommandResult(data, status=1 if data["failures"] else 0)
 
 
@@ -155,20 +156,15 @@ ROWS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
 
 def draw(scores: Scores, robot: Robot, folder: Path) -> list[Path]:
     """The paper's pictures, of paths that did not fail."""
-    from learned.pictures.accuracy import error_histograms, error_violins, sample_paths
+    from learned.pictures.evaluation import draw_histograms, draw_paths, draw_violins
 
     folder.mkdir(parents=True, exist_ok=True)
-    sound = ~scores.failed.any(axis=1)
-    if not sound.any():
+    if not sound_paths(scores).any():
         return []
-    distance, length = trajectory_errors(scores)
     files = [folder / name for name in ("histograms.png", "violins.png", "paths.png")]
-    error_histograms(distance[sound], length[sound], files[0])
-    error_violins(scores.error[sound][scores.counted[sound]], files[1])
-    shown = np.flatnonzero(sound)[:SAMPLES, None]
-    last = scores.counted.sum(axis=1)[shown] - 1
-    steps = np.minimum(np.arange(scores.counted.shape[1]), last)  # what does not count is not drawn
-    sample_paths(scores.target[shown, steps], scores.position[shown, steps], robot, files[2])
+    draw_histograms(scores, files[0])
+    draw_violins(scores, files[1])
+    draw_paths(scores, robot, files[2])
     return files
 
 
@@ -176,7 +172,7 @@ def draw_rmse(scores: dict[str, Scores], folder: Path) -> list[Path]:
     """How the RMSE of a path scatters, over paths on which nothing failed."""
     from learned.pictures.accuracy import rmse_gaussians
 
-    sound = ~np.any([one.failed.any(axis=1) for one in scores.values()], axis=0)
+    sound = np.all([sound_paths(one) for one in scores.values()], axis=0)
     if not sound.any():
         return []
     groups = {name: trajectory_rmse(one)[sound] for name, one in scores.items()}

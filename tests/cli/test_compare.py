@@ -100,7 +100,12 @@ def test_the_contract_of_the_json_the_table_and_the_files(capsys):
     assert "cycle: latency of estimator and controller" in " ".join(out.split())
     assert all(f"* {line}" in " ".join(out.split()) for line in data["conclusions"])
     kinds = {path.suffix for path in Path("out").iterdir()}
-    assert {".parquet", ".png", ".html", ".json"} <= kinds
+    assert {".parquet", ".png", ".html", ".json", ".md", ".tex"} <= kinds
+    block = data["paired"][0]
+    assert block["baseline"] == "straight_line"
+    pair = block["compared"][1]["against_baseline"]["tracking"]
+    assert pair["cases"] == pair["scored"] == 2 and pair["difference"]["low"] is None
+    assert "Paired, carosac" in out and f"{pair['ratio']['value']:.2f}" in out
     assert "--trajectories line circle" in Path("out/report.html").read_text()
 
 
@@ -136,7 +141,9 @@ def test_somebody_elses_controller_runs_on_workers_as_in_this_process(capsys):
         out = ["--workers", workers, "--output", workers, "--json", f"{workers}.json"]
         assert main([*words, *out]) == 1
         summary = json.loads(Path(f"{workers}.json").read_text())["summary"]
-        tables.append([{k: x for k, x in row.items() if k != "latency_p95_s"} for row in summary])
+        tables.append(
+            [{k: x for k, x in row.items() if not k.startswith("latency")} for row in summary]
+        )
     assert tables[0] == tables[1]
     assert tables[0][0]["failures"] == 0 and tables[0][1]["failures"] == 1
 
@@ -228,8 +235,10 @@ def test_the_quick_preset_is_a_part_of_the_whole():
         ),
         (["--set", "driver.suite=lengths"], "driver_settings.suite: got 'lengths'; allowed: none"),
         (["--set", "driver.wind=NaN"], "--set: got 'driver.wind=NaN'; allowed: finite numbers"),
-        (["--suite", "lenghts"], "suite: got 'lenghts'"),
-        (["--suite", "lengths+imu", "--driver", "quasi_static"], "no inertia"),
+        (["--baseline", "nobody"], "baseline: got 'nobody'; allowed: one of ['straight_line'"),
+        (["--against", "."], "--against: got '.'; allowed: nothing without --suite"),
+        (["--suites", "lenghts"], "suite: got 'lenghts'"),
+        (["--suites", "lengths+imu", "--driver", "quasi_static"], "no inertia"),
         (["--trajectories", "spirall"], "did you mean 'spiral'"),
         (["--perturbations", "nominal-2"], "did you mean 'nominal-1'"),
         (["--robot", "carosak"], "did you mean 'carosac'"),

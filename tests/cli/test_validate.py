@@ -49,7 +49,7 @@ def test_the_contract_of_the_json_and_the_files(short, capsys):
         assert model["error"] is None and model["failures"] == 0
     assert names("out") == [
         "error_violins.png", "length_errors.png", "paths.png", "report.html",
-        "report_settings.json", "time_series.png",
+        "report_settings.json", "samples.npz", "time_series.png",
     ]  # fmt: skip
     out = capsys.readouterr().out
     for model in data["models"].values():

@@ -1,0 +1,164 @@
+"""``carosac compare --suite``: the reference suite, all of it or with an entry of the user."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import time
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from carosac_toolkit.cli.common import CommandResult, write_json
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.report_page import check_folder, made_with, write_files
+from carosac_toolkit.studies.chosen_settings import chosen_settings
+from carosac_toolkit.studies.findings import conclusions
+from carosac_toolkit.studies.paper_tables import text_errors, text_tables
+from carosac_toolkit.studies.reference import ReferenceSuite, Task
+from carosac_toolkit.studies.reference_check import Agreement, agreement
+from carosac_toolkit.studies.reference_results import (
+    RECORD,
+    RESULTS,
+    TABLES,
+    PartResults,
+    check_same,
+    read_rows,
+    record,
+    tables,
+    with_published,
+    write_rows,
+)
+from carosac_toolkit.studies.report import write_report
+from carosac_toolkit.studies.tables import failures
+from carosac_toolkit.text_tables import counted, terminal_width, wrapped
+
+if TYPE_CHECKING:
+    from carosac_toolkit.cli.compare import Options
+
+FREE = (
+    "suite", "controllers", "estimators", "settings", "against", "quick", "scheduler", "workers",
+    "timeout", "retry", "output", "json",
+)  # fmt: skip
+BASE = Path("carosac-results")
+
+
+def run_suite(options: Options, name: str) -> CommandResult:
+    """Run a suite, or what an entry needs of it; print and write what was found."""
+    _check_fixed(options)
+    suite = ReferenceSuite.load(name)
+    suite = suite.quick() if options.quick else suite
+    if options.against is not None:
+        check_same(suite, Path(options.against))
+    tasks = _tasks(options, suite)
+    for task in tasks:
+        task.study.check()
+    folder = options.output or _folder(options, suite)
+    check_folder("--output", folder)
+    width = terminal_width()
+    print(wrapped(_what(suite, tasks), width), flush=True)
+    started = time.monotonic()
+    parts = [_run(task, folder, options, suite) for task in tasks]
+    return _finish(options, suite, parts, folder, time.monotonic() - started)
+
+
+def _check_fixed(options: Options) -> None:
+    """Refuse options that a suite does not leave open."""
+    for field in fields(options):
+        if field.name not in FREE and getattr(options, field.name) != field.default:
+            value = repr(getattr(options, field.name))
+            allowed = "nothing with --suite, which fixes it"
+            raise InvalidField(f"--{field.name}", value, allowed)
+
+
+def _tasks(options: Options, suite: ReferenceSuite) -> list[Task]:
+    """The studies to run."""
+    known = suite.definition["parts"].values()
+    names = {
+        axis: [*getattr(options, axis), *(name for part in known for name in part[axis])]
+        for axis in ("controllers", "estimators")
+    }
+    chosen = chosen_settings(options.settings, **names)
+    if chosen.pop("driver_settings"):
+        raise InvalidField("--set", "a setting of the driver", "none with --suite, which fixes it")
+    execution = {x: getattr(options, x) for x in ("scheduler", "workers", "timeout", "retry")}
+    return suite.tasks(options.controllers, options.estimators, **execution, **chosen)
+
+
+def _folder(options: Options, suite: ReferenceSuite) -> Path:
+    """Where results go that were not sent anywhere: entries apart from the whole suite."""
+    entries = (*options.controllers, *options.estimators, *options.settings)
+    words = [re.sub(r"[^\w.=-]+", "_", name) for name in entries]
+    return BASE / "-".join([suite.name, *words])
+
+
+def _what(suite: ReferenceSuite, tasks: Sequence[Task]) -> str:
+    """What is about to be run."""
+    cases = sum(len(task.study.cases()) for task in tasks)
+    return (
+        f"Suite {suite.name}, definition {suite.digest}: {counted(cases, 'case')} in "
+        f"{counted(len(tasks), 'study', 'studies')} "
+        f"({', '.join(f'{task.part} on {task.robot}' for task in tasks)})"
+    )
+
+
+def _run(task: Task, folder: Path, options: Options, suite: ReferenceSuite) -> PartResults:
+    """Run one study and print its table."""
+    width = terminal_width()
+    place = folder / task.part / task.robot
+    print(f"\n{task.part.capitalize()} on {task.robot}", flush=True)
+    results = replace(task.study, output=place).run()
+    part = PartResults(task=task, results=results)
+    write_report(results, conclusions(results), _words(options, suite), part.blocks)
+    print(f"\n{text_errors(part.blocks, width)}\n")
+    for line in failures(results):
+        indent = " " * (len(line) - len(line.lstrip()))
+        print(wrapped(line.lstrip(), width, indent))
+    return part
+
+
+def _finish(
+    options: Options, suite: ReferenceSuite, parts: list[PartResults], folder: Path, took: float
+) -> CommandResult:
+    """Print the paired comparisons, and write the files of the whole suite."""
+    width, command = terminal_width(), shlex.join(_words(options, suite))
+    shown = parts
+    if options.against is not None:
+        rows = read_rows(Path(options.against))
+        shown = [with_published(part, rows) for part in parts]
+        for line in _said(agreement([row for part in parts for row in part.rows], rows)):
+            print(wrapped(line, width, "* "))
+    made = made_with() | {"time": f"{took / 60:.1f} minutes, without what was there already"}
+    for part in shown:
+        print(f"\n{part.task.part.capitalize()}. {text_tables(part.blocks, width)}")
+    data: dict[str, Any] = record(suite, shown, made, command) | {"minutes": took / 60}
+    origin = "\n".join([f"    {name}: {text}" for name, text in
+                        {"command": command, **made}.items() if text])  # fmt: skip
+    texts = {RESULTS: write_rows(parts), TABLES: tables(suite, shown, origin)}
+    write_files(folder, {name: text.encode() for name, text in texts.items()})
+    write_json(folder / RECORD, data)
+    data["output"] = str(folder)
+    print(f"\nresults: {folder}, with {TABLES}, {RESULTS} (one row per case) and {RECORD};")
+    print("below it, a report of each study")
+    return CommandResult(data, status=0 if all(part.results.complete for part in parts) else 1)
+
+
+def _said(found: Agreement) -> list[str]:
+    """Whether what ran here and was published agrees, so that the rest can be compared."""
+    if not found.differences:
+        return ["Nothing that was published ran here: nothing tells whether both agree."]
+    if found.faults:
+        return ["This machine finds other numbers than were published:", *found.faults]
+    return [f"What ran here and was published agrees within {100 * found.largest:.2f} %."]
+
+
+def _words(options: Options, suite: ReferenceSuite) -> list[str]:
+    """The command that repeats this."""
+    words = ["carosac", "compare", "--suite", suite.name.removesuffix("-quick")]
+    words += ["--quick"] if options.quick else []
+    for name in ("controllers", "estimators"):
+        given = getattr(options, name)
+        words += [f"--{name}", *given] if given else []
+    words += ["--against", options.against] if options.against is not None else []
+    return words + [word for text in options.settings for word in ("--set", text)]

@@ -1,0 +1,98 @@
+"""Figures for a paper: what each is, what it is drawn from, and the command that makes that."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from carosac_toolkit.errors import InvalidField
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SourceKind = Literal["study", "validation", "evaluation", "training"]
+MARKS: Mapping[str, SourceKind] = {  # a file that tells what a folder is
+    "study.json": "study",
+    "samples.npz": "validation",
+    "scores.npz": "evaluation",
+    "curve.csv": "training",
+}
+DEPTH = 4  # folders below one that was named
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """A folder that one of our commands wrote.
+
+    Attributes:
+        kind: Which of them.
+        folder: Where.
+    """
+
+    kind: SourceKind
+    folder: Path
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawn:
+    """A figure, and what it was drawn from.
+
+    Attributes:
+        figure: It.
+        source: Where its numbers are; None where it has none.
+        more: Part of the file name that tells it from others of the same kind.
+    """
+
+    figure: Figure
+    source: Path | None = None
+    more: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaperFigure:
+    """One of the figures.
+
+    Attributes:
+        place: Its place among all figures.
+        name: Of its file.
+        what: What it shows.
+        command: What makes the data that it needs.
+        draw: Draws it from the sources that there are; none where they do not suffice.
+    """
+
+    place: int
+    name: str
+    what: str
+    command: str
+    draw: Callable[[Sequence[Source]], list[Drawn]]
+
+
+def find_sources(folders: Sequence[str]) -> list[Source]:
+    """All that our commands wrote to some folders, and to folders inside them.
+
+    Raises:
+        InvalidField: A folder is not there, or holds nothing of ours.
+    """
+    found: list[Source] = []
+    for name in folders:
+        top = Path(name)
+        if not top.is_dir():
+            raise InvalidField("FOLDER", f"'{name}'", "a folder that is there")
+        here = [
+            Source(kind=kind, folder=path.parent)
+            for depth in range(DEPTH)
+            for mark, kind in MARKS.items()
+            for path in sorted(top.glob("*/" * depth + mark))
+        ]
+        if not here:
+            allowed = "a folder that carosac compare, validate, evaluate or train wrote"
+            raise InvalidField("FOLDER", f"'{name}'", allowed)
+        found += [one for one in here if one not in found]
+    return found
+
+
+def of_kind(sources: Sequence[Source], kind: SourceKind) -> list[Path]:
+    """Folders of a kind, in their order."""
+    return [source.folder for source in sources if source.kind == kind]

@@ -1,0 +1,98 @@
+"""Figures of the paper that are drawn from trainings and evaluations."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carosac_toolkit.pictures.paper_figure import Drawn, PaperFigure, Source, of_kind
+from learned.pictures.evaluation import draw_histograms, draw_paths, draw_violins
+from learned.pictures.reward_figure import paper_reward_terms
+from learned.pictures.training import Curve, curve_of, learning_curves
+from learned.saved_scores import SavedScores
+from learned.scores import sound_paths
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+POLICY = "policy"
+TRAIN = "carosac train --preset paper --output DIR"
+NO_SAG = "carosac evaluate POLICY --protocol no-sag --output DIR"
+SETTLE = "carosac evaluate POLICY --protocol settle --output DIR"
+
+
+def _made(draw: Callable[[Path], Figure]) -> Figure:
+    """A figure of a function that also wants to write it somewhere."""
+    with tempfile.TemporaryDirectory() as folder:
+        return draw(Path(folder) / "figure.svg")
+
+
+def _evaluated(
+    draw: Callable[[SavedScores, Path], Figure], protocols: Sequence[str]
+) -> Callable[[Sequence[Source]], list[Drawn]]:
+    """A figure of an evaluation: of the first of these protocols that there is."""
+
+    def drawn(sources: Sequence[Source]) -> list[Drawn]:
+        there = {folder: SavedScores.read(folder) for folder in of_kind(sources, "evaluation")}
+        sound = {k: saved for k, saved in there.items() if sound_paths(saved.scores[POLICY]).any()}
+        for protocol in protocols:
+            for folder, saved in sound.items():
+                if saved.protocol == protocol:
+                    figure = _made(lambda path, saved=saved: draw(saved, path))  # type: ignore[misc]
+                    return [Drawn(figure=figure, source=folder)]
+        return []
+
+    return drawn
+
+
+def _trained(sources: Sequence[Source]) -> list[Drawn]:
+    """One figure for each stage, with the curves of all its trainings."""
+    stages: dict[str, dict[Path, Curve]] = {}
+    for folder in of_kind(sources, "training"):
+        curve = curve_of(folder, folder.parent.name)
+        if curve is not None:
+            stages.setdefault(folder.name, {})[folder] = curve
+    return [
+        Drawn(
+            figure=_made(lambda path, curves=curves: learning_curves(list(curves.values()), path)),  # type: ignore[misc]
+            source=next(iter(curves)), more=stage,
+        )
+        for stage, curves in stages.items()
+    ]  # fmt: skip
+
+
+def _rewards(sources: Sequence[Source]) -> list[Drawn]:
+    """From the functions that train: no data."""
+    return [Drawn(figure=_made(paper_reward_terms))]
+
+
+FIGURES = (
+    PaperFigure(
+        place=5, name="reward", command=TRAIN, draw=_trained,
+        what="reward of each episode, raw and smoothed, of each stage",
+    ),
+    PaperFigure(
+        place=6, name="reward_terms", command="", draw=_rewards,
+        what="terms of the reward against their variables",
+    ),
+    PaperFigure(
+        place=7, name="error_histograms", command=NO_SAG,
+        draw=_evaluated(lambda saved, path: draw_histograms(saved.scores[POLICY], path),
+                        ("no-sag", "settle", "realtime")),
+        what="mean position and length error over trajectories",
+    ),
+    PaperFigure(
+        place=8, name="sample_paths", command=NO_SAG,
+        draw=_evaluated(lambda saved, path: draw_paths(saved.scores[POLICY], saved.robot, path),
+                        ("no-sag", "settle", "realtime")),
+        what="sample paths in space",
+    ),
+    PaperFigure(
+        place=9, name="trajectory_violins", command=SETTLE,
+        draw=_evaluated(lambda saved, path: draw_violins(saved.scores[POLICY], path),
+                        ("settle", "realtime", "no-sag")),
+        what="absolute error per axis over trajectories",
+    ),
+)  # fmt: skip

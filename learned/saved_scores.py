@@ -1,0 +1,62 @@
+"""Scores of an evaluation as one file beside its pictures, so that others can be drawn from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from carosac_toolkit.npz import read_npz, write_npz
+from carosac_toolkit.robot import Robot
+from learned.scores import Scores
+
+SCORES, ROBOT = "scores.npz", "robot.npz"
+KEY = "evaluation"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SavedScores:
+    """What ``carosac evaluate`` found.
+
+    Attributes:
+        policy: As it was named.
+        protocol: Which.
+        robot: On which.
+        scores: Of the policy, and of what it was compared with, by name.
+    """
+
+    policy: str
+    protocol: str
+    robot: Robot
+    scores: Mapping[str, Scores]
+
+    def write(self, folder: Path) -> None:
+        """Write it into a folder that exists."""
+        arrays = {
+            f"{number}.{field.name}": value
+            for number, scores in enumerate(self.scores.values())
+            for field in fields(scores)
+            if (value := getattr(scores, field.name)) is not None
+        }
+        rest = {"policy": self.policy, "protocol": self.protocol, "names": list(self.scores)}
+        self.robot.to_npz(folder / ROBOT)
+        write_npz(folder / SCORES, KEY, rest, arrays)
+
+    @classmethod
+    def read(cls, folder: Path) -> SavedScores:
+        """Read what `write` wrote.
+
+        Raises:
+            MissingFile: There is nothing.
+            InvalidField: ``carosac evaluate`` did not write it.
+        """
+        rest, arrays = read_npz(folder / SCORES, KEY, "carosac evaluate")
+        scores: dict[str, Scores] = {}
+        for number, name in enumerate(rest["names"]):
+            known: dict[str, Any] = {
+                x.name: arrays.get(f"{number}.{x.name}") for x in fields(Scores)
+            }
+            scores[name] = Scores(**known)
+        robot = Robot.from_npz(folder / ROBOT)
+        return cls(policy=rest["policy"], protocol=rest["protocol"], robot=robot, scores=scores)
