@@ -113,6 +113,12 @@ def pixel_of(client: Any, point: np.ndarray) -> np.ndarray:
     return middle + focal * np.array([x, y]) / depth
 
 
+def text_of(driver: Any, name: str) -> str:
+    """What an element of the page says now; the page makes elements anew while it is read."""
+    script = "return (document.getElementById(arguments[0]) || {innerText: ''}).innerText"
+    return str(driver.execute_script(script, name))
+
+
 def canvas_of(driver: Any) -> Any:
     """The canvas of the scene: the largest one, plots have their own."""
     canvases = driver.find_elements("tag name", "canvas")

@@ -24,6 +24,7 @@ from tests.viewer.browser import (
     open_page,
     picture_of,
     pixel_of,
+    text_of,
     wait_for,
 )
 
@@ -82,7 +83,7 @@ def test_the_mouse_drags_the_target_and_platform_and_cables_follow(window, stati
     assert not after.held
     # The words in the page say so.
     text = f"{after.position[2]:.3f} m"
-    wait_for(lambda: text in window.find_element("id", "carosac-status").text, f"'{text}'")
+    wait_for(lambda: text in text_of(window, "carosac-status"), f"'{text}'")
     # The picture shows the cables where they are now, in their colour, and no more where they were.
     last = picture_of(window, artifacts / "after_drag.png")
     size = canvas_of(window).size
@@ -110,7 +111,7 @@ def test_a_file_opens_without_server_or_network(window, statics, tmp_path, artif
     window.get(file.as_uri())
     wait_for(lambda: window.find_elements("tag name", "canvas"), "a canvas")
     wait_for(lambda: _colours(picture_of(window, artifacts / "file.png")) > 0, "coloured cables")
-    assert "at rest" in window.find_element("id", "carosac-panel").text
+    assert "at rest" in text_of(window, "carosac-panel")
     schemes = {url.partition(":")[0] for url in _requests(window)}
     assert schemes <= {"file", "data", "blob"}
 
