@@ -53,6 +53,7 @@ bench: $(STAMP)  ## reference suite against its committed table, and speed of al
 	$(BIN)/python -m benchmarks.limits
 	$(BIN)/python -m benchmarks.simulator
 	$(BIN)/python -m benchmarks.viewer
+	$(BIN)/python -m benchmarks.workspace
 	$(BIN)/python -m benchmarks.learning --parts throughput
 
 bars: $(STAMP)  ## run the slow acceptance measurements; figures go to benchmarks/RESULTS.md
