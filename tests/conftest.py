@@ -15,6 +15,7 @@ DOT = bytes.fromhex(  # a picture of one pixel
 ALONE = ("test_examples.py",)  # whose tests are slow and share nothing
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Keep the tests of a file on one worker, where they share fixtures; not those of `ALONE`."""
     for number, item in enumerate(items):
