@@ -9,8 +9,8 @@ import numpy as np
 
 from calibration.estimate import Estimate
 from carosac_toolkit.arrays import Array
-from carosac_toolkit.cli.common import check_writable, replacing
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.output_files import check_writable, replacing
 from carosac_toolkit.parameters import point_names, with_values
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import parse_robot, robot_path, robot_text

@@ -79,6 +79,19 @@ def check_rotations(name: str, rotation: Array) -> None:
         raise InvalidField(f"{name}[{index}]", "no rotation matrix", "R R^T = 1, det +1")
 
 
+def rotations(name: str, value: ArrayLike, size: int) -> Array:
+    """Check an argument of one rotation matrix for each of `size` poses, shape (size, 3, 3).
+
+    Raises:
+        InvalidField: A wrong shape, a value that is not finite, or no rotation.
+    """
+    turn = batch(name, value, (3, 3))
+    if len(turn) != size:
+        raise InvalidField(name, f"shape {turn.shape}", f"shape ({size}, 3, 3)")
+    check_rotations(name, turn)
+    return turn
+
+
 def set_frozen(instance: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
     """Replace the named fields of a frozen dataclass by their `frozen_array`."""
     for name, shape in shapes.items():

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from carosac_toolkit.output_files import replacing
+
 CURVE, EPISODES = "curve.csv", "episodes.csv"
 COLUMNS = (
     "steps", "updates", "cpu_seconds", "reward", "median_error_m", "median_of_means_m",
@@ -82,8 +84,6 @@ def read_episodes(path: Path) -> list[Episode]:
 
 def _write(path: Path, header: Sequence[str], lines: Iterable[Sequence[str]]) -> None:
     """Write a table."""
-    from carosac_toolkit.cli.common import replacing
-
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
         writer: Any = csv.writer(stream)
         writer.writerow(header)

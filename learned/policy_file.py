@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from carosac_toolkit.arrays import Array, batch
 from carosac_toolkit.errors import CarosacError, InvalidField, MissingFile
+from carosac_toolkit.output_files import replacing
 from carosac_toolkit.robot import Robot
 from learned.probe import check_probe, make_probe
 from learned.settings_data import environment_settings
@@ -159,8 +160,6 @@ def write_policy(
             an environment.
         CarosacError: onnx is not installed, or the file cannot be written.
     """
-    from carosac_toolkit.cli.common import replacing
-
     if activation not in ACTIVATIONS:
         raise InvalidField("activation", repr(activation), f"one of {list(ACTIVATIONS)}")
     model = _model(_checked(layers), activation)

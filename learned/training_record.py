@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.errors import InvalidField, MissingFile
+from carosac_toolkit.output_files import replacing
 from learned.observation import Units
 
 SETTINGS = "settings.json"
@@ -74,8 +75,6 @@ class TrainingRecord:
 
     def write(self, folder: Path) -> None:
         """Write it to a folder, as a whole or not at all."""
-        from carosac_toolkit.cli.common import replacing
-
         with replacing(folder / SETTINGS) as temporary:
             temporary.write_text(json.dumps(self.data(), indent=1) + "\n", encoding="utf-8")
 

@@ -10,8 +10,9 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from carosac_toolkit.cli.common import CommandResult, write_json
+from carosac_toolkit.cli.common import CommandResult
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.output_files import write_json
 from carosac_toolkit.report_page import check_folder, made_with, write_files
 from carosac_toolkit.studies.chosen_settings import chosen_settings
 from carosac_toolkit.studies.findings import conclusions

@@ -14,19 +14,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from textwrap import fill
 from typing import Annotated
 
 import tyro
 
-from carosac_toolkit.cli.common import (
-    CommandResult,
-    CommonOptions,
-    OutputFile,
-    check_writable,
-    format_table,
-    replacing,
-)
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, format_table
 from carosac_toolkit.errors import CarosacError, MissingFile
 from carosac_toolkit.interchange.completion import (
     Completed,
@@ -37,8 +29,9 @@ from carosac_toolkit.interchange.completion import (
 )
 from carosac_toolkit.interchange.robots import read_robot
 from carosac_toolkit.interchange.source_file import SourceFile
+from carosac_toolkit.output_files import check_writable, replacing
 from carosac_toolkit.robot import Robot
-from carosac_toolkit.text_tables import terminal_width
+from carosac_toolkit.text_tables import terminal_width, wrapped
 from carosac_toolkit.yaml_lines import format_path
 
 
@@ -90,7 +83,7 @@ def run(options: Options) -> CommandResult:
     robot, text = robot_and_text(completed)
     lengths = _straight_lengths(robot)
     print("\nstraight lengths at home, to compare with the other program [m]:")
-    print(_paragraph("  " + "  ".join(f"{length:.6f}" for length in lengths)))
+    print(wrapped("  ".join(f"{length:.6f}" for length in lengths), terminal_width(), "  "))
     if options.output is not None:
         with replacing(options.output) as temporary:
             temporary.write_text(text, encoding="utf-8")
@@ -125,14 +118,9 @@ def _say(completed: Completed) -> None:
         print(f"{path}: yours instead of the file's")
     print("\ndropped:")
     for what in draft.dropped:
-        print(_paragraph(f"  {what}"))
+        print(wrapped(what, terminal_width(), "  "))
     for warning in draft.warnings:
-        print(_paragraph(f"warning: {warning}"))
-
-
-def _paragraph(text: str) -> str:
-    """Text that fits the terminal, further lines indented."""
-    return fill(text, terminal_width(), subsequent_indent="    ")
+        print(wrapped(warning, terminal_width(), "warning: "))
 
 
 def _straight_lengths(robot: Robot) -> list[float]:

@@ -103,8 +103,9 @@ def _run(name: str, words: list[str]) -> int:
         hint = f"; did you mean '{close[0]}'?" if close else ""
         raise InvalidField("command", repr(name), f"{', '.join(spoken)}{hint}")
     from carosac_toolkit.cli.arguments import parse_options
-    from carosac_toolkit.cli.common import CommandResult, write_json
+    from carosac_toolkit.cli.common import CommandResult
     from carosac_toolkit.cli.outputs import check_outputs
+    from carosac_toolkit.output_files import write_json
     from carosac_toolkit.registry import load
 
     module: ModuleType = load("commands", name)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import sys
 import time
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,13 +24,14 @@ import numpy as np
 import tyro
 
 from carosac_toolkit import registry
-from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, check_writable
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.drivers.simulated import SimulatedDriver
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.filled_settings import filled
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.plugins import build_controller, build_estimator
 from carosac_toolkit.live.rehearsal import rehearse
+from carosac_toolkit.output_files import check_writable
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import list_robots, load_robot
 from carosac_toolkit.studies.chosen_settings import check_types, chosen_settings
@@ -265,18 +267,11 @@ def _driver(options: Options, robot: Robot, asked: Any, period: float) -> Simula
     return made
 
 
-class _page:
+def _page(options: Options, robot: Robot, title: str) -> closing[Page]:
     """A page for as long as the block lasts."""
-
-    def __init__(self, options: Options, robot: Robot, title: str) -> None:
-        self._page = Page(robot, title, host=options.host, port=options.port)
-        self._page.enlarged.value = options.sag
-
-    def __enter__(self) -> Page:
-        return self._page
-
-    def __exit__(self, *_: object) -> None:
-        self._page.close()
+    page = Page(robot, title, host=options.host, port=options.port)
+    page.enlarged.value = options.sag
+    return closing(page)
 
 
 def _announce(url: str, words: str) -> None:

@@ -23,20 +23,15 @@ import numpy as np
 import tyro
 
 from carosac_toolkit.arrays import Array
-from carosac_toolkit.cli.common import (
-    CommandResult,
-    CommonOptions,
-    OutputFolder,
-    format_table,
-    replacing,
-)
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder, format_table
 from carosac_toolkit.cli.place import Place
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.output_files import replacing
 from carosac_toolkit.report_page import check_folder
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.workspace.grid import AXES, Grid, box_grid, box_of, slice_grid
-from carosac_toolkit.workspace.limits import OF_CABLE, PUSHES, WORDS, Limit
+from carosac_toolkit.workspace.limits import cable_of, words_of
 from carosac_toolkit.workspace.maps import Maps, maps
 from carosac_toolkit.workspace.region import Region, compute
 from carosac_toolkit.workspace.settings import WorkspaceSettings
@@ -218,8 +213,8 @@ def _print(found: dict[str, tuple[Region, list[Region]]], lower: Array, upper: A
         ends = {row[:2]: row[2] for row in region.causes(at_the_end=True)}
         rows = [
             (
-                _words(limit, cable),
-                _cable(region.robot, limit, cable),
+                words_of(limit, cable),
+                cable_of(limit, cable, region.robot.cable_names) or "-",
                 count,
                 ends.get((limit, cable), 0),
             )
@@ -242,17 +237,6 @@ def _print(found: dict[str, tuple[Region, list[Region]]], lower: Array, upper: A
             f"{change['margin_change_N']['median']:+.3g} N in the median, "
             f"{change['margin_change_N']['least']:+.3g} N at worst"
         )
-
-
-def _words(limit: int, cable: int) -> str:
-    """What a limit does to a cable."""
-    pushes = limit == Limit.NO_EQUILIBRIUM and cable >= 0
-    return PUSHES if pushes else WORDS[Limit(limit)]
-
-
-def _cable(robot: Robot, limit: int, cable: int) -> str:
-    """The cable that a limit is about."""
-    return robot.cable_names[cable] if limit in OF_CABLE and cable >= 0 else "-"
 
 
 def _vector(values: Array) -> str:

@@ -22,6 +22,7 @@ from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.interchange.draft import Draft
 from carosac_toolkit.interchange.source_file import SourceFile, about_centre_of_mass
+from carosac_toolkit.recordings.quaternions import from_matrix
 from carosac_toolkit.units import is_quantity
 
 if TYPE_CHECKING:
@@ -137,7 +138,7 @@ def _joint(file: SourceFile, link: Element, joint: Element, draft: Draft) -> Non
         q = file.numbers(start, "joint@q_initial", 6)
         home = {
             "position": (origin + q[:3]).tolist(),
-            "quaternion_wxyz": _euler_xyz(*q[3:]).tolist(),
+            "quaternion_wxyz": _euler_xyz(q[3:]).tolist(),
         }
         draft.put(("home",), home, "q_initial of the joint")
     ends = [joint.get("q_min"), joint.get("q_max")]
@@ -148,17 +149,15 @@ def _joint(file: SourceFile, link: Element, joint: Element, draft: Draft) -> Non
         draft.dropped.append("limits of the joint's angles (q_min, q_max)")
 
 
-def _euler_xyz(a: float, b: float, c: float) -> Array:
-    """Quaternion w x y z of R = Rx(a) Ry(b) Rz(c)."""
-    whole = np.array([1.0, 0.0, 0.0, 0.0])
-    for axis, angle in enumerate((a, b, c)):
-        turn = np.zeros(4)
-        turn[0], turn[axis + 1] = np.cos(0.5 * angle), np.sin(0.5 * angle)
-        w, v = whole[0], whole[1:]
-        whole = np.array(
-            [w * turn[0] - v @ turn[1:], *(w * turn[1:] + turn[0] * v + np.cross(v, turn[1:]))]
-        )
-    return whole
+def _euler_xyz(angles: Array) -> Array:
+    """Quaternion w x y z of R = Rx Ry Rz [rad]; NaN where an angle is."""
+    if not np.isfinite(angles).all():
+        return np.full(4, np.nan)
+    from scipy.spatial.transform import Rotation
+
+    turn: Array = Rotation.from_euler("XYZ", angles).as_matrix()
+    quaternion: Array = from_matrix(turn[None])[0]
+    return quaternion
 
 
 def _cables(file: SourceFile, chosen: Element, centre: Array, draft: Draft, pulleys: bool) -> None:

@@ -22,7 +22,6 @@ from carosac_toolkit.recordings.quaternions import from_matrix
 from carosac_toolkit.yaml_lines import read_yaml
 
 INERTIA_ABOUT = ("origin", "center_of_mass")
-_ROTATION = 1e-4
 
 
 def read_cdpyr(path: Path, *, pulleys: bool = True, inertia_about: str | None = None) -> Draft:
@@ -123,10 +122,7 @@ def _rotation(file: SourceFile, value: object, where: str) -> Array:
         file.fault(where, _short(rows), "a rotation matrix, 3 rows of 3 numbers")
         return np.eye(3)
     matrix = np.array([file.numbers(row, f"{where}[{i}]", 3) for i, row in enumerate(rows)])
-    if np.isfinite(matrix).all() and (
-        not np.allclose(matrix.T @ matrix, np.eye(3), atol=_ROTATION) or np.linalg.det(matrix) < 0
-    ):
-        file.fault(where, "no rotation", "a rotation matrix, orthonormal and right-handed")
+    file.rotation(matrix, where)
     return matrix
 
 

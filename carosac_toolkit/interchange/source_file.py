@@ -14,6 +14,7 @@ from carosac_toolkit.errors import InvalidFile, MissingFile
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
+_ROTATION = 1e-4  # of R^T R
 _LARGEST = 20_000_000  # [bytes]; robots take kilobytes
 
 
@@ -109,6 +110,12 @@ class SourceFile:
             return np.full(count, math.nan)
         read = [self.number(entry, f"{where}[{i}]", unit) for i, entry in enumerate(entries)]
         return np.array(read)
+
+    def rotation(self, matrix: Array, where: str) -> None:
+        """Note a fault where a matrix is no rotation, to the digits that files have."""
+        square = np.allclose(matrix.T @ matrix, np.eye(3), atol=_ROTATION)
+        if np.isfinite(matrix).all() and not (square and np.linalg.det(matrix) > 0.0):
+            self.fault(where, "no rotation", "a rotation matrix, orthonormal and right-handed")
 
     def child(self, element: Element | None, tag: str, where: str) -> Element | None:
         """The child of a tag; a fault where it is missing."""

@@ -119,16 +119,8 @@ def _exit(
         file.fault(f"{where}/base@radius", f"{radius:g}", ">= 0")
     entries = [file.attribute(base, entry, f"{where}/base") for entry in _FRAME]
     frame = np.array(entries).reshape(3, 3).T
-    if np.isfinite(frame).all() and not _is_rotation(frame):
-        file.fault(
-            f"{where}/base, a11 ... a33", "no rotation", "columns of length 1 at right angles"
-        )
+    file.rotation(frame, f"{where}/base, a11 ... a33")
     return position, radius, frame[:, 2]
-
-
-def _is_rotation(frame: Array) -> bool:
-    """Whether a matrix is a right-handed frame, to the digits that files have."""
-    return bool(np.allclose(frame.T @ frame, np.eye(3), atol=1e-4) and np.linalg.det(frame) > 0.0)
 
 
 def _point(file: SourceFile, element: Element | None, where: str) -> Array:

@@ -5,6 +5,7 @@ import warp as wp
 from carosac_toolkit.physics.cable_kernels import (
     ZERO,
     Cable,
+    Hanging,
     catenary_span,
     guess_cable,
     guess_tension_vector,
@@ -59,6 +60,14 @@ def solve_catenary(
     iterations[b] = steps
 
 
+@wp.func
+def point_of(state: Hanging, q: wp.vec3d, cable: Cable, k: int, count: int):
+    """The k-th of so many points, evenly spaced in unstrained length, exit first."""
+    part = state.free_length * wp.float64(k) / wp.float64(count - 1)
+    span = catenary_span(q, part, cable.weight_per_length, cable.axial_stiffness)
+    return state.tangent_point - span.reach
+
+
 @wp.kernel
 def cable_points(
     cables: wp.array2d(dtype=Cable),
@@ -70,11 +79,8 @@ def cable_points(
     b, i = wp.tid()
     cable = cables[wp.min(b, cables.shape[0] - 1), i]
     state = hang(q[b, i], wp.vec3d(), unstrained_length[b, i], cable)
-    last = points.shape[2] - 1
     for k in range(points.shape[2]):
-        part = state.free_length * wp.float64(k) / wp.float64(last)
-        span = catenary_span(q[b, i], part, cable.weight_per_length, cable.axial_stiffness)
-        points[b, i, k] = state.tangent_point - span.reach
+        points[b, i, k] = point_of(state, q[b, i], cable, k, points.shape[2])
 
 
 @wp.kernel
@@ -124,8 +130,5 @@ def hanging_points(
     found = settle(guess_cable(anchor, length, cable), anchor, length, cable, SETTLED * length, 100)
     tension[b, i] = wp.length(found.hanging.force)
     closure[b, i] = wp.length(found.hanging.closure)
-    last = points.shape[2] - 1
     for k in range(points.shape[2]):
-        part = found.hanging.free_length * wp.float64(k) / wp.float64(last)
-        span = catenary_span(found.q, part, cable.weight_per_length, cable.axial_stiffness)
-        points[b, i, k] = found.hanging.tangent_point - span.reach
+        points[b, i, k] = point_of(found.hanging, found.q, cable, k, points.shape[2])

@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from carosac_toolkit.arrays import Array, batch, check_rotations
+from carosac_toolkit.arrays import Array, batch, rotations
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics import (
     catenary_kernels,
@@ -270,11 +270,7 @@ def _held_rotation(robot: Robot | Fleet, rotation: ArrayLike | None, size: int) 
     """The rotation to hold, checked."""
     if rotation is None:
         return np.broadcast_to(robot.home_rotation, (size, 3, 3))
-    held = batch("rotation", rotation, (3, 3))
-    if len(held) != size:
-        raise InvalidField("rotation", f"shape {held.shape}", f"shape ({size}, 3, 3)")
-    check_rotations("rotation", held)
-    return held
+    return rotations("rotation", rotation, size)
 
 
 def _shapes(size: int, n: int) -> dict[str, tuple[Any, Any]]:

@@ -22,7 +22,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from carosac_toolkit.arrays import Array, batch, check_rotations
+from carosac_toolkit.arrays import Array, batch, rotations
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics import straight_line_kernels, warp_setup
 from carosac_toolkit.physics.device import kept_buffers
@@ -217,8 +217,4 @@ def _rotations(robot: Robot, rotation: ArrayLike | None, size: int) -> Array:
     """Home rotation, or an argument of one rotation matrix per pose."""
     if rotation is None:
         return robot.home_rotation
-    turns = batch("rotation", rotation, (3, 3))
-    if len(turns) != size:
-        raise InvalidField("rotation", f"shape {turns.shape}", f"shape {(size, 3, 3)}")
-    check_rotations("rotation", turns)
-    return turns
+    return rotations("rotation", rotation, size)

@@ -18,10 +18,11 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from carosac_toolkit.arrays import Array, as_floats, batch
+from carosac_toolkit.arrays import Array, batch
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics import bounded_kernels, warp_setup
 from carosac_toolkit.physics.cable_kernels import vec6d
+from carosac_toolkit.physics.tension_problem import check_order, per_cable, prepare
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,29 +68,11 @@ def solve(
     Raises:
         InvalidField: Wrong shapes, or a lower limit above its upper one.
     """
-    matrix = as_floats("structure_matrix", structure_matrix)
-    if matrix.ndim != 3 or matrix.shape[1] != 6:
-        raise InvalidField("structure_matrix", f"shape {matrix.shape}", "shape (B, 6, n)")
-    matrix = batch("structure_matrix", matrix, (6, matrix.shape[2]))
-    size, _, n = matrix.shape
-    load = batch("wrench", wrench, (6,))
-    if len(load) != size:
-        raise InvalidField("wrench", f"shape {load.shape}", f"shape ({size}, 6)")
-    if not arm > 0.0 or not np.isfinite(arm):
-        raise InvalidField("arm", f"{arm} m", "arm > 0")
-    lower, upper, middle = (
-        _limits(name, value, size, n)
-        for name, value in (
-            ("tension_min", tension_min),
-            ("tension_max", tension_max),
-            ("reference", reference),
-        )
-    )
-    _check_order(lower, upper)
-    scale = np.array([1.0, 1.0, 1.0, 1.0 / arm, 1.0 / arm, 1.0 / arm])
-    columns = np.ascontiguousarray((matrix * scale[:, None]).swapaxes(1, 2))
-    tension, status = _launch(columns, -load * scale, (lower, upper, middle), device)
-    rest = np.einsum("bni,bn->bi", columns, tension) + load * scale
+    asked = prepare(structure_matrix, wrench, tension_min, tension_max, arm)
+    middle = per_cable("reference", reference, *asked.lower.shape)
+    limits = (asked.lower, asked.upper, middle)
+    tension, status = _launch(asked.columns, -asked.wrench, limits, device)
+    rest = np.einsum("bni,bn->bi", asked.columns, tension) + asked.wrench
     return Distribution(
         tension=tension, feasible=status == 1, residual=np.linalg.norm(rest, axis=1)
     )
@@ -114,22 +97,6 @@ def _launch(
     return tension.numpy(), status.numpy()
 
 
-def _limits(name: str, value: ArrayLike, size: int, n: int) -> Array:
-    """One number, (n,) or (B, n) as (B, n)."""
-    array = as_floats(name, value)
-    if array.shape not in ((), (n,), (size, n)):
-        raise InvalidField(name, f"shape {array.shape}", f"a number, shape ({n},) or ({size}, {n})")
-    return batch(name, np.broadcast_to(array, (size, n)), (n,))
-
-
-def _check_order(lower: Array, upper: Array) -> None:
-    """Refuse crossed limits."""
-    bad = lower > upper
-    if bad.any():
-        b, i = (int(k) for k in np.argwhere(bad)[0])
-        raise InvalidField(f"tension_min[{i}]", f"{lower[b, i]} N", f"<= {upper[b, i]} N")
-
-
 class SingleRobot:
     """The same problem for one robot in a loop, by osqp, warm-started from call to call.
 
@@ -148,9 +115,9 @@ class SingleRobot:
         import osqp
         from scipy import sparse
 
-        self._lower = _limits("tension_min", tension_min, 1, n)[0]
-        self._upper = _limits("tension_max", tension_max, 1, n)[0]
-        _check_order(self._lower[None], self._upper[None])
+        self._lower = per_cable("tension_min", tension_min, 1, n)[0]
+        self._upper = per_cable("tension_max", tension_max, 1, n)[0]
+        check_order(self._lower[None], self._upper[None])
         self._n = n
         stacked = sparse.csc_matrix(np.vstack([np.ones((6, n)), np.eye(n)]))
         self._dense = np.zeros((6 + n, n))
@@ -185,7 +152,7 @@ class SingleRobot:
         if len(matrix) != 1 or len(load) != 1:
             raise InvalidField("structure_matrix and wrench", "several problems", "a batch of one")
         self._dense[:6] = matrix[0]
-        middle = _limits("reference", reference, 1, self._n)[0]
+        middle = per_cable("reference", reference, 1, self._n)[0]
         self._problem.update(
             q=-middle,
             Ax=self._dense.T[self._mask.T],

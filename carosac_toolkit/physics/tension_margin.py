@@ -18,10 +18,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from carosac_toolkit.arrays import Array, as_floats, batch
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.arrays import Array
 from carosac_toolkit.physics import hold_kernels, margin_kernels, warp_setup
 from carosac_toolkit.physics.cable_kernels import vec6d
+from carosac_toolkit.physics.tension_problem import TensionProblem, prepare
 
 ROUNDING = 1e-9  # of the largest limit: how well a margin must be proved
 CHUNK = 16384  # problems at a time: what bounds the memory; rows do not know of each other
@@ -64,8 +64,8 @@ def solve(
     Args:
         structure_matrix: A, maps tensions to the wrench on the platform, shape (B, 6, n).
         wrench: External wrench w at the platform origin, in W [N, N m], shape (B, 6).
-        tension_min: Lower limits [N], shape (n,).
-        tension_max: Upper limits [N], shape (n,).
+        tension_min: Lower limits [N], a number, shape (n,) or (B, n).
+        tension_max: Upper limits [N], likewise.
         arm: Lever arm that makes moments comparable with forces [m].
         device: Warp device.
 
@@ -75,28 +75,11 @@ def solve(
     Raises:
         InvalidField: Wrong shapes, or a lower limit above its upper one.
     """
-    matrix = as_floats("structure_matrix", structure_matrix)
-    if matrix.ndim != 3 or matrix.shape[1] != 6:
-        raise InvalidField("structure_matrix", f"shape {matrix.shape}", "shape (B, 6, n)")
-    matrix = batch("structure_matrix", matrix, (6, matrix.shape[2]))
-    load = batch("wrench", wrench, (6,))
-    if len(load) != len(matrix):
-        raise InvalidField("wrench", f"shape {load.shape}", f"shape ({len(matrix)}, 6)")
-    if not arm > 0.0 or not np.isfinite(arm):
-        raise InvalidField("arm", f"{arm} m", "arm > 0")
-    n = matrix.shape[2]
-    lower, upper = _limits("tension_min", tension_min, n), _limits("tension_max", tension_max, n)
-    if (lower > upper).any():
-        i = int(np.argmax(lower > upper))
-        raise InvalidField(f"tension_min[{i}]", f"{lower[i]} N", f"<= {upper[i]} N")
-    scale = np.array([1.0, 1.0, 1.0, 1.0 / arm, 1.0 / arm, 1.0 / arm])
-    columns = np.ascontiguousarray((matrix * scale[:, None]).swapaxes(1, 2))
-    parts = [
-        _launch(columns[k : k + CHUNK], -load[k : k + CHUNK] * scale, lower, upper, device)
-        for k in range(0, len(columns), CHUNK)
-    ]
+    asked = prepare(structure_matrix, wrench, tension_min, tension_max, arm)
+    count, n, _ = asked.columns.shape
+    parts = [_launch(asked, slice(k, k + CHUNK), device) for k in range(0, count, CHUNK)]
     margin, gap, status, tension, weight = (np.concatenate(x) for x in zip(*parts, strict=True))
-    size = float(np.abs(upper).max())
+    size = np.abs(asked.upper).max(axis=1)
     scaled = np.where(np.isfinite(margin), np.abs(margin), 0.0)
     unbalanced = status == 2
     return TensionMargin(
@@ -126,32 +109,24 @@ def scratch(lines: int, count: int, device: str) -> Any:
     return work
 
 
-def _limits(name: str, value: ArrayLike, n: int) -> Array:
-    """One number or (n,) as (n,)."""
-    array = as_floats(name, value)
-    if array.shape not in ((), (n,)):
-        raise InvalidField(name, f"shape {array.shape}", f"a number or shape ({n},)")
-    limits: Array = batch(name, np.broadcast_to(array, (n,))[None], (n,))[0]
-    return limits
-
-
 def _launch(
-    columns: Array, target: Array, lower: Array, upper: Array, device: str
+    asked: TensionProblem, part: slice, device: str
 ) -> tuple[Array, Array, NDArray[np.int32], Array, Array]:
     """Run the batch kernel; margin, gap, status, tension and multipliers."""
     warp_setup.load(hold_kernels, device)
+    columns = asked.columns[part]
     size, n, _ = columns.shape
     work = scratch(size, n, device)
     tension = wp.zeros((size, n), dtype=wp.float64, device=device)
     margin, gap = (wp.zeros(size, dtype=wp.float64, device=device) for _ in range(2))
     status = wp.zeros(size, dtype=int, device=device)
     limits = (
-        wp.array(np.broadcast_to(limit, (size, n)).copy(), dtype=wp.float64, device=device)
-        for limit in (lower, upper)
+        wp.array(limit[part], dtype=wp.float64, device=device)
+        for limit in (asked.lower, asked.upper)
     )
     inputs = [
         wp.array(columns, dtype=vec6d, device=device),
-        wp.array(target, dtype=vec6d, device=device),
+        wp.array(-asked.wrench[part], dtype=vec6d, device=device),
         *limits,
         work,
         tension,

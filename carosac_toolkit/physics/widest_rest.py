@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from carosac_toolkit.arrays import Array, as_floats, batch, check_rotations
+from carosac_toolkit.arrays import Array, as_floats, batch, rotations
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics import hold_kernels, warp_setup
 from carosac_toolkit.physics.cable_kernels import mat66d, vec6d
@@ -91,7 +91,9 @@ def hold(
         raise InvalidField("wrench", f"shape {load.shape}", "shape (6,)")
     if robot.n < 6 and rotation is not None:
         raise InvalidField("rotation", "a rotation", f"None: {robot.n} cables leave it free")
-    turn = _rotations(robot, rotation, len(where))
+    turn: Array = np.broadcast_to(robot.home_rotation, (len(where), 3, 3))
+    if rotation is not None:
+        turn = rotations("rotation", rotation, len(where))
     starts = np.arange(len(where)) if lines is None else _starts(lines, len(where))
     parts = [
         _solve(robot, where[a:b], turn[a:b], load, begin, device)
@@ -99,17 +101,6 @@ def hold(
     ]
     found = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     return _answer(robot, where, found)
-
-
-def _rotations(robot: Robot, rotation: ArrayLike | None, size: int) -> Array:
-    """One rotation per pose, checked."""
-    if rotation is None:
-        return np.broadcast_to(robot.home_rotation, (size, 3, 3))
-    turn = batch("rotation", rotation, (3, 3))
-    if len(turn) != size:
-        raise InvalidField("rotation", f"shape {turn.shape}", f"shape ({size}, 3, 3)")
-    check_rotations("rotation", turn)
-    return turn
 
 
 def _starts(lines: ArrayLike, size: int) -> NDArray[np.int64]:

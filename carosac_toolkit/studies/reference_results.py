@@ -14,7 +14,7 @@ from typing import Any
 from carosac_toolkit.errors import CarosacError, InvalidFile, MissingFile
 from carosac_toolkit.studies.paired import Block, paired_blocks
 from carosac_toolkit.studies.paper_tables import explanation, markdown_table, sheets
-from carosac_toolkit.studies.reference import ReferenceSuite, Task
+from carosac_toolkit.studies.reference import TRACKING, ReferenceSuite, Task
 from carosac_toolkit.studies.results import WAYS, StudyResults
 from carosac_toolkit.studies.rows import Row
 
@@ -173,7 +173,7 @@ def record(
 
 def _axis(part: PartResults) -> str:
     """What the entries of a part are."""
-    return "controller" if part.task.part == "tracking" else "estimator"
+    return "controller" if part.task.part == TRACKING else "estimator"
 
 
 def _way(row: Row) -> tuple[str, str]:

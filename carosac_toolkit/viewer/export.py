@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from carosac_toolkit.output_files import replacing
 from carosac_toolkit.viewer.colors import CABLES, hex_of, legend_html
 from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.replay import Replay
@@ -53,8 +54,6 @@ def replay_html(page: Page, replay: Replay, title: str, words: str) -> tuple[str
 
 def write_html(path: Path, text: str) -> None:
     """Write the page, whole or not at all."""
-    from carosac_toolkit.cli.common import replacing
-
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 

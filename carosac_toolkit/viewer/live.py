@@ -12,13 +12,13 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.drivers.plant import Shaped
-from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.loop import Step, run
 from carosac_toolkit.protocols import Controller, Estimator
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.viewer.gizmo import add_gizmo
-from carosac_toolkit.viewer.page import Page
+from carosac_toolkit.viewer.page import Page, note_html
 from carosac_toolkit.viewer.picture import Picture, take_picture
 from carosac_toolkit.viewer.publisher import Publisher
 
@@ -128,6 +128,8 @@ class LivePage:
 
     Attributes:
         gizmo: Arrows in the scene that move the target.
+        place: Its field with the numbers of the target.
+        note: Says why a target was refused, until the next one is taken.
     """
 
     def __init__(
@@ -137,7 +139,7 @@ class LivePage:
 
         Args:
             page: The page.
-            target: That is moved; it stays in the workspace box.
+            target: That is moved; where it refuses to go, the page says why and it stays.
             moved: Told of each new target in W [m], shape (3,).
         """
         self._target, self._moved = target, moved
@@ -147,21 +149,28 @@ class LivePage:
         with page.controls:
             self.place = gui.add_vector3("target [m]", initial_value=_numbers(start), step=0.05)
             home = gui.add_button("Home")
+            self.note = gui.add_html("")
         self.gizmo.on_update(self._dragged)
         self.place.on_update(self._typed)
         home.on_click(lambda _: self.go(page.robot.home_position))
 
     def go(self, position: Array, *, dragged: bool = False) -> None:
-        """Set the target; while it is dragged the arrows are left to the mouse."""
-        taken = self._target.go_to(position)
+        """Set the target, or say why not; while it is dragged the arrows are left to the mouse."""
+        try:
+            taken = self._target.go_to(position)
+        except InvalidField as error:
+            taken, refused = self._target.target, str(error)
+        else:
+            refused = ""
+            if self._moved is not None:
+                self._moved(taken)
+        self.note.content = note_html(refused)
         self.place.value = _numbers(taken)
         if not dragged:
             self.gizmo.position = taken
-        if self._moved is not None:
-            self._moved(taken)
 
     def _dragged(self, event: Any) -> None:
-        """Go along; once let go, the arrows are where the target is: in the workspace box."""
+        """Go along; once let go, the arrows go back to where the target is."""
         self.go(np.array(self.gizmo.position), dragged=event.phase != "end")
 
     def _typed(self, event: Any) -> None:

@@ -95,12 +95,7 @@ class Page:
         if fresh and problem == self._said[1]:
             return
         self._said, self._said_at = (text, problem), time.monotonic()
-        color, ground = ("#8f1020", "#fde8ea") if problem else ("#1d4d2b", "#e9f5ec")
-        lines = "<br>".join(html.escape(text).split("\n"))
-        self._status.content = (
-            f'<div id="carosac-status" style="margin:0.3em 0.8em;padding:0.4em 0.6em;'
-            f'border-radius:4px;font-size:0.85em;color:{color};background:{ground}">{lines}</div>'
-        )
+        self._status.content = note_html(text, "status", problem=problem)
 
     def close(self) -> None:
         """Stop drawing and serving."""
@@ -174,6 +169,18 @@ class Page:
         """Begin the trails anew."""
         self.scene.forget()
         self.redraw()
+
+
+def note_html(text: str, name: str = "note", *, problem: bool = True) -> str:
+    """Words on a coloured ground, with the id ``carosac-NAME``; no words leave nothing."""
+    if not text:
+        return ""
+    color, ground = ("#8f1020", "#fde8ea") if problem else ("#1d4d2b", "#e9f5ec")
+    lines = "<br>".join(html.escape(text).split("\n"))
+    return (
+        f'<div id="carosac-{name}" style="margin:0.3em 0.8em;padding:0.4em 0.6em;'
+        f'border-radius:4px;font-size:0.85em;color:{color};background:{ground}">{lines}</div>'
+    )
 
 
 def start_server(host: str, port: int, title: str) -> Any:

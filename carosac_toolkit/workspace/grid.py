@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,8 +103,3 @@ def box_of(robot: Robot, name: str) -> tuple[Array, Array]:
     lower = np.minimum(robot.exit_points.min(axis=0), robot.workspace_min)
     upper = np.maximum(robot.exit_points.max(axis=0), robot.workspace_max)
     return lower, upper
-
-
-def corners(numbers: Sequence[float]) -> tuple[Array, Array]:
-    """Lower and upper corner from six numbers."""
-    return np.array(numbers[:3], dtype=float), np.array(numbers[3:], dtype=float)

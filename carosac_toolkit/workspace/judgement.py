@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from carosac_toolkit.arrays import Array, batch, check_rotations
+from carosac_toolkit.arrays import Array, batch, rotations
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics.cable_distance import cable_distances, separate_pairs
 from carosac_toolkit.physics.statics import Equilibrium
@@ -102,7 +102,7 @@ def judge(
     nearest, nearest_cable = tension_limit(worst.margin, worst.low, worst.high, worst.lowest)
     margin = np.where(hopeless, -np.inf, worst.margin)
     rest = weight_only.rest
-    tilt = np.where(rest.converged, _tilt(robot, rest.rotation), np.nan)
+    tilt = np.where(rest.converged, tilt_angle(robot, rest.rotation), np.nan)
     distance, pair = _distance(model, rest)
     limit, cable = _first_limit(robot, asked, rest, tilt, distance)
     by_tension = np.where(np.isnan(margin), Limit.NOT_CONVERGED, nearest)
@@ -129,11 +129,7 @@ def _rotation(robot: Robot, rotation: ArrayLike | None, size: int) -> Array | No
         return None
     if robot.n < 6:
         raise InvalidField("rotation", "a rotation", f"None: {robot.n} cables leave it free")
-    turn = batch("rotation", rotation, (3, 3))
-    if len(turn) != size:
-        raise InvalidField("rotation", f"shape {turn.shape}", f"shape ({size}, 3, 3)")
-    check_rotations("rotation", turn)
-    return turn
+    return rotations("rotation", rotation, size)
 
 
 def _hold(
@@ -189,8 +185,8 @@ def _worse(one: WidestRest, other: WidestRest) -> WidestRest:
     return replace(one, **picked)
 
 
-def _tilt(robot: Robot, rotation: Array) -> Array:
-    """Angle of the platform's z axis to that at home [rad], (B,)."""
+def tilt_angle(robot: Robot, rotation: Array) -> Array:
+    """Angle of the platform's z axis to that at home [rad], shape (B,)."""
     cosine = rotation[:, :, 2] @ robot.home_rotation[:, 2]
     across = np.linalg.norm(np.cross(rotation[:, :, 2], robot.home_rotation[:, 2]), axis=1)
     angle: Array = np.arctan2(across, cosine)

@@ -42,7 +42,6 @@ WORDS = {
     Limit.TOO_LONG: "longer than its winch has",
     Limit.COLLISION: "cables too near each other",
 }
-PUSHES = "would have to push"
 OF_CABLE = (Limit.NO_EQUILIBRIUM, Limit.SLACK, Limit.OVERLOAD, Limit.TOO_SHORT, Limit.TOO_LONG)
 
 
@@ -74,11 +73,20 @@ def tension_limit(
     return limit.astype(np.int32), cable.astype(np.int32)
 
 
+def cable_of(limit: int, cable: int, names: Sequence[str]) -> str | None:
+    """Name of the cable that a limit is about, or None."""
+    return names[cable] if limit in OF_CABLE and cable >= 0 else None
+
+
+def words_of(limit: int, cable: int) -> str:
+    """Say a limit in words, without its cable."""
+    pushes = limit == Limit.NO_EQUILIBRIUM and cable >= 0
+    return "would have to push" if pushes else WORDS[Limit(limit)]
+
+
 def describe(limit: int, cable: int, names: Sequence[str]) -> str:
-    """Say a limit in words."""
-    found = Limit(limit)
-    if found in OF_CABLE and cable >= 0:
-        name = names[cable]
-        name = name if name.lower().startswith("cable") else f"cable {name}"
-        return f"{name} {PUSHES if found is Limit.NO_EQUILIBRIUM else WORDS[found]}"
-    return WORDS[found]
+    """Say a limit in words, with its cable."""
+    words, name = words_of(limit, cable), cable_of(limit, cable, names)
+    if name is None:
+        return words
+    return f"{name if name.lower().startswith('cable') else f'cable {name}'} {words}"

@@ -12,7 +12,7 @@ from carosac_toolkit.physics.modes import natural_frequencies
 from carosac_toolkit.physics.statics import Equilibrium, inverse_kinematics, sag
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Pose
-from carosac_toolkit.workspace.judgement import CHUNK, Verdicts, modelled, pick
+from carosac_toolkit.workspace.judgement import CHUNK, Verdicts, modelled, pick, tilt_angle
 from carosac_toolkit.workspace.settings import WorkspaceSettings
 
 SAMPLES = 25  # points along a cable: they miss the largest sag by less than 0.2 %
@@ -94,12 +94,10 @@ def _least(robot: Robot, rest: Equilibrium) -> Equilibrium:
 
 def _of_rest(robot: Robot, rest: Equilibrium) -> dict[str, Array]:
     """All maps of equilibria."""
-    axis = robot.home_rotation[:, 2]
-    across = np.linalg.norm(np.cross(rest.rotation[:, :, 2], axis), axis=1)
     stiffness, softest = _softest(rest.stiffness, slice(0, 3))
     turning, _ = _softest(rest.stiffness, slice(3, 6))
     return {
-        "tilt": np.arctan2(across, rest.rotation[:, :, 2] @ axis),
+        "tilt": tilt_angle(robot, rest.rotation),
         "stiffness": np.where(rest.stable, stiffness, np.nan),
         "softest": np.where(rest.stable[:, None], softest, np.nan),
         "turning_stiffness": np.where(rest.stable, turning, np.nan),

@@ -14,7 +14,7 @@ from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.workspace.grid import Grid
 from carosac_toolkit.workspace.judgement import Verdicts, judge
-from carosac_toolkit.workspace.limits import OF_CABLE, WORDS, Limit, describe
+from carosac_toolkit.workspace.limits import WORDS, Limit, cable_of, describe
 from carosac_toolkit.workspace.settings import WorkspaceSettings
 
 
@@ -144,7 +144,7 @@ class Region:
         return [
             {
                 "limit": WORDS[Limit(limit)],
-                "cable": names[cable] if limit in OF_CABLE and cable >= 0 else None,
+                "cable": cable_of(limit, cable, names),
                 "positions": count,
             }
             for limit, cable, count in self.causes(at_the_end=at_the_end)

@@ -7,10 +7,11 @@ import pytest
 import tyro
 
 from carosac_toolkit.cli import robots
-from carosac_toolkit.cli.common import CommonOptions, OutputFile, OutputFolder, replacing
+from carosac_toolkit.cli.common import CommonOptions, OutputFile, OutputFolder
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.cli.outputs import check_outputs
 from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.output_files import replacing
 from carosac_toolkit.robot_file import robot_text
 
 

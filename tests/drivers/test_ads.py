@@ -173,9 +173,11 @@ def test_a_silent_host_stops_the_winches_within_the_watchdog_and_the_ramp(plc, d
 def test_an_encoder_that_jumps_is_a_fault_and_moves_nothing(plc, driver):
     with plc.client() as client:
         before = client.truth()["length"]
+        said = driver.measure().unstrained_length[0]
         client.inject(Injection.JUMP, axis=1, value=0.05)
         until(lambda: driver.fault is Fault.ENCODER_JUMP)
-        assert driver.measure().unstrained_length[0, 0] != pytest.approx(before[0], abs=0.04)
+        change = driver.measure().unstrained_length[0] - said
+        assert np.abs(change) == pytest.approx([0.05, 0.0, 0.0, 0.0], abs=5e-3)
         driver.reset_fault()
         driver.home(home_pose(plc.robot))
         driver.enable()

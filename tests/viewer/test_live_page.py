@@ -1,0 +1,70 @@
+"""The target of a live page: what is outside the box is refused in words, and nothing moves."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from carosac_toolkit.live.hand_target import HandTarget
+from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.viewer.live import LivePage
+from carosac_toolkit.viewer.page import Page
+
+X, Z = np.eye(3)[[0, 2]]
+
+
+@pytest.fixture(scope="module")
+def page():
+    served = Page(load_robot("scampi"), "live", port=8480)
+    yield served
+    served.close()
+
+
+@pytest.fixture
+def moved() -> list:
+    """Targets that the loop was told of."""
+    return []
+
+
+@pytest.fixture
+def live(page, moved) -> LivePage:
+    robot = page.robot
+    target = HandTarget(robot, robot.home_position, speed_max=1.0, acceleration_max=1.0)
+    return LivePage(page, target, moved.append)
+
+
+def drag(live: LivePage, position, phase: str) -> None:
+    """What the browser says of the arrows."""
+    live.gizmo.position = tuple(position)
+    live._dragged(SimpleNamespace(phase=phase))
+
+
+def test_a_place_outside_is_refused_and_the_arrows_go_back(page, live, moved):
+    robot = page.robot
+    near = robot.home_position + 0.2 * X
+    drag(live, near, "update")
+    outside = robot.workspace_max + 0.5 * Z
+    drag(live, outside, "update")
+    assert np.array(live.gizmo.position) == pytest.approx(outside)  # the mouse has them
+    assert "workspace box" in live.note.content
+    drag(live, outside, "end")
+    assert np.array(live.gizmo.position) == pytest.approx(near)
+    assert "workspace box" in live.note.content  # still there to be read
+    assert np.array(moved) == pytest.approx(near[None])
+
+
+def test_a_typed_place_outside_leaves_the_numbers_of_the_target(page, live, moved):
+    live.place.value = tuple(page.robot.workspace_min - 1.0)
+    live._typed(SimpleNamespace(client_id=1))
+    assert np.array(live.place.value) == pytest.approx(page.robot.home_position, abs=1e-4)
+    assert "target" in live.note.content
+    assert not moved
+
+
+def test_the_note_goes_with_the_next_good_target(page, live, moved):
+    live.go(page.robot.workspace_max + 1.0)
+    live.go(page.robot.home_position + 0.1 * X)
+    assert live.note.content == ""
+    assert len(moved) == 1
