@@ -23,6 +23,7 @@ from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.viewer.live import Instant, LivePage, drawing
 from carosac_toolkit.viewer.page import Page
+from carosac_toolkit.viewer.picture import take_picture
 from carosac_toolkit.viewer.publisher import RATE, Publisher
 
 PATIENCE = 60.0  # [s] for the process to start, and for it to end
@@ -157,6 +158,8 @@ def _serve(pipe: Connection, options: PageOptions) -> None:
         options.robot, options.robot.home_position, speed_max=1.0, acceleration_max=1.0
     )
     LivePage(page, target, moved)
+    robot = options.robot
+    page.draw(take_picture(robot, robot.home_position, robot.home_rotation))  # loads the kernels
     instants = drawing(page)
     pipe.send(("url", page.url))
     try:
