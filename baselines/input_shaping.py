@@ -93,6 +93,7 @@ class InputShaping:
     """
 
     Settings: ClassVar = InputShapingSettings
+    batched: ClassVar = True
     _correction: Array
     _start: Array | None
 

@@ -51,6 +51,7 @@ class KinematicSolver:
     """
 
     Settings: ClassVar = KinematicSolverSettings
+    batched: ClassVar = True
 
     def __init__(self, robot: Robot, settings: KinematicSolverSettings) -> None:
         self._robot = robot

@@ -90,6 +90,7 @@ class AheadController(ABC):
     """A controller that sends the lengths of the pose ahead; subclasses say which lengths."""
 
     Settings: ClassVar = AheadSettings
+    batched: ClassVar = True
 
     def __init__(self, robot: Robot, settings: AheadSettings) -> None:
         self._robot = robot

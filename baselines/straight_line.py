@@ -40,6 +40,7 @@ class StraightLine:
     """
 
     Settings: ClassVar = StraightLineSettings
+    batched: ClassVar = True
 
     def __init__(self, robot: Robot, settings: StraightLineSettings) -> None:
         self._robot = robot

@@ -75,13 +75,14 @@ def rate_hits(asked: Array | None, sent: Array) -> list[LimitHit]:
     if asked is None:
         return []
     return [
-        _hit("length_rate", int(i), asked[b, i], sent[b, i]) for b, i in np.argwhere(asked != sent)
+        _hit("length_rate", b, int(i), asked[b, i], sent[b, i])
+        for b, i in np.argwhere(asked != sent)
     ]
 
 
-def _hit(limit: str, cable: int | None, asked: float, sent: float) -> LimitHit:
+def _hit(limit: str, row: int, cable: int | None, asked: float, sent: float) -> LimitHit:
     """A hit of plain numbers."""
-    return LimitHit(limit=limit, cable=cable, asked=float(asked), sent=float(sent))
+    return LimitHit(limit=limit, cable=cable, asked=float(asked), sent=float(sent), row=int(row))
 
 
 def _motion_to(length: Array, before: Motion, period: float) -> Motion:
@@ -127,8 +128,8 @@ def _listed(
     n = checks[0].broken.shape[1]
     for check in checks:
         for b, i in np.argwhere(check.broken):
-            hit = _hit(check.limit, int(i), check.asked[b, i], check.sent[b, i])
+            hit = _hit(check.limit, b, int(i), check.asked[b, i], check.sent[b, i])
             found.append((int(b), int(i), hit))
     for b in np.flatnonzero(outside):
-        found.append((int(b), n, _hit("box", None, box_asked[b], box_sent[b])))
+        found.append((int(b), n, _hit("box", int(b), None, box_asked[b], box_sent[b])))
     return [hit for _, _, hit in sorted(found, key=lambda entry: entry[:2])]

@@ -6,9 +6,9 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, MutableSequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import count
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -101,6 +101,23 @@ class Log:
     belief_twist: Array | None = None
     belief_covariance: Array | None = None
     innovations: Innovations | None = None
+
+    def world(self, row: int, cycles: int) -> Log:
+        """The first cycles of one of the B worlds, as a log of its own.
+
+        The latencies stay those of the whole batch.
+        """
+        parts: dict[str, Any] = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                parts[field.name] = value[:cycles] if value.ndim == 1 else value[:cycles, [row]]
+        if self.innovations is not None:
+            parts["innovations"] = Innovations(
+                **{name: value[:cycles, [row]] for name, value in vars(self.innovations).items()}
+            )
+        limited = tuple((k, hit) for k, hit in self.limited if k < cycles and hit.row == row)
+        return replace(self, **parts, limited=limited)
 
 
 def run(

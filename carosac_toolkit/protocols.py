@@ -14,7 +14,11 @@ from carosac_toolkit.values import Belief, Command, Measurement, Reference, Stat
 
 
 class Estimator(Protocol):
-    """Turns applied commands and measurements into a belief over the platform state."""
+    """Turns applied commands and measurements into a belief over the platform state.
+
+    One that takes B robots at once, gives each row what it would have alone, and draws nothing from
+    its seed, may say so by a class attribute ``batched = True``; studies then run seeds together.
+    """
 
     def reset(self, measurement: Measurement) -> Belief:
         """Start from a first measurement, without any earlier belief."""
@@ -35,7 +39,7 @@ class Estimator(Protocol):
 
 
 class Controller(Protocol):
-    """Turns a belief and the reference ahead into cable lengths.
+    """Turns a belief and the reference ahead into cable lengths; ``batched`` as for estimators.
 
     Attributes:
         period: Time between two commands [s].
@@ -57,7 +61,8 @@ class Controller(Protocol):
 class Driver(Protocol):
     """What can be measured and commanded: simulated, recorded or real. It moves data, no more.
 
-    A driver on which commands change nothing has a class attribute ``replays = True``.
+    A driver on which commands change nothing has a class attribute ``replays = True``. One that
+    simulates several plants at once has a classmethod ``build_batch(robots, settings, *, seeds)``.
     """
 
     def connect(self) -> None:

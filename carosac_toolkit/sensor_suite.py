@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -25,14 +25,17 @@ class SensorSuite:
         encoder_bias: What the encoders say too much [m], shape (B, n).
     """
 
-    def __init__(self, suite: str, settings: SensorSettings, plant: Plant, seed: int) -> None:
+    def __init__(
+        self, suite: str, settings: SensorSettings, plant: Plant, seed: int | Sequence[int]
+    ) -> None:
         """Draw the biases; nothing is sampled yet.
 
         Args:
             suite: One of `SUITES`.
             settings: Their numbers.
             plant: At rest where it starts, at time 0.
-            seed: Of biases and noise.
+            seed: Of biases and noise: one for all robots together, or one for each, which then has
+                the sensors that it would have alone.
 
         Raises:
             InvalidField: An unknown suite, or an IMU on a plant without inertia.
@@ -40,8 +43,7 @@ class SensorSuite:
         check_suite(suite, inertial=plant.inertial)
         self._settings = settings
         self._size, self._n = plant.size, plant.robot.n
-        streams = np.random.SeedSequence(seed).spawn(len(STREAMS))
-        self._rng = {k: np.random.default_rng(s) for k, s in zip(STREAMS, streams, strict=True)}
+        self._rng = _streams(seed, self._size)
         self.encoder_bias = settings.encoder_bias * self._draw("encoder_bias", self._n)
         self._tension_bias = settings.tension_bias * self._draw("tension_bias", self._n)
         scale = np.repeat([settings.angular_rate_bias, settings.specific_force_bias], 3)
@@ -94,7 +96,9 @@ class SensorSuite:
 
     def _draw(self, stream: str, count: int) -> Array:
         """Standard normal numbers of a stream, shape (B, count)."""
-        return self._rng[stream].standard_normal((self._size, count))
+        parts = self._rng[stream]
+        rows = self._size // len(parts)
+        return np.concatenate([rng.standard_normal((rows, count)) for rng in parts])
 
     def _lengths(self, plant: Plant) -> Array:
         """Readings of the encoders [m], then their rates [m/s], shape (B, 2 n)."""
@@ -159,6 +163,18 @@ class SensorSuite:
         samples = np.stack([packed for _, packed in found], axis=1)  # (B, K, 6)
         time = np.tile([taken for taken, _ in found], (self._size, 1))
         return Imu(time=time, angular_rate=samples[..., :3], specific_force=samples[..., 3:])
+
+
+def _streams(seed: int | Sequence[int], size: int) -> dict[str, list[np.random.Generator]]:
+    """Generators of each stream: one for all robots, or one for each."""
+    seeds = [seed] if isinstance(seed, int | np.integer) else list(seed)
+    if len(seeds) not in (1, size):
+        raise InvalidField("seed", f"{len(seeds)} seeds", f"one, or {size}: one for each robot")
+    streams = zip(*(np.random.SeedSequence(one).spawn(len(STREAMS)) for one in seeds), strict=True)
+    return {
+        name: [np.random.default_rng(part) for part in parts]
+        for name, parts in zip(STREAMS, streams, strict=True)
+    }
 
 
 def _delay_lines(suite: str, settings: SensorSettings) -> Mapping[str, DelayLine]:

@@ -130,12 +130,14 @@ class LimitHit:
         cable: Index of the cable, or None where the limit concerns the platform.
         asked: What was asked for, in the unit of the limit.
         sent: What was sent instead.
+        row: Which of the B robots.
     """
 
     limit: str
     cable: int | None
     asked: float
     sent: float
+    row: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

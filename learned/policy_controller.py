@@ -61,6 +61,7 @@ class PolicyController:
     """
 
     Settings: ClassVar = PolicySettings
+    batched: ClassVar = True
 
     def __init__(self, robot: Robot, policy: Policy, settings: PolicySettings) -> None:
         """Make sure that the policy was trained for this robot.

@@ -15,9 +15,15 @@ from carosac_toolkit.number_checks import check_not_negative, check_positive
 from carosac_toolkit.physics.winch import Encoders
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import State
+from sim_warp.arguments import as_seeds
 from sim_warp.options import CableOptions
 from sim_warp.simulator import STEPS, Simulator
 
+SHARED = (
+    "speed_max", "acceleration_max", "length_min", "length_max", "workspace_min", "workspace_max",
+    "gravity",
+)  # fmt: skip
+"""What command limits and sensors take from the first robot of a batch."""
 STEP = 5e-3  # [s]; one for all sensor suites, so that no sensor changes the motion
 
 
@@ -62,7 +68,7 @@ class SimPlant:
         settings: SimDriverSettings | None = None,
         *,
         size: int | None = None,
-        seed: int = 0,
+        seed: int | Sequence[int] = 0,
     ) -> None:
         """Make the worlds; call `reset` before anything else.
 
@@ -70,7 +76,7 @@ class SimPlant:
             robot: The plant of all worlds, or one for each; nothing more is drawn.
             settings: Cables, winches and wind; None takes the defaults.
             size: Number of worlds B; None: one, or as many as there are robots.
-            seed: Of the wind, from which each world gets its own.
+            seed: Of the wind, from which each world gets its own, or one for each world.
 
         Raises:
             InvalidField: As `Simulator`.
@@ -165,3 +171,24 @@ class SimDriver(SimulatedDriver):
         each = start is not None and as_floats("start_position", start).ndim == 2
         size = len(start) if start is not None and each else 1
         return cls(SimPlant(robot, chosen, size=size, seed=seed), chosen, seed)
+
+    @classmethod
+    def build_batch(
+        cls, robots: Sequence[Robot], settings: SimDriverSettings, *, seeds: Sequence[int]
+    ) -> SimDriver:
+        """Make one of several plants, each as `build` makes it alone.
+
+        Args:
+            robots: The plants; their limits and gravity must be those of the first one.
+            settings: Shared; `start_position` may have a row for each.
+            seeds: Of the wind and the sensors, one for each.
+
+        Raises:
+            InvalidField: Plants with other limits or gravity.
+        """
+        for name in SHARED:
+            first = getattr(robots[0], name)
+            if any(not np.array_equal(getattr(robot, name), first) for robot in robots):
+                raise InvalidField(f"robots: {name}", "several", "the same for all of a batch")
+        winds = [int(as_seeds(seed, 1)[0]) for seed in seeds]
+        return cls(SimPlant(robots, settings, seed=winds), settings, seeds)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
@@ -338,7 +340,9 @@ def test_a_batch_is_its_rows():
         sent = together.apply(asked(length))
         rows = [one.apply(asked(length[b : b + 1])) for b, one in enumerate(alone)]
         assert (sent.unstrained_length == np.vstack([r.unstrained_length for r in rows])).all()
-        assert sent.limited == tuple(hit for row in rows for hit in row.limited)
+        assert sent.limited == tuple(
+            replace(hit, row=b) for b, row in enumerate(rows) for hit in row.limited
+        )
 
 
 def test_the_controlled_stop_is_quick_and_ends_exactly_at_rest():

@@ -97,6 +97,9 @@ class Options(CommonOptions):
     """Address of a dask scheduler, such as tcp://host:8786."""
     workers: int | None = None
     """Worker processes on this machine; 0 is none but this one; by default one per core."""
+    batch: int = 1
+    """How many seeds run together in one simulation, where driver, controller and estimator can:
+    2 to 3 times faster on a CPU, the same numbers to rounding, but no latencies."""
     timeout: float = TIMEOUT
     """How long a case may run [s]."""
     retry: tuple[str, ...] = ()
@@ -160,6 +163,7 @@ def _study(options: Options) -> Study:
         scheduler=options.scheduler,
         workers=options.workers,
         timeout=options.timeout,
+        batch=options.batch,
         retry=options.retry,
         **chosen_settings(options.settings, controllers=controllers, estimators=estimators),
     )
@@ -173,6 +177,7 @@ def _words(options: Options, study: Study) -> list[str]:
     words += ["--seed", str(options.seed), "--seeds", str(len(study.seed_list))]
     words += ["--driver", options.driver, "--timeout", f"{options.timeout:g}"]
     words += ["--baseline", options.baseline] if options.baseline is not None else []
+    words += ["--batch", str(options.batch)] if options.batch != 1 else []
     words += ["--speed", f"{options.speed:g}", "--acceleration", f"{options.acceleration:g}"]
     return words + [word for text in options.settings for word in ("--set", text)]
 

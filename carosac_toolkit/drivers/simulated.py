@@ -6,6 +6,7 @@ one sample of a sensor to the next.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -71,8 +72,10 @@ class SimulatedDriver:
     Settings: ClassVar[type[SimulatedSettings]] = SimulatedSettings
     name: ClassVar[str] = "simulated"
 
-    def __init__(self, plant: Plant, settings: SimulatedSettings, seed: int = 0) -> None:
-        """Take a plant; `seed` draws bias and noise of the sensors."""
+    def __init__(
+        self, plant: Plant, settings: SimulatedSettings, seed: int | Sequence[int] = 0
+    ) -> None:
+        """Take a plant; `seed`, one or one for each robot, draws bias and noise of the sensors."""
         self._plant = plant
         self._settings = settings
         self._seed = seed

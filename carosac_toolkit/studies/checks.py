@@ -12,6 +12,7 @@ import numpy as np
 from carosac_toolkit import registry, trajectories
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.filled_settings import filled
+from carosac_toolkit.number_checks import check_whole
 from carosac_toolkit.perturbations import CONDITIONS
 from carosac_toolkit.protocols import replays
 from carosac_toolkit.robot_file import load_robot
@@ -65,6 +66,7 @@ def _check_execution(study: Study) -> None:
     if not 0.0 < study.timeout < 1e7:
         raise InvalidField("timeout", f"{study.timeout} s", "0 < timeout < 1e7 s")
     check_statuses(study.retry)
+    check_whole("batch", study.batch, 1)
     if study.workers is not None and study.scheduler is not None:
         allowed = "no number of workers with a scheduler"
         raise InvalidField("workers", str(study.workers), allowed)

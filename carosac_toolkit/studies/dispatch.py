@@ -12,7 +12,7 @@ from typing import Any
 
 from carosac_toolkit.errors import CarosacError
 from carosac_toolkit.studies.case import Case
-from carosac_toolkit.studies.execution import Task, crashed_row, run_task
+from carosac_toolkit.studies.execution import Done, Task, crashed_row, run_task
 from carosac_toolkit.studies.presence import LOST_AFTER, LostScheduler, Presence
 from carosac_toolkit.studies.rows import Row
 
@@ -98,7 +98,7 @@ class Dispatcher:
         failed = [key for future, _, key in ended if future.status in ("error", "cancelled")]
         good = [future for future, _, key in ended if key not in failed]
         try:
-            rows = self._results(good)
+            done = {answer.identity: answer.rows for answer in self._results(good)}
             errors = {
                 x.key: x.exception(timeout=LOST_AFTER) for x, _, key in ended if key in failed
             }
@@ -106,16 +106,18 @@ class Dispatcher:
             raise LostScheduler(
                 f"the scheduler does not give its results ({error}); run again to go on"
             ) from error
-        here = {row["case"] for row in rows}
+        rows = [row for answer in done.values() for row in answer]
         for future, task, key in ended:
             if key in errors:
                 rows += self._judge(task, errors[key])
-            elif task.identity not in here:  # its result died with a worker: it runs again
+            elif task.identity not in done:  # its result died with a worker: it runs again
                 self._watch(future, task)
+            elif not done[task.identity]:  # together they could not run
+                self._waiting.extend(task.alone())
         return rows
 
-    def _results(self, futures: Sequence[Any]) -> list[Row]:
-        """Rows of tasks that have ended; a row that died with its worker is waited for."""
+    def _results(self, futures: Sequence[Any]) -> list[Done]:
+        """Answers of tasks that have ended; a row that died with its worker is waited for."""
         coroutine = self._client.gather(list(futures), errors="skip", asynchronous=True)
         answer = asyncio.run_coroutine_threadsafe(coroutine, self._client.loop.asyncio_loop)
         try:
@@ -136,6 +138,6 @@ class Dispatcher:
                 f"no worker could run the case {task.identity}: {type(error).__name__}: {error}"
             ) from error
         if self._alone is None:  # its neighbours on the same worker are suspects as well
-            self._suspects.append(task)
+            self._suspects.extend(task.alone())
             return []
-        return [crashed_row(Case.from_dict(task.case), error.allowed_failures + 1)]
+        return [crashed_row(Case.from_dict(task.cases[0]), error.allowed_failures + 1)]

@@ -8,10 +8,11 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.studies.batching import Batching
 from carosac_toolkit.studies.case import Case
 from carosac_toolkit.studies.cluster import local_client, remote_client, usable_cores
 from carosac_toolkit.studies.dispatch import Dispatcher
-from carosac_toolkit.studies.execution import Task, find_function, run_attempt
+from carosac_toolkit.studies.execution import Task, find_function, rows_of
 from carosac_toolkit.studies.folder import (
     StudyFolder,
     check_statuses,
@@ -37,6 +38,7 @@ def run_cases(
     timeout: float = TIMEOUT,
     attempts: int = 3,
     retry: Collection[str] = (),
+    batching: Batching | None = None,
     progress: bool = True,
 ) -> list[Row]:
     """Run each case once and return one row per case, in the order of the cases.
@@ -61,6 +63,8 @@ def run_cases(
         attempts: How many times a case may cost its process before it is given up.
         retry: Statuses of finished cases to run again: ``"failed"``, ``"crashed"``,
             ``"timed_out"``.
+        batching: How cases run together; None: each alone. Where one of a batch fails, or its
+            process dies, all of it run alone.
         progress: Whether to tell on standard error how far the study is.
 
     Raises:
@@ -87,11 +91,12 @@ def run_cases(
             count = _worker_count(workers, len(cases), len(todo))
             batches: Iterable[list[Row]]
             with ExitStack() as stack:
-                if scheduler is None and count == 0:
-                    batches = ([run_attempt(case, function, limit)] for case, limit in todo)
+                here = scheduler is None and count == 0
+                notes = "" if here else stack.enter_context(notes_folder(path))
+                tasks = _tasks(todo, function, attempts, notes, batching)
+                if here:
+                    batches = (rows_of(task) for task in tasks)
                 else:
-                    notes = stack.enter_context(notes_folder(path))
-                    tasks = _tasks(todo, function, attempts, notes)
                     batches = _on_workers(stack, tasks, scheduler, count, bar.say)
                 _keep(batches, store, bar)
             store.merge()
@@ -99,19 +104,26 @@ def run_cases(
 
 
 def _tasks(
-    todo: Sequence[tuple[Case, float]], function: str, attempts: int, notes: str
+    todo: Sequence[tuple[Case, float]],
+    function: str,
+    attempts: int,
+    notes: str,
+    batching: Batching | None,
 ) -> list[Task]:
     """What workers are sent."""
+    parts = batching.parts([case for case, _ in todo]) if batching else [[x] for x, _ in todo]
+    limits = {case.identity: limit for case, limit in todo}
     return [
         Task(
-            case=case.to_dict(),
-            identity=case.identity,
+            cases=tuple(case.to_dict() for case in part),
+            identities=tuple(case.identity for case in part),
             function=function,
-            timeout=limit,
+            together=batching.function if batching else "",
+            timeout=limits[part[0].identity],
             attempts=attempts,
             notes=notes,
         )
-        for case, limit in todo
+        for part in parts
     ]
 
 

@@ -1,10 +1,10 @@
-"""Run one case to its row, whatever the case does; this is what workers are asked for."""
+"""Run cases to their rows, whatever they do; this is what workers are asked for."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -19,7 +19,7 @@ from carosac_toolkit.studies.time_limit import CaseTimeout, TimeLimit
 
 GRACE = 5.0  # [s] a case has to stop by itself when its time is up, if its limit is no shorter
 
-CaseFunction = Callable[[Case], Any]
+CaseFunction = Callable[..., Any]  # of a case, or of several at once
 
 
 class UnfitWorker(CarosacError):
@@ -28,23 +28,51 @@ class UnfitWorker(CarosacError):
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """What a worker is sent.
+    """What a worker is sent: a case, or several that run together.
 
     Attributes:
-        case: The fields of the case.
-        identity: Its identity by the sender's reckoning.
+        cases: The fields of each case.
+        identities: Their identities by the sender's reckoning.
         function: The case function, as ``module:name``.
-        timeout: How long the case may run [s].
-        attempts: How many times its process may die.
+        together: The function that runs several, as ``module:name``.
+        timeout: How long each case may run [s].
+        attempts: How many times the process of one case may die.
         notes: Folder of the notes, on a file system that sender and worker may or may not share.
     """
 
-    case: dict[str, Any]
-    identity: str
+    cases: tuple[dict[str, Any], ...]
+    identities: tuple[str, ...]
     function: str
+    together: str
     timeout: float
     attempts: int
     notes: str
+
+    @property
+    def identity(self) -> str:
+        """Of the case; of several, that of the first with their number."""
+        count = len(self.cases)
+        return self.identities[0] + (f"-and-{count - 1}" if count > 1 else "")
+
+    def alone(self) -> list[Task]:
+        """A task for each case."""
+        return [
+            replace(self, cases=(case,), identities=(identity,))
+            for case, identity in zip(self.cases, self.identities, strict=True)
+        ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Done:
+    """What a worker answers.
+
+    Attributes:
+        identity: Of the task.
+        rows: A row for each case; none where several could not run together.
+    """
+
+    identity: str
+    rows: list[Row]
 
 
 def find_function(name: str) -> CaseFunction:
@@ -93,14 +121,55 @@ def run_attempt(case: Case, function: str, timeout: float) -> Row:
         return make_row(case, "failed", reason=reason, wall_time=time.perf_counter() - start)
 
 
-def run_task(task: Task) -> Row:
-    """Run a case in a worker process that it has for itself.
+def run_attempt_together(cases: Sequence[Case], function: str, timeout: float) -> list[Row]:
+    """Run several cases in this thread; `timeout` is for all of them [s].
+
+    Returns:
+        A row for each, or none at all where any of them failed: each has to run alone then.
 
     Raises:
-        UnfitWorker: The worker has another version of the toolkit, or runs several cases at once.
+        UnfitWorker: The function cannot be imported here.
     """
-    case = Case.from_dict(task.case)
-    _check_worker(case, task)
+    found = _found_here(function)
+    start = time.perf_counter()
+    try:
+        with TimeLimit(timeout):
+            values = [checked_values(row) for row in found(cases)]
+        wall_time = (time.perf_counter() - start) / len(cases)
+        return [
+            make_row(case, "ok", values=row, wall_time=wall_time)
+            for case, row in zip(cases, values, strict=True)
+        ]
+    except (Exception, SystemExit, CaseTimeout):  # alone, the one to blame says what it was
+        return []
+
+
+def rows_of(task: Task) -> list[Row]:
+    """Run a task in this process, which shares the fate of its cases."""
+    cases = [Case.from_dict(fields) for fields in task.cases]
+    rows = []
+    if len(cases) > 1:
+        rows = run_attempt_together(cases, task.together, task.timeout * len(cases))
+    return rows or [run_attempt(case, task.function, task.timeout) for case in cases]
+
+
+def run_task(task: Task) -> Done:
+    """Run a task in a worker process that it has for itself.
+
+    Raises:
+        UnfitWorker: The worker has another version of the toolkit, or runs several tasks at once.
+    """
+    cases = [Case.from_dict(fields) for fields in task.cases]
+    _check_worker(cases, task)
+    if len(cases) > 1:
+        rows = _batch_of_task(cases, task)
+    else:
+        rows = [_row_of_task(cases[0], task)]
+    return Done(identity=task.identity, rows=rows)
+
+
+def _row_of_task(case: Case, task: Task) -> Row:
+    """Run a case, unless it has cost too many processes."""
     if not Path(task.notes).is_dir():  # a file system of its own: the scheduler counts deaths
         return run_attempt(case, task.function, task.timeout)
     note = Path(task.notes) / task.identity
@@ -110,6 +179,19 @@ def run_task(task: Task) -> Row:
         return _row_of_death(case, death, task.timeout)
     with noted(note, task.timeout + min(GRACE, task.timeout)):
         return run_attempt(case, task.function, task.timeout)
+
+
+def _batch_of_task(cases: Sequence[Case], task: Task) -> list[Row]:
+    """Run cases together, unless that has cost a process already."""
+    timeout = task.timeout * len(cases)
+    if not Path(task.notes).is_dir():
+        return run_attempt_together(cases, task.together, timeout)
+    note = Path(task.notes) / task.identity
+    if read_death(note) is not None:
+        note.unlink(missing_ok=True)
+        return []
+    with noted(note, timeout + min(GRACE, timeout)):
+        return run_attempt_together(cases, task.together, timeout)
 
 
 def crashed_row(case: Case, deaths: int, cause: str = "", wall_time: float = 0.0) -> Row:
@@ -140,12 +222,12 @@ def _row_of_death(case: Case, death: Death, timeout: float) -> Row:
     return make_row(case, "timed_out", reason=reason, wall_time=death.wall_time)
 
 
-def _check_worker(case: Case, task: Task) -> None:
+def _check_worker(cases: Sequence[Case], task: Task) -> None:
     """Refuse a worker that is not like the sender."""
     from distributed import get_worker
 
     worker = get_worker()
-    if case.identity != task.identity:
+    if tuple(case.identity for case in cases) != task.identities:
         raise UnfitWorker(
             f"worker {worker.address} has carosac-toolkit {__version__}, unlike the study; "
             "install the same version on all machines"

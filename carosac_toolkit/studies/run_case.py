@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from functools import lru_cache
 from typing import Any
@@ -17,7 +17,7 @@ from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.filled_settings import filled
 from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.loop import BadPlugin, Log, run
-from carosac_toolkit.perturbations import draw_plant, find_condition
+from carosac_toolkit.perturbations import Condition, draw_plant, find_condition
 from carosac_toolkit.protocols import TruthSource, replays
 from carosac_toolkit.recordings.quaternions import from_matrix
 from carosac_toolkit.robot import Robot
@@ -81,12 +81,12 @@ def run_case(case: Case) -> dict[str, Any]:
     Raises:
         InvalidField: A setting that nobody reads.
     """
-    settings = _known(case.settings)
-    robot = _robot(case.robot, _digest_of(case))
+    settings = known_settings(case.settings)
+    robot = robot_of(case.robot, digest_of(case))
     condition = find_condition(case.perturbation)
     plant = draw_plant(robot, condition, np.random.default_rng(case.plant_seed))
     limits = {x: float(settings.get(x, 1.0)) for x in ("speed_max", "acceleration_max")}
-    controller = _build("controllers", case.controller, robot, case, "controller_settings", {})
+    controller = build_part("controllers", case.controller, robot, case, "controller_settings")
     name = str(settings.get("driver", DRIVER))
     recorded = replays(registry.load("drivers", name))
     path = (
@@ -95,15 +95,12 @@ def run_case(case: Case) -> dict[str, Any]:
         else trajectories.build(case.trajectory, robot, case.path_seed % 2**32, **limits)
     )
     start = robot.home_position if path is None else path.sample(np.zeros(1)).position[0]
-    position = tuple(float(x) for x in start)
-    wind = (condition.wind_force, condition.wind_time)
-    said = (case.suite, _period(controller), position, *wind)
-    given = dict(zip(GIVEN, said, strict=True))
-    driver = _build("drivers", name, plant, case, "driver_settings", given)
+    given = given_to_driver(case, condition, period_of(controller), tuple(float(x) for x in start))
+    driver = build_part("drivers", name, plant, case, "driver_settings", given)
     if case.estimator == "truth":
         estimator: Any = Truth(driver)
     else:
-        estimator = _build("estimators", case.estimator, robot, case, "estimator_settings", {})
+        estimator = build_part("estimators", case.estimator, robot, case, "estimator_settings")
     duration = REST + path.duration if path else controller.period * len(driver.recording.time)
     path = path or trajectories.from_recording(driver.recording)
     if getattr(driver, "real_time", False):
@@ -112,11 +109,18 @@ def run_case(case: Case) -> dict[str, Any]:
     if getattr(driver, "fault", None) is not None:
         raise CarosacError(f"driver {name}: {driver.fault}")
     row = score(log, robot, path.duration, replayed=recorded)
-    example = case.seed == settings.get("example_seed", 0)
-    return row | {"series": _series(log) if example else None}
+    return row | {"series": example_series(case, log)}
 
 
-def _period(controller: Any) -> float:
+def given_to_driver(
+    case: Case, condition: Condition, period: float, start: tuple[Any, ...]
+) -> dict[str, Any]:
+    """Settings of a driver that the case itself says; `start` in W [m], one or a row each."""
+    said = (case.suite, period, start, condition.wind_force, condition.wind_time)
+    return dict(zip(GIVEN, said, strict=True))
+
+
+def period_of(controller: Any) -> float:
     """Time between two commands [s], which drivers need to know."""
     period = getattr(controller, "period", None)
     if not isinstance(period, int | float) or not 0.0 < period < np.inf:
@@ -175,7 +179,7 @@ def _tracking(log: Log, position: Array, robot: Robot, duration: float) -> dict[
     }
 
 
-def _known(settings: Mapping[str, Any]) -> Mapping[str, Any]:
+def known_settings(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Refuse settings of a case that nobody reads."""
     unknown = sorted(set(settings) - set(SETTINGS))
     if unknown:
@@ -198,8 +202,13 @@ def _rms(values: Array) -> float | None:
     return float(np.sqrt((values**2).mean())) if values.size else None
 
 
-def _series(log: Log) -> str:
-    """What pictures and the viewer need of one run, thinned out, as JSON; order w x y z."""
+def example_series(case: Case, log: Log) -> str | None:
+    """What pictures and the viewer need of one run, thinned out, as JSON; order w x y z.
+
+    None for all seeds but the one that is shown.
+    """
+    if case.seed != case.settings.get("example_seed", 0):
+        return None
     keep = np.unique(np.linspace(0, len(log.time) - 1, SERIES).round().astype(int))
     channels: dict[str, Any] = {
         "time_s": log.time[keep],
@@ -214,10 +223,21 @@ def _series(log: Log) -> str:
     return json.dumps(thin)
 
 
-def _build(
-    kind: registry.Kind, name: str, robot: Robot, case: Case, key: str, given: Mapping[str, Any]
-) -> Any:
-    """Make a plug-in by name, with its own settings."""
+def build_part(
+    kind: registry.Kind, name: str, robot: Robot | Sequence[Robot], case: Case, key: str,
+    given: Mapping[str, Any] | None = None, *, seeds: Sequence[int] | None = None,
+) -> Any:  # fmt: skip
+    """Make a plug-in by name, with its own settings.
+
+    Args:
+        kind: Of the plug-in.
+        name: Of the plug-in, or of a variant of it.
+        robot: What it is for; several for a driver of a batch.
+        case: Whose settings count, and whose seed.
+        key: Where its settings are among those of the case.
+        given: Settings that the case itself says, as far as it has them.
+        seeds: For a driver of a batch, one for each robot.
+    """
     plugin = registry.load(kind, plugin_name(name))
     kinds = getattr(plugin, "Settings", None)
     seed = case.sensor_seed if kind == "drivers" else case.rng_seed
@@ -228,11 +248,14 @@ def _build(
         if asked:
             raise InvalidField(key, asked, f"nothing: {name} has no Settings")
         return plugin.build(robot, None, seed=seed)
-    known = {field.name for field in fields(kinds)}
+    known, given = {field.name for field in fields(kinds)}, given or {}
     for taken in sorted(set(given) & set(asked)):
         raise InvalidField(f"{key}.{taken}", repr(asked[taken]), "none: the case itself says it")
     wanted = {k: v for k, v in given.items() if k in known} | asked
-    return plugin.build(robot, filled(key, kinds(), wanted), seed=seed)
+    chosen = filled(key, kinds(), wanted)
+    if seeds is not None:
+        return plugin.build_batch(robot, chosen, seeds=seeds)
+    return plugin.build(robot, chosen, seed=seed)
 
 
 def own_settings(name: str, asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -254,7 +277,7 @@ def robot_digest(name: str) -> str:
     return hashlib.sha256(robot_text(name).encode()).hexdigest()[:16]
 
 
-def _digest_of(case: Case) -> str:
+def digest_of(case: Case) -> str:
     """Digest of the robot file as it is here, which must be the one the case was made for."""
     here = robot_digest(case.robot)
     if case.settings.get("robot_digest", here) != here:
@@ -263,6 +286,6 @@ def _digest_of(case: Case) -> str:
 
 
 @lru_cache(maxsize=8)
-def _robot(name: str, digest: str) -> Robot:
+def robot_of(name: str, digest: str) -> Robot:
     """Robots are read once per process and content, so that their device buffers are kept."""
     return load_robot(name)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.studies.batching import Batching
 from carosac_toolkit.studies.case import Case, product
 from carosac_toolkit.studies.checks import RECORDED, check_study
 from carosac_toolkit.studies.cluster import remote_client, usable_cores
@@ -18,6 +19,8 @@ from carosac_toolkit.studies.results import StudyResults
 from carosac_toolkit.studies.run_case import DRIVER, robot_digest
 
 FUNCTION = "carosac_toolkit.studies.run_case:run_case"
+GROUP = "carosac_toolkit.studies.run_together:group_of"
+TOGETHER = "carosac_toolkit.studies.run_together:run_together"
 FOLDER = Path("carosac-results") / "compare"
 SEEDS = 10
 QUICK_SEEDS = 2
@@ -54,6 +57,8 @@ class Study:
         workers: How many processes; 0 is this one; None is as many as there are cores.
         timeout: How long a case may run [s].
         retry: Statuses of finished cases to run again: ``failed``, ``crashed``, ``timed_out``.
+        batch: How many seeds run together in one simulation, where driver, controller and estimator
+            can; 1 is each alone. The rows are the same to rounding, but without latencies.
     """
 
     robots: Sequence[str] = ("carosac",)
@@ -74,6 +79,7 @@ class Study:
     workers: int | None = None
     timeout: float = TIMEOUT
     retry: Sequence[str] = ()
+    batch: int = 1
 
     def __post_init__(self) -> None:
         """Turn lists into tuples; a name alone would be taken letter by letter."""
@@ -139,9 +145,17 @@ class Study:
         folder = self.folder()
         rows = run_cases(
             self.cases(), FUNCTION, folder=folder, scheduler=self.scheduler,
-            workers=self._worker_count(), timeout=self.timeout, retry=self.retry, progress=progress,
+            workers=self._worker_count(), timeout=self.timeout, retry=self.retry,
+            batching=self._batching(),
+            progress=progress,
         )  # fmt: skip
         return StudyResults(rows=tuple(rows), folder=folder)
+
+    def _batching(self) -> Batching | None:
+        """How cases run together."""
+        if self.batch == 1:
+            return None
+        return Batching(group=GROUP, function=TOGETHER, size=self.batch)
 
     def _worker_count(self) -> int | None:
         """Workers to ask for: code from outside never runs in this process unless asked to.

@@ -131,3 +131,17 @@ BEHAVIOURS = {
 def without_times(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Rows without what no two runs share."""
     return [{name: x for name, x in row.items() if name != "wall_time_s"} for row in rows]
+
+
+def group(case: Case) -> str | None:
+    """All but those of `single` may run together."""
+    return None if case.controller == "single" else case.controller
+
+
+def together(cases: list[Case]) -> list[dict[str, Any]]:
+    """Several at once, marked as such; do what the controller's name says."""
+    if cases[0].controller == "raises":
+        raise ValueError("one of them has no such pose")
+    if cases[0].controller == "dies":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return [score(case) | {"label": f"one of {len(cases)}"} for case in cases]

@@ -80,7 +80,7 @@ def test_controllers_meet_the_same_plant_noise_and_trajectory(watched):
     assert np.array_equal(first.unstrained_length[0], second.unstrained_length[0])
     assert not np.array_equal(first.command[1], second.command[1])
     # the noise of each sample is the same draw, whatever the lengths are
-    one_rng, other_rng = (driver._sensors._rng["encoders"] for driver in (one, other))
+    one_rng, other_rng = (driver._sensors._rng["encoders"][0] for driver in (one, other))
     assert one_rng.bit_generator.state == other_rng.bit_generator.state
 
 

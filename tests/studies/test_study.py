@@ -182,6 +182,7 @@ def test_cases_are_all_combinations_with_the_settings_of_their_own_plugins():
         ({"retry": ["broken"]}, "retry: got 'broken'"),
         ({"timeout": 0.0}, "timeout: got 0.0 s"),
         ({"workers": -1}, "workers: got -1"),
+        ({"batch": 0}, "batch: got 0; allowed: a whole number from 1"),
     ],
 )
 def test_a_study_that_cannot_run_writes_nothing(changes, message, tmp_path):
