@@ -61,7 +61,7 @@ def main() -> None:
     header = ["robot", "controller", "alone [s]"]
     for size in SIZES:
         header += [f"{size} together [s a case]", "ratio"]
-    rows = [compared(robot, name) for robot in ("carosac", "scampi") for name in WAYS]
+    rows = [compared("carosac", name) for name in WAYS] + [compared("scampi", "kinematic_solver")]
     body = "Processor time of one circle, sensors `lengths`, condition `nominal-1`.\n\n" + table(
         [*header, "largest relative difference of scores"], rows
     )
