@@ -39,7 +39,7 @@ for axes, force in zip(panels, (0.0, 100.0), strict=True):
 panels[0].set_ylabel("z [m]")
 figure.colorbar(picture, ax=panels, label="margin to the tension limits [N]")
 figure.suptitle(
-    "cogiro, y = 0; grey: a cable would have to push, orange: slack, red: overloaded, white: undecided"
+    "cogiro, y = 0; grey: cables would push, orange: slack, red: overloaded, white: unsolved"
 )
 figure.savefig("10_workspace.png", dpi=110)
 print(f"the wind takes {1.0 - share[1] / share[0]:.0%} of the slice")
