@@ -76,4 +76,4 @@ docs-commands: $(STAMP)  ## run every command of README and docs, some with shor
 	$(BIN)/python docs/commands.py
 
 clean:  ## remove what the other targets made, but not .venv
-	rm -rf $(RESULTS) docs/_build build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(RESULTS) docs/_build docs/_gallery docs/gallery.md build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,4 +1,11 @@
+import sys
+from pathlib import Path
+
 from carosac_toolkit import __version__
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import gallery
 
 project = "CaRoSaC Toolkit"
 author = "The CaRoSaC Toolkit developers"
@@ -21,3 +28,8 @@ autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 88
 suppress_warnings = ["ref.python"]  # words such as n in "shape (B, n)" are no references
+
+
+def setup(app):
+    """Draw the gallery before pages are looked for."""
+    app.connect("builder-inited", lambda _: gallery.make())
