@@ -76,7 +76,9 @@ def explanation(blocks: Sequence[Block]) -> str:
     )
     if seeds < FEWEST:
         text += f" Intervals need {FEWEST} seeds or more; here are {seeds}."
-    lowest, fewest, others = max((_lowest_p(block), block.seeds, _others(block)) for block in blocks)
+    lowest, fewest, others = max(
+        (_lowest_p(block), block.seeds, _others(block)) for block in blocks
+    )
     if lowest > LEVEL:
         text += (
             f" With {counted(fewest, 'seed')} and {counted(others, 'comparison')} no p is below "

@@ -200,7 +200,10 @@ def test_a_case_that_was_left_out_is_named(tmp_path):
     ("change", "fault"),
     [
         (lambda text: text.replace(",ok,", ",fine,", 1), r"line 2, status: got 'fine'; allowed"),
-        (lambda text: text.replace("0.05,", "nan,", 1), r"line 2, tracking_\w+: got 'nan'; allowed"),
+        (
+            lambda text: text.replace("0.05,", "nan,", 1),
+            r"line 2, tracking_\w+: got 'nan'; allowed",
+        ),
         (lambda text: text.replace(",0,ok", ",x,ok", 1), r"line 2, seed: got 'x'; allowed"),
         (lambda text: text[: text.rindex(",ok,")], r"line 25, status: got nothing; allowed"),
         (lambda text: text.replace("seed,", "", 1), r"header: got no seed; allowed"),

@@ -105,7 +105,7 @@ def test_far_away_a_proof_decides_where_the_search_fails():
     found = judge(robot, far)
     assert [Limit(x) for x in found.limit] == [Limit.NO_PULL] * 2
     assert np.isneginf(found.margin).all() and (found.cable == -1).all()
-    near = judge(robot, [robot.home_position + [3.0, 0.0, 0.0]])
+    near = judge(robot, [robot.home_position + np.array([3.0, 0.0, 0.0])])
     assert -1e4 < near.margin[0] < 0.0 and near.limit[0] != Limit.NO_PULL
 
 
