@@ -106,8 +106,8 @@ def _with_all_paths(table: Array, drawn: NDArray[np.int64]) -> NDArray[np.bool_]
     """Which draws of rows (R, S) have a case on every trajectory of a table that has any, (R,)."""
     there = ~np.isnan(table)
     gaps = there[:, there.any(axis=0) & ~there.all(axis=0)]
-    whole: NDArray[np.bool_] = gaps[drawn].any(axis=1).all(axis=1)
-    return whole
+    on_each: NDArray[np.bool_] = np.asarray(gaps[drawn].any(axis=1))
+    return np.asarray(on_each.all(axis=1))
 
 
 def sign_flip_p(outcomes: Array, *, draws: int = RESAMPLES, seed: int = 0) -> float | None:
