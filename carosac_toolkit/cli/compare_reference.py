@@ -32,6 +32,7 @@ from carosac_toolkit.studies.reference_results import (
     write_rows,
 )
 from carosac_toolkit.studies.report import write_report
+from carosac_toolkit.studies.rows import Row
 from carosac_toolkit.studies.tables import failures
 from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 
@@ -50,8 +51,10 @@ def run_suite(options: Options, name: str) -> CommandResult:
     _check_fixed(options)
     suite = ReferenceSuite.load(name)
     suite = suite.quick() if options.quick else suite
+    published: list[Row] | None = None
     if options.against is not None:
         check_same(suite, Path(options.against))
+        published = read_rows(Path(options.against))
     tasks = _tasks(options, suite)
     for task in tasks:
         task.study.check()
@@ -61,7 +64,7 @@ def run_suite(options: Options, name: str) -> CommandResult:
     print(wrapped(_what(suite, tasks), width), flush=True)
     started = time.monotonic()
     parts = [_run(task, folder, options, suite) for task in tasks]
-    return _finish(options, suite, parts, folder, time.monotonic() - started)
+    return _finish(options, suite, parts, published, folder, time.monotonic() - started)
 
 
 def _check_fixed(options: Options) -> None:
@@ -120,15 +123,19 @@ def _run(task: Task, folder: Path, options: Options, suite: ReferenceSuite) -> P
 
 
 def _finish(
-    options: Options, suite: ReferenceSuite, parts: list[PartResults], folder: Path, took: float
+    options: Options,
+    suite: ReferenceSuite,
+    parts: list[PartResults],
+    published: Sequence[Row] | None,
+    folder: Path,
+    took: float,
 ) -> CommandResult:
     """Print the paired comparisons, and write the files of the whole suite."""
     width, command = terminal_width(), shlex.join(_words(options, suite))
     shown = parts
-    if options.against is not None:
-        rows = read_rows(Path(options.against))
-        shown = [with_published(part, rows) for part in parts]
-        for line in _said(agreement([row for part in parts for row in part.rows], rows)):
+    if published is not None:
+        shown = [with_published(part, published) for part in parts]
+        for line in _said(agreement([row for part in parts for row in part.rows], published)):
             print(wrapped(line, width, "* "))
     made = made_with() | {"time": f"{took / 60:.1f} minutes, without what was there already"}
     for part in shown:

@@ -230,13 +230,18 @@ def _print(found: dict[str, tuple[Region, list[Region]]], lower: Array, upper: A
         print()
     if len(found) == 2:
         change = _changes(found)
-        print(
+        by = change["margin_change_N"]
+        text = (
             f"sag takes {change['lost']} positions ({change['lost_m3']:.3g} m^3) away from the "
             f"workspace of straight cables and adds {change['gained']} "
-            f"({change['gained_m3']:.3g} m^3); where both can, the margin changes by "
-            f"{change['margin_change_N']['median']:+.3g} N in the median, "
-            f"{change['margin_change_N']['least']:+.3g} N at worst"
+            f"({change['gained_m3']:.3g} m^3)"
         )
+        if by["median"] is not None:
+            text += (
+                f"; where both can, the margin changes by {by['median']:+.3g} N in the median, "
+                f"{by['least']:+.3g} N at worst"
+            )
+        print(text)
 
 
 def _vector(values: Array) -> str:
@@ -248,16 +253,16 @@ def _changes(found: dict[str, tuple[Region, list[Region]]]) -> dict[str, Any]:
     """How sag changes the workspace."""
     sag, straight = found["sag"][0], found["straight"][0]
     one, other = sag.verdicts.inside, straight.verdicts.inside
-    lost, gained = int((other & ~one).sum()), int((one & ~other).sum())
-    change = (sag.verdicts.margin - straight.verdicts.margin)[one & other]
+    lost, gained, both = int((other & ~one).sum()), int((one & ~other).sum()), one & other
+    change = sag.verdicts.margin[both] - straight.verdicts.margin[both]
     return {
         "lost": lost,
         "gained": gained,
         "lost_m3": lost * sag.grid.cell,
         "gained_m3": gained * sag.grid.cell,
         "margin_change_N": {
-            "median": float(np.median(change)) if len(change) else float("nan"),
-            "least": float(change.min()) if len(change) else float("nan"),
+            "median": float(np.median(change)) if len(change) else None,
+            "least": float(change.min()) if len(change) else None,
         },
     }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -106,7 +106,8 @@ def read_bag(bag: Bag, topics: Topics) -> Imported:
         ("length_rate", "--rates", topics.rates),
     ):
         if specs:
-            found[channel] = _cables(bag, specs, option, topics, notes)
+            samples = _cables(bag, specs, option, topics, notes)
+            found[channel] = _in_order_of(found.get("unstrained_length", samples), samples)
     if topics.pose is not None:
         found["poses"] = poses(bag, topics.pose, stamps=topics.stamps, frames=topics.frames)
     if topics.imu is not None:
@@ -150,6 +151,15 @@ def _cables(
     repeated = sum(samples.repeated for samples in each)
     labels = tuple(samples.topic for samples in each)
     return Samples(title, first.time[kept], value, first.clock, first.behind, repeated, labels)
+
+
+def _in_order_of(lengths: Samples, samples: Samples) -> Samples:
+    """The columns in the order of the lengths, where they have the same names in another one."""
+    names = list(samples.labels)
+    if samples.labels == lengths.labels or set(names) != set(lengths.labels):
+        return samples
+    columns = [names.index(name) for name in lengths.labels]
+    return replace(samples, value=samples.value[:, columns], labels=lengths.labels)
 
 
 def _matched(

@@ -72,6 +72,10 @@ def complete(
         raise InvalidFile(name, faults or ["not a mapping of fields of a robot file"])
     replaced: list[str] = []
     own = document.data.pop("provenance", None) or {}
+    if not isinstance(own, dict):
+        line = document.lines.get(("provenance",))
+        where = "provenance" if line is None else f"line {line}: provenance"
+        raise InvalidFile(name, [f"{where}: got {own!r}; allowed: a mapping from fields to texts"])
     _merge(draft, document.data, own, f"given in {Path(name).name}", replaced)
     for pair in pairs:
         _merge(draft, _nested(pair), {}, "given on the command line", replaced)

@@ -110,10 +110,12 @@ def continued_cables(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Bo
                      r: wp.mat33d, external: vec6d, poses: Poses) -> vec6d:  # fmt: skip
     """Wrench, moments divided by the lever arm; cables to first order beyond their limits.
 
-    Sets the columns: of the tensions, then of the rotation in units of 1 / weight.
+    Sets the columns: of the tensions, then of the rotation in units of 1 / weight; and by how much
+    a cable at most misses its anchor point, where it could not be hung.
     """
     n = poses.tension.shape[1]
     total = Turning()
+    missed = wp.float64(0.0)
     weight = wp.vec3d(ZERO, ZERO, -body.weight)
     total = add_turning(total, r * body.center_of_mass, weight, wp.mat33d())
     for i in range(n):
@@ -127,9 +129,11 @@ def continued_cables(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Bo
         g = pull(g, anchor, t, cables[row, i], wp.float64(1.0e-14), 40)
         poses.q[b, i] = g.q
         poses.unstrained_length[b, i] = g.unstrained_length
+        missed = wp.max(missed, wp.length(g.hanging.closure))
         force = g.hanging.force + (asked - t) * g.force_t
         total = add_turning(total, arm, force, (asked / t) * g.stiffness)
         poses.column[b, i] = scaled_force(g.force_t, wp.cross(arm, g.force_t), body.arm)
+    poses.closure[b] = missed
     for j in range(poses.column.shape[1] - n):
         force_r = wp.vec3d(total.force_r[0, j], total.force_r[1, j], total.force_r[2, j])
         moment_r = wp.vec3d(total.moment_r[0, j], total.moment_r[1, j], total.moment_r[2, j])

@@ -185,8 +185,9 @@ def _answer(robot: Robot, position: Array, found: dict[str, Array]) -> WidestRes
     size = float(body_record(robot)["size"])
     margin = np.where(status == 1, found["margin"], np.where(status == 2, -np.inf, np.nan))
     held = margin >= 0.0
-    sound = (found["residual"] <= RESIDUAL * robot.weight) & (found["closure"] <= GAP * size)
-    failed = (status == 0) | (held & ~sound)
+    hung = found["closure"] <= GAP * size
+    sound = (found["residual"] <= RESIDUAL * robot.weight) & hung
+    failed = (status == 0) | ~hung | (held & ~sound)
     margin = np.where(failed, np.nan, margin)
     rest = Equilibrium(
         position=position,

@@ -197,6 +197,14 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     schema = manifest.get("schema") if isinstance(manifest, dict) else None
     if schema != SCHEMA:
         raise InvalidFile(file, [f"schema: got {schema!r}; allowed: {SCHEMA!r}"])
+    kinds = {"toolkit": str, "function": str, "settings": list, "cases": list}
+    faults = [
+        f"{name}: got {manifest.get(name)!r}; allowed: a {'text' if kind is str else 'list'}"
+        for name, kind in kinds.items()
+        if not isinstance(manifest.get(name), kind)
+    ]
+    if faults:
+        raise InvalidFile(file, faults)
     return manifest  # type: ignore[no-any-return]
 
 

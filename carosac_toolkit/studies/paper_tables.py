@@ -76,13 +76,25 @@ def explanation(blocks: Sequence[Block]) -> str:
     )
     if seeds < FEWEST:
         text += f" Intervals need {FEWEST} seeds or more; here are {seeds}."
-    lowest = smallest_p(seeds)
+    lowest, fewest, others = max(
+        (_lowest_p(block), block.seeds, _others(block)) for block in blocks
+    )
     if lowest > LEVEL:
         text += (
-            f" With {counted(seeds, 'seed')} no p is below {lowest:.2g}: nothing can be shown at "
-            f"the level {LEVEL:g}."
+            f" With {counted(fewest, 'seed')} and {counted(others, 'comparison')} no p is below "
+            f"{lowest:.2g} after Holm: nothing can be shown at the level {LEVEL:g}."
         )
     return text
+
+
+def _others(block: Block) -> int:
+    """How many are compared with one."""
+    return max(len(block.compared) - 1, 1)
+
+
+def _lowest_p(block: Block) -> float:
+    """The smallest p that a comparison can have, adjusted for the number of them."""
+    return min(1.0, _others(block) * smallest_p(block.seeds))
 
 
 def text_tables(blocks: Sequence[Block], width: int) -> str:

@@ -10,6 +10,7 @@ from carosac_toolkit.studies.pairs import typical_value
 from carosac_toolkit.studies.rows import Row
 
 SHARE = 0.05  # of a typical error, by which two machines may differ
+MISSING = "not there"  # instead of a status
 FLOOR = 1e-3  # [m]: smaller differences are none
 
 Way = tuple[str, str, str, str]  # part, robot, controller, estimator
@@ -56,7 +57,7 @@ class Agreement:
 
     Attributes:
         differences: All typical errors of ways that both have, also equal ones.
-        failures: Cases that failed in one of the two only, as sentences.
+        failures: Cases that failed, or are there, in one of the two only, as sentences.
         missing: Ways that are in the other run only.
     """
 
@@ -95,7 +96,7 @@ def agreement(rows: Sequence[Row], others: Sequence[Row]) -> Agreement:
             f"{other}"
             for way in shared
             for (path, seed), one, other in _statuses(here[way], there[way])
-            if (one == "ok") != (other == "ok")
+            if (one == "ok", one == MISSING) != (other == "ok", other == MISSING)
         ),
         missing=tuple(way for way in there if way not in here),
     )  # fmt: skip
@@ -113,9 +114,9 @@ def _by_way(rows: Sequence[Row]) -> dict[Way, list[Row]]:
 
 
 def _statuses(rows: Sequence[Row], others: Sequence[Row]) -> list[tuple[tuple[str, int], str, str]]:
-    """How the cases that both have ended."""
+    """How the cases that any of the two has ended."""
     one, other = (
         {(str(r["trajectory"]), int(r["seed"] or 0)): str(r["status"]) for r in group}
         for group in (rows, others)
     )
-    return [(key, one[key], other[key]) for key in other if key in one]
+    return [(key, one.get(key, MISSING), other.get(key, MISSING)) for key in {**other, **one}]

@@ -5,18 +5,19 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from carosac_toolkit.errors import CarosacError, InvalidFile, MissingFile
+from carosac_toolkit.errors import CarosacError, InvalidField, InvalidFile, MissingFile
 from carosac_toolkit.studies.paired import Block, paired_blocks
 from carosac_toolkit.studies.paper_tables import explanation, markdown_table, sheets
 from carosac_toolkit.studies.reference import TRACKING, ReferenceSuite, Task
 from carosac_toolkit.studies.results import WAYS, StudyResults
-from carosac_toolkit.studies.rows import Row
+from carosac_toolkit.studies.rows import STATUSES, Row
 
 RESULTS, RECORD, TABLES = "results.csv", "reference.json", "tables.md"
 SCHEMA = "carosac-reference/1"
@@ -85,14 +86,19 @@ def read_rows(folder: Path) -> list[Row]:
         InvalidFile: The file is none of this kind.
     """
     path = folder / RESULTS
-    try:
-        lines = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8"))))
-        return [_row(line) for line in lines]
-    except FileNotFoundError as error:
-        hint = "this is no folder of a reference suite"
-        raise MissingFile(path, hint) from error
-    except (KeyError, ValueError) as error:
-        raise InvalidFile(path, [f"{type(error).__name__}: {error}"]) from error
+    reader = csv.DictReader(io.StringIO(_text(path)))
+    missing = [name for name in (*TEXT, *NUMBERS) if name not in (reader.fieldnames or ())]
+    if missing:
+        raise InvalidFile(path, [f"header: got no {', '.join(missing)}; allowed: all columns"])
+    rows, faults = [], []
+    for line in reader:
+        try:
+            rows.append(_row(line))
+        except InvalidField as error:
+            faults.append(f"line {reader.line_num}, {error}")
+    if faults:
+        raise InvalidFile(path, faults)
+    return rows
 
 
 def read_record(folder: Path) -> dict[str, Any]:
@@ -104,14 +110,32 @@ def read_record(folder: Path) -> dict[str, Any]:
     """
     path = folder / RECORD
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise MissingFile(path, "this is no folder of a reference suite") from error
+        found = json.loads(_text(path))
     except ValueError as error:
         raise InvalidFile(path, [f"this is no JSON: {error}"]) from error
-    if not isinstance(found, dict) or found.get("schema") != SCHEMA:
-        raise InvalidFile(path, [f"schema: allowed: {SCHEMA!r}"])
-    return found
+    schema = found.get("schema") if isinstance(found, dict) else None
+    if schema != SCHEMA:
+        raise InvalidFile(path, [f"schema: got {schema!r}; allowed: {SCHEMA!r}"])
+    faults = [
+        f"{name}: got {found.get(name)!r}; allowed: a text"
+        for name in ("suite", "digest")
+        if not isinstance(found.get(name), str)
+    ]
+    if faults:
+        raise InvalidFile(path, faults)
+    return dict(found)
+
+
+def _text(path: Path) -> str:
+    """Content of a file of results."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise MissingFile(path, "this is no folder of a reference suite") from error
+    except UnicodeDecodeError as error:
+        raise InvalidFile(path, [f"not UTF-8 text (byte {error.start})"]) from error
+    except OSError as error:
+        raise InvalidFile(path, [f"cannot be read: {error.strerror}"]) from error
 
 
 def check_same(suite: ReferenceSuite, folder: Path) -> None:
@@ -184,8 +208,30 @@ def _digits(value: Any) -> str:
     return "" if value is None else f"{value:.6g}"
 
 
-def _row(line: Mapping[str, str]) -> Row:
-    """One line as a row of a study."""
-    row: Row = {name: line[name] for name in TEXT}
-    row |= {name: float(line[name]) if line[name] else None for name in NUMBERS}
-    return row | {"seed": int(line["seed"]), "reason": line["reason"] or None, "settings": "{}"}
+def _row(line: Mapping[str, str | None]) -> Row:
+    """One line as a row of a study.
+
+    Raises:
+        InvalidField: A cell that is missing, or none of its kind.
+    """
+    cells = {name: line[name] for name in (*TEXT, *NUMBERS)}
+    short = [name for name, cell in cells.items() if cell is None]
+    if short:
+        raise InvalidField(short[0], "nothing", "a cell in each column")
+    row: Row = {name: cells[name] for name in TEXT}
+    if row["status"] not in STATUSES:
+        raise InvalidField("status", repr(row["status"]), f"one of {list(STATUSES)}")
+    row |= {name: _number(name, cell, float) if (cell := cells[name]) else None for name in NUMBERS}
+    seed = _number("seed", cells["seed"] or "", int)
+    return row | {"seed": seed, "reason": cells["reason"] or None, "settings": "{}"}
+
+
+def _number(name: str, cell: str, kind: type[int] | type[float]) -> int | float:
+    """A finite number."""
+    try:
+        value = kind(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InvalidField(name, repr(cell), "a finite number")
+    return value

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
 
@@ -69,7 +70,9 @@ def interval(
         seed: Of the resampling.
 
     Returns:
-        Lower and upper end; None with fewer than `FEWEST` seeds, or where a resample has no value.
+        Lower and upper end; None with fewer than `FEWEST` seeds, in all or on a trajectory that has
+        any, or where a resample has no value. Resamples without a trajectory are left out, as they
+        would be of something else.
 
     References:
         Davison and Hinkley, *Bootstrap Methods and their Application*, 1997, section 3.8.
@@ -79,7 +82,8 @@ def interval(
     known = np.any([~np.isnan(table) for table in tables], axis=(0, 2))
     kept = [table[known] for table in tables]
     seeds = len(kept[0])
-    if seeds < FEWEST:
+    found_on = np.array([(~np.isnan(table)).sum(axis=0) for table in kept])
+    if seeds < FEWEST or (found_on[found_on > 0] < FEWEST).any():
         return None
     rng = np.random.default_rng(seed)
     step = max(1, CHUNK // kept[0].size)
@@ -87,6 +91,8 @@ def interval(
     for first in range(0, resamples, step):
         rows = min(step, resamples - first)
         drawn = rng.integers(0, seeds, size=(rows, seeds))
+        for table in kept:
+            drawn = drawn[_with_all_paths(table, drawn)]
         values.append(statistic(*(table[drawn] for table in kept)))
     found = np.concatenate(values)
     if np.isnan(found).any():
@@ -94,6 +100,14 @@ def interval(
     tail = _tail(confidence, seeds)
     low = np.quantile(found, tail, method="lower")
     return float(low), float(np.quantile(found, 1.0 - tail, method="higher"))
+
+
+def _with_all_paths(table: Array, drawn: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which draws of rows (R, S) have a case on every trajectory of a table that has any, (R,)."""
+    there = ~np.isnan(table)
+    gaps = there[:, there.any(axis=0) & ~there.all(axis=0)]
+    on_each: NDArray[np.bool_] = np.asarray(gaps[drawn].any(axis=1))
+    return np.asarray(on_each.all(axis=1))
 
 
 def sign_flip_p(outcomes: Array, *, draws: int = RESAMPLES, seed: int = 0) -> float | None:

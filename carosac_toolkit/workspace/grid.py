@@ -20,9 +20,11 @@ class Grid:
 
     Attributes:
         axes: Coordinates along x, y and z of W [m], each rising.
+        cell: Volume that each position stands for [m^3]; 0 on a plane.
     """
 
     axes: tuple[Array, Array, Array]
+    cell: float
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -42,13 +44,6 @@ class Grid:
         step = self.shape[2] if self.shape[2] > 1 else self.shape[1]
         return np.arange(0, int(np.prod(self.shape)), step)
 
-    @property
-    def cell(self) -> float:
-        """Volume that each position stands for [m^3]."""
-        spans = [axis[-1] - axis[0] for axis in self.axes]
-        counts = [max(len(axis) - 1, 1) for axis in self.axes]
-        return float(np.prod([span / count for span, count in zip(spans, counts, strict=True)]))
-
 
 def box_grid(lower: Array, upper: Array, count: int) -> Grid:
     """A grid of cubes as nearly as possible, positions in the middle of its cells.
@@ -61,13 +56,12 @@ def box_grid(lower: Array, upper: Array, count: int) -> Grid:
     span = upper - lower
     if not (span > 0.0).all():
         raise InvalidField("box", f"{lower} to {upper} m", "a lower corner below the upper one")
-    edge = float((np.prod(span) / count) ** (1.0 / 3.0))
-    numbers = np.maximum(np.round(span / edge).astype(int), 1)
+    numbers = _numbers(span, count)
     axes = [
         low + (np.arange(k) + 0.5) * (high - low) / k
         for low, high, k in zip(lower, upper, numbers, strict=True)
     ]
-    return Grid((axes[0], axes[1], axes[2]))
+    return Grid((axes[0], axes[1], axes[2]), float(np.prod(span / numbers)))
 
 
 def slice_grid(lower: Array, upper: Array, axis: str, value: float, count: int) -> Grid:
@@ -82,12 +76,26 @@ def slice_grid(lower: Array, upper: Array, axis: str, value: float, count: int) 
     """
     across = AXES.index(axis)
     rest = [k for k in range(3) if k != across]
-    span = (upper - lower)[rest]
-    edge = float(np.sqrt(np.prod(span) / count))
     axes = [np.array([value])] * 3
-    for k, size in zip(rest, span, strict=True):
-        axes[k] = np.linspace(lower[k], upper[k], max(round(size / edge), 1) + 1)
-    return Grid((axes[0], axes[1], axes[2]))
+    for k, number in zip(rest, _numbers((upper - lower)[rest], count), strict=True):
+        axes[k] = np.linspace(lower[k], upper[k], number + 1)
+    return Grid((axes[0], axes[1], axes[2]), 0.0)
+
+
+def _numbers(span: Array, count: int) -> NDArray[np.int64]:
+    """Numbers of cells along axes, alike in all directions and together about `count`.
+
+    A side thinner than these cells is one cell wide, and the others share them all.
+    """
+    numbers = np.ones(len(span), dtype=np.int64)
+    order = np.argsort(span)
+    for k, axis in enumerate(order):
+        rest = span[order[k:]]
+        edge = float((np.prod(rest) / count) ** (1.0 / len(rest)))
+        if span[axis] >= edge:
+            numbers[order[k:]] = np.maximum(np.round(rest / edge), 1.0)
+            break
+    return numbers
 
 
 def box_of(robot: Robot, name: str) -> tuple[Array, Array]:

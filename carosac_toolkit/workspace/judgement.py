@@ -100,7 +100,10 @@ def judge(
     hopeless = apart | flat
     weight_only, worst = _hold(model, where, turn, asked, lines, hopeless)
     nearest, nearest_cable = tension_limit(worst.margin, worst.low, worst.high, worst.lowest)
-    margin = np.where(hopeless, -np.inf, worst.margin)
+    if not free:  # where the search failed a proof decides; elsewhere its margin says more
+        failed = np.isnan(worst.margin)
+        apart, flat = apart | failed & beyond_frame(robot, where), failed & too_flat(robot, where)
+    margin = np.where(apart | flat, -np.inf, worst.margin)
     rest = weight_only.rest
     tilt = np.where(rest.converged, tilt_angle(robot, rest.rotation), np.nan)
     distance, pair = _distance(model, rest)
@@ -109,7 +112,7 @@ def judge(
     by_tension = np.where(flat, Limit.TOO_FLAT, by_tension)
     by_tension = np.where(apart, Limit.NO_PULL, by_tension)
     out = ~(margin >= 0.0)
-    unknown = hopeless | np.isnan(margin)
+    unknown = apart | flat | np.isnan(margin)
     return Verdicts(
         rest=rest,
         margin=margin,

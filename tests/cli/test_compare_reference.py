@@ -80,6 +80,14 @@ def test_published_results_of_another_definition_are_refused_before_anything_run
     assert "nowhere/reference.json: no such file" in capsys.readouterr().err
 
 
+def test_published_rows_are_read_before_anything_runs(small_suite, capsys):
+    Path("other").mkdir()
+    same = {"schema": "carosac-reference/1", "suite": "small-1", "digest": small_suite.digest}
+    Path("other/reference.json").write_text(json.dumps(same))
+    assert main(["compare", "--suite", "reference", "--against", "other", "--output", "o"]) == 2
+    assert "other/results.csv: no such file" in capsys.readouterr().err and not Path("o").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -56,6 +56,18 @@ def test_table_numbers_and_words(tmp_path, capsys):
             assert float(row["frequency_Hz"]) > 0.0 and float(row["sag_m"]) >= 0.0
 
 
+@pytest.mark.parametrize(
+    ("box", "status"), [([], 0), (["--lower", "9", "9", "9", "--upper", "10", "10", "10"], 1)]
+)
+def test_what_sag_changes_is_said_where_there_is_a_margin(tmp_path, capsys, box, status):
+    words = ["workspace", "hangprinter", "--box", "frame", "--points", "60", "--model", "both"]
+    more = ["--slice-points", "4", "--no-pictures", "--output", str(tmp_path), *box]
+    assert main([*words, *more]) == status
+    out = capsys.readouterr().out
+    assert "sag takes 0 positions" in out and "nan" not in out
+    assert ("where both can, the margin changes by" in out) is (status == 0)
+
+
 def test_nowhere_is_status_1_and_parquet_is_read_back(tmp_path, capsys):
     status, out = run(
         tmp_path, "carosac", "--lower", "0", "-2", "9", "--upper", "1", "-1", "10", "--points",

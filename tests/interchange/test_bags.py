@@ -144,6 +144,20 @@ def test_late_and_repeated_messages_are_ordered_and_counted(tmp_path):
     assert found.notes == ["unstrained_length: 1 messages with the stamp of an earlier one"]
 
 
+def test_cables_have_one_order_in_all_topics_that_name_them(tmp_path):
+    bags = Bags("ros1")
+    messages = []
+    for time in stamps(3, 10_000_000):
+        lengths = bags.joints(time, ["a", "b", "c"], [1.0, 2.0, 3.0])
+        forces = bags.joints(time, ["c", "a", "b"], [9.0, 9.0, 9.0])
+        forces.effort = np.array([30.0, 10.0, 20.0])
+        messages += [("/winches", JOINTS, time, lengths), ("/loads", JOINTS, time, forces)]
+    with open_bag([bags.write(tmp_path, messages)]) as bag:
+        found = read_bag(bag, Topics(lengths=("/winches",), tensions=("/loads",)))
+    assert found.channels["tension"].labels == ("a", "b", "c")
+    assert found.recording.tension.value[0].tolist() == [10.0, 20.0, 30.0]
+
+
 def test_unset_headers_are_not_taken_for_the_year_1970(tmp_path):
     bags = Bags("mcap")
     messages = [

@@ -84,6 +84,7 @@ def test_what_both_have_is_the_users_and_said(paths):
         ("gravety: 9.81", "line 1: gravety: unknown key"),
         ("[1, 2]", "not a mapping"),
         ("gravity: [", "not YAML"),
+        ("gravity: 9.81\nprovenance: x", "line 2: provenance: got 'x'; allowed: a mapping"),
     ],
 )
 def test_faults_of_a_fragment_have_its_line(paths, fragment, message):

@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
 from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import statics, widest_rest
+from carosac_toolkit.physics import statics, tension_margin, widest_rest
 from carosac_toolkit.physics.structure import structure_matrix
+from tests.robots import eight_cable_robot, with_pulleys
 
 
 def positions(robot, count, seed=0):
@@ -111,6 +112,22 @@ def test_beyond_its_limits_a_cable_makes_the_margin_negative_and_nothing_converg
     assert found.solved[0] and found.margin[0] < 0.0
     assert not found.rest.converged[0] and np.isnan(found.rest.stiffness).all()
     assert found.high[0].sum() > 0.9
+
+
+def test_a_margin_is_only_said_of_cables_that_can_be_hung():
+    """Under its pulley a cable would wrap more than half a turn, which no hanging one does here."""
+    robot = with_pulleys(eight_cable_robot())  # of radius 0.06 m: the cable is within 0.12 m
+    robot = replace(robot, linear_density=1e-9 * robot.linear_density)
+    under = robot.exit_points[0] - robot.anchor_points[0]
+    where = under + np.array([[0.02, 0.0, -1.0], [0.05, 0.0, -1.5], [0.125, 0.0, -1.0]])
+    found = widest_rest.hold(robot, where)
+    weight = [0.0, 0.0, -robot.weight, *np.cross(robot.center_of_mass, [0, 0, -robot.weight])]
+    matrix = structure_matrix(robot, where, np.repeat(np.eye(3)[None], 3, axis=0))
+    straight = tension_margin.solve(
+        matrix, np.repeat([weight], 3, axis=0), robot.tension_min, robot.tension_max
+    )
+    assert found.solved.tolist() == [False, False, True]
+    assert found.margin[2] == pytest.approx(straight.margin[2], abs=1e-4)
 
 
 def test_bad_input_is_named():

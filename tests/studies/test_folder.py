@@ -118,6 +118,9 @@ def test_no_study_and_broken_manifests_are_named(tmp_path):
     (tmp_path / "study.json").write_text('{"schema": "other/1"}')
     with pytest.raises(InvalidFile, match=r"schema: got 'other/1'"):
         read_rows(tmp_path)
+    (tmp_path / "study.json").write_text('{"schema": "carosac-study/1", "toolkit": "0.1.0"}')
+    with pytest.raises(InvalidFile, match=r"cases: got None; allowed: a list"):
+        read_rows(tmp_path)
 
 
 def test_failed_cases_run_again_only_on_request(tmp_path, monkeypatch):

@@ -44,6 +44,15 @@ def test_the_best_is_so_beyond_doubt_or_nobody_is():
     assert "nothing can be shown" in explanation([few])
 
 
+@pytest.mark.parametrize(("seeds", "enough"), [(7, False), (8, True)])
+def test_tables_say_where_no_p_can_be_small_enough_after_holm(seeds, enough):
+    scales = {name: 1.0 - 0.15 * k for k, name in enumerate("abcdef")}
+    block = paired_blocks(study(scales, seeds=seeds))[0]
+    p_values = [one.pairs["tracking"].p_holm for one in block.compared[1:]]
+    assert (min(p_values) <= 0.05) is enough
+    assert ("nothing can be shown" not in explanation([block])) is enough
+
+
 def test_the_baseline_is_the_first_or_the_one_asked_for():
     results = study({"a": 1.0, "b_b": 0.5, "c": 0.8})
     first, asked = paired_blocks(results)[0], paired_blocks(results, "c")[0]

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.reference import check
 from carosac_toolkit import trajectories
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.errors import InvalidField, InvalidFile
 from carosac_toolkit.physics import statics
 from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.studies.reference import LATEST, ReferenceSuite, suites
@@ -185,3 +185,40 @@ def test_a_case_that_failed_in_one_run_only_is_named(tmp_path):
     rows[3] |= {"status": "failed", "reason": "why"}
     found = agreement(rows, part.rows)
     assert len(found.failures) == 1 and "seed 1: failed, published ok" in found.failures[0]
+
+
+def test_a_case_that_was_left_out_is_named(tmp_path):
+    """Whoever leaves out the cases that went wrong does not agree."""
+    part = part_of({"kinematic_solver": 1.0}, tmp_path)
+    fewer = agreement(part.rows[1:], part.rows).failures
+    assert len(fewer) == 1 and "seed 0: not there, published ok" in fewer[0]
+    more = agreement(part.rows, part.rows[1:]).failures
+    assert len(more) == 1 and "seed 0: ok, published not there" in more[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (lambda text: text.replace(",ok,", ",fine,", 1), r"line 2, status: got 'fine'; allowed"),
+        (
+            lambda text: text.replace("0.05,", "nan,", 1),
+            r"line 2, tracking_\w+: got 'nan'; allowed",
+        ),
+        (lambda text: text.replace(",0,ok", ",x,ok", 1), r"line 2, seed: got 'x'; allowed"),
+        (lambda text: text[: text.rindex(",ok,")], r"line 25, status: got nothing; allowed"),
+        (lambda text: text.replace("seed,", "", 1), r"header: got no seed; allowed"),
+        (lambda text: "", r"header: got no part"),
+    ],
+)
+def test_a_damaged_file_of_results_says_where(tmp_path, change, fault):
+    folder = written(part_of({"kinematic_solver": 1.0}, tmp_path, seeds=8), tmp_path / "a")
+    path = folder / RESULTS
+    path.write_text(change(path.read_text()))
+    with pytest.raises(InvalidFile, match=fault):
+        read_rows(folder)
+
+
+def test_a_record_without_its_digest_is_refused(tmp_path):
+    (tmp_path / RECORD).write_text(json.dumps({"schema": "carosac-reference/1", "suite": "a"}))
+    with pytest.raises(InvalidFile, match=r"digest: got None; allowed: a text"):
+        check_same(SUITE, tmp_path)

@@ -66,6 +66,18 @@ def test_an_interval_needs_some_seeds_and_a_value_in_each_resample():
     assert interval(typical, table) is None  # four seeds are left
 
 
+def test_a_path_that_most_seeds_lack_does_not_slip_out_of_the_interval():
+    """Without the hard path it would be an interval of the two easy ones, at 50."""
+    rng = np.random.default_rng(4)
+    table = np.column_stack([rng.normal([50.0, 50.0], 5.0, (20, 2)), np.full(20, np.nan)])
+    table[: FEWEST - 1, 2] = 300.0
+    assert interval(typical, table) is None  # four seeds tell nothing of the hard path
+    table[FEWEST - 1, 2] = 300.0
+    low, high = interval(typical, table)
+    assert 125.0 < low < high < 142.0
+    assert interval(typical, table[:, :2])[1] < 60.0
+
+
 def test_an_interval_is_the_same_again_and_its_end_scales_with_the_unit():
     table = np.random.default_rng(0).normal(size=(7, 3))
     first = interval(typical, table)

@@ -98,6 +98,17 @@ def test_what_a_proof_rules_out_no_search_finds():
     assert not beyond_frame(robot, inside).any() and not too_flat(robot, inside).any()
 
 
+def test_far_away_a_proof_decides_where_the_search_fails():
+    robot = ct.load_robot("ipanema1")
+    far = [[100.0, 100.0, 100.0], [0.0, 300.0, 1.0]]
+    assert np.isnan(hold(robot, far).margin).any()
+    found = judge(robot, far)
+    assert [Limit(x) for x in found.limit] == [Limit.NO_PULL] * 2
+    assert np.isneginf(found.margin).all() and (found.cable == -1).all()
+    near = judge(robot, [robot.home_position + np.array([3.0, 0.0, 0.0])])
+    assert -1e4 < near.margin[0] < 0.0 and near.limit[0] != Limit.NO_PULL
+
+
 def test_no_pose_that_inverse_kinematics_can_hold_is_called_infeasible():
     robot = ct.load_robot("scampi")
     edge = [[-1.67251, -8.13983, 2.67828], [0.3649, -8.13983, 1.41957], [0.77238, 4.58494, 3.937]]
