@@ -17,6 +17,9 @@ from typing import Annotated, Any
 
 import tyro
 
+from carosac_toolkit.errors import InvalidField
+
+RATE_MAX = 1000.0  # [Hz]
 OutputFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 OutputFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 
@@ -42,6 +45,17 @@ class CommandResult:
 
     data: dict[str, Any] = field(default_factory=dict)
     status: int = 0
+
+
+def period_of_rate(rate: float) -> float:
+    """Time between two commands as --rate has it [s].
+
+    Raises:
+        InvalidField: A rate [Hz] that is none, or above that of any industrial PLC.
+    """
+    if not 0.0 < rate <= RATE_MAX:
+        raise InvalidField("--rate", f"{rate} Hz", f"over 0 to {RATE_MAX:g} Hz")
+    return 1.0 / rate
 
 
 def format_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -42,7 +42,7 @@ PAIRED_UNITS = (
     "difference: of the RMSE to that of the baseline in the same case, median over the seeds, mean "
     f"over the paths, with its 95 % interval (cluster bootstrap, from {FEWEST} seeds on); ratio: "
     "of such errors; won: cases with the smaller error, failed ones are lost; p: of won and lost, "
-    "exact, labels exchanged seed by seed, after Holm; failed: cases of it and of the baseline."
+    "labels exchanged seed by seed, after Holm; failed: cases of it and of the baseline."
 )
 
 

@@ -96,6 +96,12 @@ def _topics(options: Options) -> Topics:
     """What the options ask for."""
     if options.frames and len(options.frames) != 2:
         raise InvalidField("--frames", " ".join(options.frames), "two: PARENT CHILD")
+    if options.frames and options.pose is None:
+        raise InvalidField("--frames", " ".join(options.frames), "nothing without --pose")
+    single = max(len(getattr(options, x)) for x in ("lengths", "tension", "command", "rates")) < 2
+    if options.together is not None and single:
+        allowed = "nothing without a topic for each cable"
+        raise InvalidField("--together", f"{options.together} s", allowed)
     return Topics(
         lengths=options.lengths,
         tensions=options.tension,

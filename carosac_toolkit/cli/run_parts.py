@@ -12,6 +12,7 @@ import numpy as np
 
 from carosac_toolkit import registry, trajectories
 from carosac_toolkit.arrays import Array
+from carosac_toolkit.cli.common import period_of_rate
 from carosac_toolkit.crash_safe import CrashSafeRecorder
 from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.drivers.guarded import GuardedDriver
@@ -46,9 +47,7 @@ OPTIONS = {
 
 def period_of(options: Options) -> float:
     """Time between two commands as --rate has it [s]."""
-    if not 0.0 < options.rate < np.inf:
-        raise InvalidField("--rate", f"{options.rate} Hz", "> 0 Hz, finite")
-    return 1.0 / options.rate
+    return period_of_rate(options.rate)
 
 
 def make_guard(

@@ -24,7 +24,7 @@ import numpy as np
 import tyro
 
 from carosac_toolkit import registry
-from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, period_of_rate
 from carosac_toolkit.drivers.simulated import SimulatedDriver
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.filled_settings import filled
@@ -84,7 +84,7 @@ class Options(CommonOptions):
     port: int = PORT
     """Port to serve at; the next free one where it is taken."""
     duration: float | None = None
-    """End after so long [s]."""
+    """End after so long [s]; with --live, of simulated time."""
 
 
 def run(options: Options) -> CommandResult:
@@ -106,7 +106,7 @@ def _check(options: Options) -> None:
         raise InvalidField("WHAT [GHOST]", f"{len(options.what)} names", "one or two")
     if not 1.0 <= options.sag <= MOST_ENLARGED:
         raise InvalidField("--sag", str(options.sag), f"1 to {MOST_ENLARGED:g}")
-    for name in ("speed", "acceleration", "rate", "duration"):
+    for name in ("speed", "acceleration", "duration"):
         value = getattr(options, name)
         if value is not None and not 0.0 < value < np.inf:
             raise InvalidField(f"--{name}", str(value), "> 0, finite")
@@ -203,7 +203,7 @@ def _live(options: Options, robot: Robot) -> CommandResult:
     chosen = chosen_settings(
         options.settings, controllers=[options.controller], estimators=[options.estimator]
     )
-    period = 1.0 / options.rate
+    period = period_of_rate(options.rate)
     controller = build_controller(options.controller, robot, chosen, period, seed=options.seed)
     estimator = build_estimator(options.estimator, robot, chosen, seed=options.seed)
     driver = _driver(options, robot, chosen["driver_settings"], float(controller.period))

@@ -139,6 +139,8 @@ def _box(options: Options, robot: Robot) -> tuple[Array, Array]:
 def _settings(options: Options) -> WorkspaceSettings:
     """What is asked of a pose."""
     tilt = options.tilt_max_deg
+    if tilt is not None and not 0.0 <= tilt <= 180.0:
+        raise InvalidField("--tilt-max-deg", f"{tilt} deg", "0 to 180 deg")
     return WorkspaceSettings(
         force=options.force or (0.0, 0.0, 0.0),
         moment=options.moment or (0.0, 0.0, 0.0),

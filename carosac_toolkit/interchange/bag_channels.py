@@ -110,6 +110,8 @@ def poses(bag: Bag, spec: str, *, stamps: str, frames: Sequence[str] = ()) -> Sa
     """
     topic, field = split_spec(spec, "--pose")
     kind = bag.topic(topic, "--pose").kind
+    if frames and kind not in TF_TYPES:
+        raise InvalidField("--frames", " ".join(frames), f"nothing, as {topic} holds no transforms")
     times, received, rows = [], [], []
     seen: set[tuple[str, str]] = set()
     for time, message in bag.messages(topic):

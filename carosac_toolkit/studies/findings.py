@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+from carosac_toolkit.studies.paired import LEVEL
+from carosac_toolkit.studies.pairs import compare
 from carosac_toolkit.studies.results import (
     PAIR,
     WAYS,
@@ -127,10 +129,19 @@ def _pair(results: StudyResults, one: int, two: int, what: _Compared) -> str:
     ratio = high / low if low > 0.0 else None
     factor = "larger than" if ratio is None else f"{ratio:.{3 if ratio < CLOSE else 2}g} times"
     often = "" if single else f", larger in {worse} of them"
+    often += "" if single else _doubt(*rows, column=what.column)
     return (
         f"The {what.error} error of {names[1]} is {factor} that of {names[0]}: "
         f"{say_length(high)} against {say_length(low)} {over}{often}."
     )
+
+
+def _doubt(better: Sequence[Row], worse: Sequence[Row], *, column: str) -> str:
+    """That a difference may be chance, where the seeds do not rule it out."""
+    pair = compare(better, worse, column)
+    if pair.p is None or pair.p <= LEVEL:
+        return ""
+    return f"; with {counted(pair.seeds, 'seed')} this may be chance (p = {pair.p:.2g})"
 
 
 def _consistency(results: StudyResults, group: int) -> str | None:

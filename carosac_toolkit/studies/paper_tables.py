@@ -69,7 +69,7 @@ def explanation(blocks: Sequence[Block]) -> str:
         "path and noise, minus the baseline, over the cases that both solved; ratio: of the "
         "typical errors in the same cases. Won: cases with the smaller error; a case that failed "
         "is lost. Intervals: cluster bootstrap over the seeds, expanded percentiles. p: two-sided, "
-        "of cases won against lost, exact, labels exchanged seed by seed, adjusted by Holm for all "
+        "of cases won against lost, labels exchanged seed by seed, adjusted by Holm for all "
         "comparisons of the same error in a table. Bold: smallest, and better than each of the "
         "others: all intervals of its paired differences exclude zero, and p after Holm is at "
         f"most {LEVEL:g}."

@@ -89,7 +89,7 @@ def test_nowhere_is_status_1_and_parquet_is_read_back(tmp_path, capsys):
         (["carosac", "--lower", "0", "0", "3", "--upper", "1", "1", "2"], "below --upper"),
         (["carosac", "--points", "0"], "1 to 10000000"),
         (["carosac", "--force", "-1", "0", "0"], "force"),
-        (["carosac", "--tilt-max-deg", "200"], "tilt_max"),
+        (["carosac", "--tilt-max-deg", "200"], "--tilt-max-deg: got 200.0 deg"),
     ],
 )
 def test_wrong_input_is_one_message_and_nothing_is_written(tmp_path, capsys, words, message):

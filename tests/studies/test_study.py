@@ -106,7 +106,15 @@ def test_sentences_compare_over_the_cases_that_both_finished():
     said = conclusions(study(rows))
     ratio = 30.0 / np.sqrt((40**2 + 10**2) / 2)
     assert said[0].startswith(f"The tracking error of b is {ratio:.3g} times that of a: 30.0 mm")
-    assert "over the same 2 cases, larger in 1 of them." in said[0]
+    assert "over the same 2 cases, larger in 1 of them; with 3 seeds this may be" in said[0]
+
+
+@pytest.mark.parametrize(("seeds", "doubted"), [(5, True), (6, False)])
+def test_what_the_seeds_cannot_show_is_said(seeds, doubted):
+    """Signs of k seeds that all agree happen by chance with p = 2 / 2^k: 0.06 and 0.03."""
+    rows = [good(case("a", k), (0.010, 0, 0)) for k in range(seeds)]
+    rows += [good(case("b", k), (0.030, 0, 0)) for k in range(seeds)]
+    assert ("may be chance" in conclusions(study(rows))[0]) == doubted
 
 
 def test_one_case_is_not_spoken_of_as_many():
