@@ -315,15 +315,10 @@ class HangingCables:
 
     def _refresh(self, unstrained_length: Array, anchor: Array) -> None:
         """The inverse of d closure / d force, by central differences."""
-        slope = np.empty_like(self._inverse)
-        for j, step in enumerate(1e-4 * np.eye(3)):
-            ends = [
-                reference.cable_closure(
-                    self.robot, unstrained_length, anchor, self._force + sign * step
-                )
-                for sign in (1.0, -1.0)
-            ]
-            slope[:, :, j] = (ends[0] - ends[1]) / 2e-4
+        steps = 1e-4 * np.eye(3)[:, None, :]
+        ends = np.stack([self._force + steps, self._force - steps])
+        ahead, behind = reference.cable_closure(self.robot, unstrained_length, anchor, ends)
+        slope = np.moveaxis((ahead - behind) / 2e-4, 0, -1).astype(np.float64)
         self._inverse = np.linalg.inv(slope)
 
     def _first(self, unstrained_length: Array, anchor: Array) -> Array:
