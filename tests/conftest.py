@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 
@@ -13,6 +14,17 @@ DOT = bytes.fromhex(  # a picture of one pixel
 )
 
 ALONE = ("test_examples.py",)  # whose tests are slow and share nothing
+
+
+def pytest_sessionstart() -> None:
+    """Nothing of what collection makes is garbage: no search for it meanwhile, which takes long."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Search from here on, and among later objects alone."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the marks
