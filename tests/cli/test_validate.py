@@ -285,7 +285,8 @@ def test_the_bundled_recording_shows_delay_and_sway():
 
 def test_a_folder_in_the_way_of_the_report_is_named_and_nothing_is_written(tmp_path, capsys):
     (tmp_path / "out" / "report.html").mkdir(parents=True)
-    status = main(["validate", "synthetic", "--output", str(tmp_path / "out")])
+    words = ["synthetic", "--stop", "90", "--models", "straight_line"]
+    status = main(["validate", *words, "--output", str(tmp_path / "out")])
     assert status == 2
     assert "no folder named report.html in it" in capsys.readouterr().err
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["report.html"]
