@@ -48,6 +48,18 @@ def quick_pictures():
         yield
 
 
+@pytest.fixture
+def blank_pictures(monkeypatch):
+    """Reports with nothing drawn in their figures, for tests of other things than pictures."""
+    from matplotlib.figure import Figure
+
+    from carosac_toolkit.pictures import comparison, validation
+
+    for module in (comparison, validation):
+        blank = dict.fromkeys(module.PICTURES, lambda _: Figure())
+        monkeypatch.setattr(module, "PICTURES", blank)
+
+
 @pytest.fixture(scope="session")
 def real_data() -> Path:
     """Folder of the real recordings, which are not part of the project."""
