@@ -60,9 +60,7 @@ def load(kind: Kind, name: str) -> Any:
 
 def entry_points_of(group: str) -> EntryPoints:
     """Entry points of a group, read again only where something was installed meanwhile."""
-    return _all_entry_points(tuple((folder, _changed(folder)) for folder in sys.path)).select(
-        group=group
-    )
+    return _read(group, tuple((folder, _changed(folder)) for folder in sys.path))
 
 
 def check_package(package: str) -> None:
@@ -117,10 +115,10 @@ def _changed(folder: str) -> int:
         return 0
 
 
-@lru_cache(maxsize=4)
-def _all_entry_points(state: tuple[tuple[str, int], ...]) -> EntryPoints:
-    """Those of all groups, for a state of the Python path."""
-    return entry_points()
+@lru_cache(maxsize=16)
+def _read(group: str, state: tuple[tuple[str, int], ...]) -> EntryPoints:
+    """Entry points of a group, for a state of the Python path."""
+    return entry_points(group=group)
 
 
 def _owner(point: EntryPoint) -> str:

@@ -77,9 +77,10 @@ class StateViews:
 
     def numpy(self) -> SimulatorState:
         """Copies, as numpy arrays."""
-        values = {name: np.array(view) for name, view in self._seen().items()}
+        values: dict[str, Any] = {name: np.array(view) for name, view in self._seen().items()}
         values["failed"] = values["failed"] != 0
-        return SimulatorState(**{"particles": None} | values)
+        values.setdefault("particles", None)
+        return SimulatorState(**values)
 
     def _seen(self) -> dict[str, NDArray[Any]]:
         """The arrays by name as numpy sees them; on the CPU that is the same memory, kept."""

@@ -8,6 +8,10 @@ from pathlib import Path
 
 import pytest
 
+# Tests have small matrices and run side by side: threads of BLAS would only wait for each other.
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before numpy is imported
+    os.environ.setdefault(name, "1")
+
 DOT = bytes.fromhex(  # a picture of one pixel
     "89504e470d0a1a0a0000000d4948445200000001000000010804000000b51c0c02"
     "0000000b4944415478da6364f80f00010501012718e3660000000049454e44ae426082"

@@ -244,7 +244,7 @@ def _tangent(robot: Robot, direction: Array) -> tuple[Array, Array]:
 
 
 def _rotation(vector: Array, base: Array) -> Array:
-    """Rotations by vectors in W, shape (..., 3), after `base`, in extended precision (Rodrigues)."""
+    """Rotations by vectors in W, (..., 3), after `base`, in extended precision (Rodrigues)."""
     angle2 = (vector**2).sum(axis=-1)[..., None, None]
     angle = np.sqrt(angle2)
     small = angle < 1e-3
