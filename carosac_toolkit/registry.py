@@ -6,9 +6,12 @@ directly as ``module:Class``. Looking up reads metadata only; `load` imports the
 
 from __future__ import annotations
 
+import os
+import sys
 from difflib import get_close_matches
+from functools import lru_cache
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from importlib.util import find_spec
 from typing import Any, Literal, get_args
 
@@ -55,6 +58,11 @@ def load(kind: Kind, name: str) -> Any:
     return _resolve(kind, name, found[0])
 
 
+def entry_points_of(group: str) -> EntryPoints:
+    """Entry points of a group, read again only where something was installed meanwhile."""
+    return _read(group, tuple((folder, _changed(folder)) for folder in sys.path))
+
+
 def check_package(package: str) -> None:
     """Import one of our top-level packages and make sure that it is ours.
 
@@ -92,11 +100,25 @@ def _group(kind: Kind) -> str:
 def _installed(kind: Kind) -> dict[str, list[EntryPoint]]:
     """Entry points of a kind by name; more than one where distributions clash."""
     found: dict[str, list[EntryPoint]] = {}
-    for point in entry_points(group=_group(kind)):
+    for point in entry_points_of(_group(kind)):
         claims = found.setdefault(point.name, [])
         if all(point.value != other.value for other in claims):
             claims.append(point)
     return found
+
+
+def _changed(folder: str) -> int:
+    """When entries of a folder of the Python path last came or went [ns]; 0: it is not there."""
+    try:
+        return os.stat(folder or ".").st_mtime_ns
+    except OSError:
+        return 0
+
+
+@lru_cache(maxsize=16)
+def _read(group: str, state: tuple[tuple[str, int], ...]) -> EntryPoints:
+    """Entry points of a group, for a state of the Python path."""
+    return entry_points(group=group)
 
 
 def _owner(point: EntryPoint) -> str:

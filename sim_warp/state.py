@@ -69,6 +69,7 @@ class StateViews:
 
     def __init__(self, worlds: Any, particles: wp.array | None) -> None:
         """Look at the arrays of a `Worlds` struct."""
+        self._host: dict[str, NDArray[Any]] | None = None
         for name in SimulatorState.__dataclass_fields__:
             if name != "particles":
                 setattr(self, name, getattr(worlds, name))
@@ -76,8 +77,17 @@ class StateViews:
 
     def numpy(self) -> SimulatorState:
         """Copies, as numpy arrays."""
-        names = [name for name in SimulatorState.__dataclass_fields__ if name != "particles"]
-        values = {name: np.array(getattr(self, name).numpy()) for name in names}
-        nodes = None if self.particles is None else np.array(self.particles.numpy())
+        values: dict[str, Any] = {name: np.array(view) for name, view in self._seen().items()}
         values["failed"] = values["failed"] != 0
-        return SimulatorState(particles=nodes, **values)
+        values.setdefault("particles", None)
+        return SimulatorState(**values)
+
+    def _seen(self) -> dict[str, NDArray[Any]]:
+        """The arrays by name as numpy sees them; on the CPU that is the same memory, kept."""
+        if self._host is not None:
+            return self._host
+        arrays = {name: getattr(self, name) for name in SimulatorState.__dataclass_fields__}
+        found = {name: array.numpy() for name, array in arrays.items() if array is not None}
+        if self.time.device.is_cpu:
+            self._host = found
+        return found

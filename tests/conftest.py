@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 
 import pytest
+
+# Tests have small matrices and run side by side: threads of BLAS would only wait for each other.
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before numpy is imported
+    os.environ.setdefault(name, "1")
 
 DOT = bytes.fromhex(  # a picture of one pixel
     "89504e470d0a1a0a0000000d4948445200000001000000010804000000b51c0c02"
@@ -13,6 +18,17 @@ DOT = bytes.fromhex(  # a picture of one pixel
 )
 
 ALONE = ("test_examples.py",)  # whose tests are slow and share nothing
+
+
+def pytest_sessionstart() -> None:
+    """Nothing of what collection makes is garbage: no search for it meanwhile, which takes long."""
+    gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Search from here on, and among later objects alone."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the marks
@@ -34,6 +50,18 @@ def quick_pictures():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Figure, "savefig", saved)
         yield
+
+
+@pytest.fixture
+def blank_pictures(monkeypatch):
+    """Reports with nothing drawn in their figures, for tests of other things than pictures."""
+    from matplotlib.figure import Figure
+
+    from carosac_toolkit.pictures import comparison, validation
+
+    for module in (comparison, validation):
+        blank = dict.fromkeys(module.PICTURES, lambda _: Figure())
+        monkeypatch.setattr(module, "PICTURES", blank)
 
 
 @pytest.fixture(scope="session")

@@ -123,30 +123,34 @@ class _Problem:
         return self.robot.weight / self.robot.n
 
     def residual(self, unknown: Array) -> Array:
-        """Closure of each cable [m], then force and moment balance over the weight [-, m]."""
+        """Closure of each cable [m], then force and moment balance over the weight [-, m].
+
+        Args:
+            unknown: Shape (..., 6 + 3 n); the residual has the same.
+        """
         robot = self.robot
-        position, turn = unknown[:3], _rotation(unknown[3:6], self.rotation)
-        force = unknown[6:].reshape(robot.n, 3) * self.force_scale
-        arm = robot.anchor_points @ turn.T
-        closure = cable_closure(robot, self.unstrained_length, position + arm, force)
+        position, turn = unknown[..., :3], _rotation(unknown[..., 3:6], self.rotation)
+        force = unknown[..., 6:].reshape(*unknown.shape[:-1], robot.n, 3) * self.force_scale
+        arm = robot.anchor_points @ turn.swapaxes(-1, -2)
+        anchor = position[..., None, :] + arm
+        closure = cable_closure(robot, self.unstrained_length, anchor, force)
         weight = np.array([0.0, 0.0, -robot.weight], dtype=LONG)
-        balance = force.sum(axis=0) + weight
-        moment = np.cross(arm, force).sum(axis=0) + np.cross(turn @ robot.center_of_mass, weight)
-        return np.concatenate([closure.ravel(), balance / robot.weight, moment / robot.weight])
+        balance = force.sum(axis=-2) + weight
+        moment = np.cross(arm, force).sum(axis=-2)
+        moment = moment + np.cross(turn @ robot.center_of_mass, weight)
+        closure = closure.reshape(*unknown.shape[:-1], 3 * robot.n)
+        return np.concatenate([closure, balance / robot.weight, moment / robot.weight], axis=-1)
 
     def jacobian(self, unknown: Array) -> Array:
-        """Central differences in extended precision."""
-        columns = []
-        for i in range(len(unknown)):
-            step = np.zeros(len(unknown), dtype=LONG)
-            step[i] = LONG(1e-7) * max(1.0, abs(float(unknown[i])))
-            ahead, behind = self.residual(unknown + step), self.residual(unknown - step)
-            columns.append((ahead - behind) / (2 * step[i]))
-        return np.array(columns, dtype=np.float64).T
+        """Central differences in extended precision, all of them in one batch."""
+        step = LONG(1e-7) * np.maximum(LONG(1), np.abs(unknown))
+        moves = np.diag(step)
+        ahead, behind = self.residual(np.stack([unknown + moves, unknown - moves]))
+        return np.array((ahead - behind) / (2 * step[:, None]), dtype=np.float64).T
 
 
 def cable_closure(robot: Robot, unstrained_length: Array, anchor: Array, force: Array) -> Array:
-    """Gap between the upper end of each cable and its tangent point [m], shape (n, 3).
+    """Gap between the upper end of each cable and its tangent point [m], shape (..., n, 3).
 
     Integrates the cable from the anchor: the tension vector after material s is f + w s z, so the
     tangent vector is its unit vector times one plus strain. The tangent point follows from the
@@ -155,29 +159,32 @@ def cable_closure(robot: Robot, unstrained_length: Array, anchor: Array, force: 
     Args:
         robot: Robot description, n cables.
         unstrained_length: Datum to anchor, material [m], shape (n,).
-        anchor: Anchor points in W [m], shape (n, 3).
-        force: Of each cable on the platform [N], shape (n, 3).
+        anchor: Anchor points in W [m], shape (..., n, 3).
+        force: Of each cable on the platform [N], shape (..., n, 3).
     """
     w, ea = robot.weight_per_length.astype(LONG), robot.axial_stiffness.astype(LONG)
+    upright = np.array([0, 0, 1], dtype=LONG)
     free = unstrained_length.astype(LONG)
     for _ in range(60):  # free length and upper tension depend on each other: a contraction
-        top = force + np.outer(w * free, [0, 0, 1])
-        tension = np.linalg.norm(top.astype(LONG), axis=1)
+        top = force + (w * free)[..., None] * upright
+        tension = _norm(top)
         strain = tension / ea
-        tangent_point, wrap = _tangent(robot, -top / tension[:, None])
+        tangent_point, wrap = _tangent(robot, -top / tension[..., None])
         stretched = robot.run_length * strain / (1 + strain)
         new = unstrained_length + stretched - robot.pulley_radius * wrap / (1 + strain)
         done = np.abs(new - free).max() < 1e-18
         free = new
         if done:
             break
-    top = force + np.outer(w * free, [0, 0, 1])
-    lower, upper = np.sqrt((force**2).sum(axis=1)), np.sqrt((top**2).sum(axis=1))
-    horizontal2 = (force[:, :2] ** 2).sum(axis=1)
-    sines = np.log(_plus(top[:, 2], upper, horizontal2) / _plus(force[:, 2], lower, horizontal2))
-    reach = force * (free / ea)[:, None]
-    reach[:, :2] += force[:, :2] * (sines / w)[:, None]
-    reach[:, 2] += (upper - lower) / w + w * free**2 / (2 * ea)
+    top = force + (w * free)[..., None] * upright
+    lower, upper = _norm(force), _norm(top)
+    horizontal2 = force[..., 0] ** 2 + force[..., 1] ** 2
+    sines = np.log(
+        _plus(top[..., 2], upper, horizontal2) / _plus(force[..., 2], lower, horizontal2)
+    )
+    reach = force * (free / ea)[..., None]
+    reach[..., :2] += force[..., :2] * (sines / w)[..., None]
+    reach[..., 2] += (upper - lower) / w + w * free**2 / (2 * ea)
     return np.asarray(anchor + reach - tangent_point)
 
 
@@ -198,23 +205,23 @@ def cable_wrench(
     arm = robot.anchor_points @ rotation.T
     force = np.array(exit_tension, dtype=LONG)
     force[:, 2] -= robot.weight_per_length * unstrained_length
+    steps = 1e-3 * np.eye(3)[:, None, :]
     for _ in range(12):
         gap = cable_closure(robot, unstrained_length, position + arm, force)
-        slope = np.zeros((robot.n, 3, 3))
-        for j in range(3):
-            step = np.zeros(3)
-            step[j] = 1e-3
-            ends = [
-                cable_closure(robot, unstrained_length, position + arm, force + sign * step)
-                for sign in (1.0, -1.0)
-            ]
-            slope[:, :, j] = (ends[0] - ends[1]) / 2e-3
+        both = np.stack([force + steps, force - steps])
+        ahead, behind = cable_closure(robot, unstrained_length, position + arm, both)
+        slope = np.moveaxis((ahead - behind) / 2e-3, 0, -1).astype(np.float64)
         change = np.linalg.solve(slope, np.asarray(gap, dtype=np.float64)[..., None])[..., 0]
         force = force - change
     total = np.asarray(force, dtype=np.float64)
     weight = np.array([0.0, 0.0, -robot.weight])
     moment = np.cross(arm, total).sum(axis=0) + np.cross(rotation @ robot.center_of_mass, weight)
     return np.concatenate([total.sum(axis=0) + weight, moment])
+
+
+def _norm(vector: Array) -> Array:
+    """Length of vectors of three in extended precision, where numpy's own sums are slow."""
+    return np.asarray(np.sqrt(vector[..., 0] ** 2 + vector[..., 1] ** 2 + vector[..., 2] ** 2))
 
 
 def _plus(vertical: Array, tension: Array, horizontal2: Array) -> Array:
@@ -226,28 +233,32 @@ def _plus(vertical: Array, tension: Array, horizontal2: Array) -> Array:
 def _tangent(robot: Robot, direction: Array) -> tuple[Array, Array]:
     """Tangent points [m] and wraps [rad] of cables that leave their pulleys in given directions."""
     axis = robot.swivel_axis
-    along = (direction * axis).sum(axis=1)
-    sideways = direction - along[:, None] * axis
-    sine = np.sqrt((sideways**2).sum(axis=1))
-    e = sideways / np.maximum(sine, LONG(1e-300))[:, None]
+    product = direction * axis
+    along = product[..., 0] + product[..., 1] + product[..., 2]
+    sideways = direction - along[..., None] * axis
+    sine = _norm(sideways)
+    e = sideways / np.maximum(sine, LONG(1e-300))[..., None]
     wrap = np.where(robot.pulley_radius > 0, np.arctan2(sine, along), 0)
-    offset = (1 - np.cos(wrap))[:, None] * e + np.sin(wrap)[:, None] * axis
+    offset = (1 - np.cos(wrap))[..., None] * e + np.sin(wrap)[..., None] * axis
     return robot.exit_points + robot.pulley_radius[:, None] * offset, wrap
 
 
 def _rotation(vector: Array, base: Array) -> Array:
-    """Rotation by a vector in W after `base`, in extended precision (Rodrigues)."""
-    angle2 = vector @ vector
+    """Rotations by vectors in W, (..., 3), after `base`, in extended precision (Rodrigues)."""
+    angle2 = (vector**2).sum(axis=-1)[..., None, None]
     angle = np.sqrt(angle2)
-    x, y, z = vector
-    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=LONG)
-    if angle < 1e-3:
-        a = 1 - angle2 / 6 * (1 - angle2 / 20 * (1 - angle2 / 42))
-        b = LONG(0.5) - angle2 / 24 * (1 - angle2 / 30 * (1 - angle2 / 56))
-    else:
-        a, b = np.sin(angle) / angle, (1 - np.cos(angle)) / angle2
+    small = angle < 1e-3
+    safe = np.where(small, LONG(1), angle)
+    a = 1 - angle2 / 6 * (1 - angle2 / 20 * (1 - angle2 / 42))
+    a = np.where(small, a, np.sin(safe) / safe)
+    b = LONG(0.5) - angle2 / 24 * (1 - angle2 / 30 * (1 - angle2 / 56))
+    b = np.where(small, b, (1 - np.cos(safe)) / safe**2)
+    k = np.zeros((*vector.shape[:-1], 3, 3), dtype=LONG)
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        k[..., j, i] = vector[..., 3 - i - j]
+        k[..., i, j] = -k[..., j, i]
     turn = np.eye(3, dtype=LONG) + a * k + b * (k @ k)
-    return turn @ base
+    return np.asarray(turn @ base)
 
 
 def equilibrium(

@@ -1,4 +1,4 @@
-"""Every example, and the program in the README, runs as a reader would run it."""
+"""Every example, and the program in the README, runs; as a reader would run it, or in here."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from pathlib import Path
 
 import pytest
 
+from tests.programs import run_here
+
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("[!_]*.py"))
 LINES = 100
 
 
-# Run twice; of what the others do, tests of calibration, simulator and studies say that it repeats.
+# Run as a reader would run it and in this process, with one result. The others run in this process
+# alone; of what they do, tests of calibration, simulator and studies say that it repeats.
 TWICE = ("01_hang",)
 
 
@@ -31,9 +34,10 @@ def test_there_are_examples():
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
-def test_example_is_short_draws_one_picture_and_prints_one_number(example, tmp_path):
+def test_example_is_short_draws_one_picture_and_prints_one_number(example, tmp_path, capsys):
     assert len(example.read_text(encoding="utf-8").splitlines()) < LINES
-    printed = run(example, tmp_path)
+    run_here(example, tmp_path)
+    printed = capsys.readouterr().out
     pictures = list(tmp_path.iterdir())
     assert [picture.name for picture in pictures] == [f"{example.stem}.png"]
     assert pictures[0].read_bytes().startswith(b"\x89PNG") and pictures[0].stat().st_size > 10_000

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 import tomllib
 from importlib.metadata import requires
 from pathlib import Path
@@ -14,6 +12,7 @@ import yaml
 
 import carosac_toolkit
 from carosac_toolkit.robot_file import parse_robot
+from tests.programs import run_here
 from tests.warm_kernels import kernel_modules
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -84,8 +83,8 @@ def test_programs_in_the_docs_run(page, tmp_path):
     text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
     programs = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     assert programs
-    for program in programs:
-        done = subprocess.run(
-            [sys.executable, "-c", program], capture_output=True, text=True, cwd=tmp_path
-        )
-        assert done.returncode == 0, done.stderr
+    (tmp_path / "here").mkdir()
+    for number, program in enumerate(programs):
+        file = tmp_path / f"program_{number}.py"
+        file.write_text(program, encoding="utf-8")
+        run_here(file, tmp_path / "here")

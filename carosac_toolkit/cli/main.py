@@ -7,13 +7,14 @@ import os
 import sys
 from collections.abc import Sequence
 from difflib import get_close_matches
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
 from carosac_toolkit import __version__
 from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.registry import entry_points_of, load
 
 _USAGE = """usage: carosac {group}COMMAND [options]
 
@@ -73,7 +74,7 @@ def _help(asked: bool, group: str = "") -> int:
 
 def _commands() -> dict[str, EntryPoint]:
     """Find all commands, ours and those of other installed packages, by name."""
-    return {entry.name: entry for entry in sorted(entry_points(group="carosac.commands"))}
+    return {entry.name: entry for entry in sorted(entry_points_of("carosac.commands"))}
 
 
 def _command(words: list[str]) -> tuple[str | None, list[str]]:
@@ -106,7 +107,6 @@ def _run(name: str, words: list[str]) -> int:
     from carosac_toolkit.cli.common import CommandResult
     from carosac_toolkit.cli.outputs import check_outputs
     from carosac_toolkit.output_files import write_json
-    from carosac_toolkit.registry import load
 
     module: ModuleType = load("commands", name)
     options = parse_options(module, name.replace(".", " "), words)

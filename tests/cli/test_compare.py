@@ -134,6 +134,7 @@ def test_broken_controllers_cost_their_own_cases_and_say_why(capsys):
         assert summary[name]["failures"] == 0 and summary[name]["tracking_rmse_m"]["norm"] > 0.0
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_somebody_elses_controller_runs_on_workers_as_in_this_process(capsys):
     words = ["compare", *FAST, "--controllers", f"{PACKAGE}:Good", f"{PACKAGE}:Raising"]
     tables = []
@@ -148,6 +149,7 @@ def test_somebody_elses_controller_runs_on_workers_as_in_this_process(capsys):
     assert tables[0][0]["failures"] == 0 and tables[0][1]["failures"] == 1
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_second_call_goes_on_and_another_study_is_refused(capsys):
     words = ["compare", *ALONE, "--controllers", "straight_line"]
     assert main([*words, "--output", "o"]) == 0
@@ -164,6 +166,7 @@ def test_a_second_call_goes_on_and_another_study_is_refused(capsys):
     assert sorted(os.listdir("carosac-results")) == ["compare", "compare-2"]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_the_seed_moves_the_draws_and_their_pictures():
     numbers = []
     for seed in ("0", "7"):
@@ -177,6 +180,7 @@ def test_the_seed_moves_the_draws_and_their_pictures():
     assert "--seed 7" in Path("7/report.html").read_text()
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_settings_and_variants_of_one_plug_in(capsys):
     names = ["kinematic_solver", "kinematic_solver@slow"]
     chosen = ["--set", "controller.kinematic_solver@slow.delay=0", "--set",

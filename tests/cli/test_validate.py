@@ -69,6 +69,7 @@ def test_the_report_stands_alone_and_says_where_it_comes_from(short):
     assert "kinematic_solver" in text and "resting" in text
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_second_call_replaces_the_report_and_leaves_other_files(short):
     Path("out").mkdir()
     Path("out/mine.txt").write_text("keep")
@@ -79,6 +80,7 @@ def test_a_second_call_replaces_the_report_and_leaves_other_files(short):
     assert not [name for name in names(".") if name.startswith(".")]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_the_same_call_gives_the_same_numbers(short):
     for name in ("a.json", "b.json"):
         assert main(["validate", str(short), "--json", name]) == 0
@@ -91,6 +93,7 @@ def test_the_same_call_gives_the_same_numbers(short):
     ]
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_reports_of_other_settings_go_to_other_folders(short, capsys):
     Path("sub").mkdir()
     for name in ("short.parquet", "sub/short.csv"):
@@ -127,6 +130,7 @@ def test_an_implausible_recording_is_warned_of_first_and_a_negative_answer(short
     assert message in (folder / "report.html").read_text()
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_a_robot_file_is_looked_for_beside_the_recording_first(short, capsys):
     recording = ct.load_recording(short)
     for folder, mass in (("run", "20 kg"), (".", "30 kg")):
@@ -245,6 +249,7 @@ def test_bad_input_is_one_message_and_status_two_and_nothing_is_written(
     assert names(".") == before
 
 
+@pytest.mark.usefixtures("blank_pictures")
 def test_the_robot_of_the_real_recording_is_known_by_its_exit_points(real_data, capsys):
     for suffix in ("csv", "mat"):
         path = real_data / f"scampi_run_part.{suffix}"
@@ -285,7 +290,8 @@ def test_the_bundled_recording_shows_delay_and_sway():
 
 def test_a_folder_in_the_way_of_the_report_is_named_and_nothing_is_written(tmp_path, capsys):
     (tmp_path / "out" / "report.html").mkdir(parents=True)
-    status = main(["validate", "synthetic", "--output", str(tmp_path / "out")])
+    words = ["synthetic", "--stop", "90", "--models", "straight_line"]
+    status = main(["validate", *words, "--output", str(tmp_path / "out")])
     assert status == 2
     assert "no folder named report.html in it" in capsys.readouterr().err
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["report.html"]

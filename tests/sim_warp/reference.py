@@ -252,16 +252,15 @@ def dynamics_oracle(
 
     body, cables = _Body(robot), HangingCables(robot)
 
-    def pull(t: float, x: Array) -> tuple[Array, Array]:
-        turn = body.rotation(x)
+    def pull(t: float, x: Array, turn: Array) -> tuple[Array, Array]:
         arm = robot.anchor_points @ turn.T
         return cables.force(length(t), x[:3] + arm), arm
 
     def derivative(t: float, x: Array) -> Array:
-        force, arm = pull(t, x)
-        omega = body.rotation(x) @ x[10:13]
-        center = body.rotation(x) @ robot.center_of_mass
-        air = -robot.drag * (body.rotation(x) @ x[7:10] + np.cross(omega, center))
+        turn = body.rotation(x)
+        force, arm = pull(t, x, turn)
+        omega, center = turn @ x[10:13], turn @ robot.center_of_mass
+        air = -robot.drag * (turn @ x[7:10] + np.cross(omega, center))
         if cable_mass:
             riders = _riders(robot, length(t))
             body.carry(*riders)
@@ -272,8 +271,8 @@ def dynamics_oracle(
 
     start = body.state(position, rotation, twist)
     states, when = _integrate(derivative, start, duration, times, rtol)
-    tension = [np.linalg.norm(pull(t, x)[0], axis=1) for t, x in zip(when, states, strict=True)]
-    return body.motion(when, states, np.array(tension))
+    forces = [pull(t, x, body.rotation(x))[0] for t, x in zip(when, states, strict=True)]
+    return body.motion(when, states, np.linalg.norm(forces, axis=2))
 
 
 class HangingCables:
@@ -315,15 +314,10 @@ class HangingCables:
 
     def _refresh(self, unstrained_length: Array, anchor: Array) -> None:
         """The inverse of d closure / d force, by central differences."""
-        slope = np.empty_like(self._inverse)
-        for j, step in enumerate(1e-4 * np.eye(3)):
-            ends = [
-                reference.cable_closure(
-                    self.robot, unstrained_length, anchor, self._force + sign * step
-                )
-                for sign in (1.0, -1.0)
-            ]
-            slope[:, :, j] = (ends[0] - ends[1]) / 2e-4
+        steps = 1e-4 * np.eye(3)[:, None, :]
+        ends = np.stack([self._force + steps, self._force - steps])
+        ahead, behind = reference.cable_closure(self.robot, unstrained_length, anchor, ends)
+        slope = ((ahead - behind) / 2e-4).astype(np.float64).transpose(1, 2, 0)
         self._inverse = np.linalg.inv(slope)
 
     def _first(self, unstrained_length: Array, anchor: Array) -> Array:
@@ -373,7 +367,14 @@ class _Body:
     @staticmethod
     def rotation(x: Array) -> Array:
         """From P to W, shape (3, 3)."""
-        return np.asarray(Rotation.from_quat(x[3:7]).as_matrix())
+        a, b, c, d = x[3:7] * np.sqrt(2.0 / (x[3:7] @ x[3:7]))
+        return np.array(
+            [
+                [1.0 - b * b - c * c, a * b - c * d, a * c + b * d],
+                [a * b + c * d, 1.0 - a * a - c * c, b * c - a * d],
+                [a * c - b * d, b * c + a * d, 1.0 - a * a - b * b],
+            ]
+        )
 
     def derivative(self, x: Array, wrench: Array) -> Array:
         """Of the state, under a wrench [N, N m] in W at the platform origin, shape (6,)."""

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -27,6 +28,12 @@ def case(controller="kinematic_solver", estimator="kinematic_solver", seed=1, **
     return Case(controller=controller, estimator=estimator, seed=seed, **fields)
 
 
+@lru_cache
+def row_of(controller="kinematic_solver", estimator="kinematic_solver", seed=1, suite="lengths"):
+    """Row of a case, which several tests look at; the same every time, as the first test says."""
+    return run_case(case(controller, estimator, seed, suite=suite))
+
+
 def without_latency(row):
     return {name: value for name, value in row.items() if not name.startswith("latency")}
 
@@ -48,24 +55,24 @@ def watched(monkeypatch):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_same_case_gives_the_same_row_bit_by_bit(seed):
-    one, other = (run_case(case(seed=seed)) for _ in range(2))
+    one, other = row_of(seed=seed), run_case(case(seed=seed))
     assert without_latency(one) == without_latency(other)
     assert set(one) > LENGTHS
 
 
 def test_a_row_is_flat_and_finite():
-    row = run_case(case(seed=0))
+    row = row_of(seed=0)
     assert checked_values(row) == row
     assert row["completed"] is True
     assert 0.0 < row["latency_median_s"] <= row["latency_p95_s"]
     series = json.loads(row["series"])
     count = len(series["time_s"])
     assert count <= SERIES and {len(series[name]) for name in series} == {count}
-    assert run_case(case(seed=1))["series"] is None
+    assert row_of(seed=1)["series"] is None
 
 
 def test_other_seeds_are_other_plants_and_noise():
-    one, other = (without_latency(run_case(case(seed=seed))) for seed in (1, 2))
+    one, other = (without_latency(row_of(seed=seed)) for seed in (1, 2))
     assert all(one[name] != other[name] for name in LENGTHS)
 
 
@@ -86,7 +93,7 @@ def test_controllers_meet_the_same_plant_noise_and_trajectory(watched):
 
 def test_another_sensor_changes_neither_plant_nor_encoders():
     """A controller that uses no belief tracks the same, whatever else is measured."""
-    rows = [run_case(case(suite=suite)) for suite in ("lengths", "lengths+pose")]
+    rows = [row_of(suite=suite) for suite in ("lengths", "lengths+pose")]
     for name in ("tracking_rmse_norm_m", "tension_max_N", "command_rmse_m"):
         assert rows[0][name] == pytest.approx(rows[1][name], rel=1e-9)  # rounding of the pose
 
@@ -109,7 +116,7 @@ def test_a_robot_file_that_has_changed_is_refused(tmp_path):
 
 
 def test_estimator_truth_has_no_estimation_error():
-    row = run_case(case(estimator="truth"))
+    row = row_of(estimator="truth")
     assert row["estimation_rmse_norm_m"] == 0.0
     assert row["tracking_rmse_norm_m"] > 1e-3
 
@@ -126,7 +133,7 @@ def test_truth_knows_the_twist_where_the_driver_does(watched):
 @pytest.mark.parametrize("suite", ["lengths+imu", "lengths+pose", "lengths+imu+pose"])
 def test_every_sensor_suite_meets_the_same_motion(suite):
     """A controller that uses no belief tracks the same, whatever is measured."""
-    one, other = (run_case(case(suite=name)) for name in ("lengths", suite))
+    one, other = (row_of(suite=name) for name in ("lengths", suite))
     assert other["tracking_rmse_norm_m"] == pytest.approx(one["tracking_rmse_norm_m"], rel=1e-4)
 
 
