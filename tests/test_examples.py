@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +16,7 @@ from tests.programs import run_here
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("[!_]*.py"))
 LINES = 100
+ARTIFACTS = os.environ.get("CAROSAC_ARTIFACTS")  # folder, or None
 
 
 # Run as a reader would run it and in this process, with one result. The others run in this process
@@ -42,6 +45,9 @@ def test_example_is_short_draws_one_picture_and_prints_one_number(example, tmp_p
     assert [picture.name for picture in pictures] == [f"{example.stem}.png"]
     assert pictures[0].read_bytes().startswith(b"\x89PNG") and pictures[0].stat().st_size > 10_000
     assert len(printed.splitlines()) == 1 and re.search(r"\d", printed)
+    if ARTIFACTS:  # the gallery of the documentation shows it
+        Path(ARTIFACTS).mkdir(parents=True, exist_ok=True)
+        shutil.copy(pictures[0], ARTIFACTS)
     if example.stem in TWICE:
         assert run(example, tmp_path) == printed
 
