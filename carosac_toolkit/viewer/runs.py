@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -156,8 +156,13 @@ def _recorded_run(where: str, asked: str | None) -> Run:
     found = find_robot(recording, path, asked)
     recording.require_cables(found.robot)
     recording = calibrated(recording, found.robot)
-    recording = _thinned(recording)
-    return _run_of(Path(where).name, found.robot, recording, believed)
+    thinned = _thinned(recording)
+    run = _run_of(Path(where).name, found.robot, thinned, believed)
+    if len(thinned.time) == len(recording.time):
+        return run
+    return replace(
+        run, source=f"{run.source}; {len(thinned.time)} of {len(recording.time)} samples"
+    )
 
 
 def _load(path: Path) -> tuple[Recording, PoseSamples | None]:
@@ -172,8 +177,6 @@ def _load(path: Path) -> tuple[Recording, PoseSamples | None]:
 
 def _thinned(recording: Recording) -> Recording:
     """At most `MOST` samples of the lengths."""
-    from dataclasses import replace
-
     step = -(-len(recording.time) // MOST)
     return replace(
         recording, time=recording.time[::step],
@@ -218,9 +221,15 @@ def _run_of(name: str, robot: Robot, recording: Recording, believed: PoseSamples
         target=None if target is None else target[keep],
         believed=None if believed is None else
         believed.at(time[keep], gap_max=GAP).pose.position,
-        source=f"poses {source}; tensions {words}" + ("" if target is None else
-        "; target: where the commanded lengths would rest"),
+        source=f"poses {source}; tensions {words}{_of_target(recording.command, target)}",
     )  # fmt: skip
+
+
+def _of_target(command: Stamped | None, target: Array | None) -> str:
+    """Where the target is from, or why there is none."""
+    if target is not None:
+        return "; target: where the commanded lengths would rest"
+    return "" if command is None else "; no target: some commanded lengths have no pose of rest"
 
 
 def _tensions(recorded: Stamped | None, rest: Any, time: Array, n: int) -> tuple[Array, str]:
