@@ -92,7 +92,9 @@ def test_a_case_may_bring_its_own_limit(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_workers_are_alone_single_threaded_and_local():
+def test_workers_are_alone_single_threaded_and_local(monkeypatch):
+    for name in ONE_THREAD:
+        monkeypatch.setenv(name, "2")  # workers do not have it from here
     environment = dict(os.environ)
     with local_client(2) as client:
         found = client.run(dict, os.environ)
