@@ -23,6 +23,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -76,7 +77,7 @@ def check_names(cable_names: Sequence[str], names: Sequence[str]) -> None:
     for k, name in enumerate(names):
         if name in names[:k]:
             raise InvalidField(f"parameters[{k}]", repr(name), "each parameter once")
-        _split(cable_names, name)
+        _split(tuple(cable_names), name)
 
 
 def values_of(robot: Robot, names: Sequence[str]) -> Array:
@@ -124,7 +125,8 @@ def with_values(robot: Robot, names: Sequence[str], values: Array) -> Robot:
     return replace(robot, **changed, calibrated=None, calibration_covariance=None)
 
 
-def _split(cable_names: Sequence[str], name: str) -> tuple[str, tuple[Any, ...]]:
+@lru_cache(maxsize=1024)  # identification asks for the same names over and over
+def _split(cable_names: tuple[str, ...], name: str) -> tuple[str, tuple[Any, ...]]:
     """Field of a parameter, and its index in that field (empty for a single number)."""
     match = _field(name)
     field, cable, axis = match["field"], match["cable"], match["axis"]

@@ -130,6 +130,8 @@ class Simulator:
         )
         seeds = self.seeds.astype(np.int32)
         self._worlds = allocate_worlds(size, self.fleet.n, device, seeds)
+        command = self._worlds.command  # on the CPU numpy writes there itself, which is quicker
+        self._asked: Array | None = command.numpy() if command.device.is_cpu else None
         self._dynamics = self._make_dynamics(float(cable_drag), iterations)
         self.state = StateViews(self._worlds, self._dynamics.arrays.get("position"))
         self._go_home()
@@ -320,7 +322,10 @@ class Simulator:
             lengths = batch(name, command, (self.fleet.n,))
             check_rows(name, lengths, self._size)
             check_lengths(name, lengths)
-            self._worlds.command.assign(lengths)
+            if self._asked is None:
+                self._worlds.command.assign(lengths)
+            else:
+                self._asked[:] = lengths
         if duration > STEPS_MAX * self.time_step:
             allowed = f"at most {STEPS_MAX:g} time steps of {self.time_step:g} s"
             raise InvalidField("duration", f"{duration} s", allowed)
