@@ -29,6 +29,7 @@ SECONDS = 600.0
 FAST = 0.002  # [s], 500 Hz
 PATIENCE = 0.25  # [s] that host and PLC wait for each other: other programs run here
 FAST_SHARE = 0.05  # of the seconds, for 500 Hz
+RADIUS, SPEED = 0.5, 0.25  # [m], [m/s] of the circle; slow, as a stop by the watchdog makes it sway
 COUNTS = ("over_length", "over_speed", "over_acceleration", "over_jerk", "not_finite", "lost",
           "watchdog", "commands")  # fmt: skip
 
@@ -67,8 +68,9 @@ def controlled(seconds: float) -> tuple[dict[str, list[float]], GuardedDriver, f
     estimator = registry.load("estimators", "kinematic_solver")
     made = controller.build(robot, controller.Settings(period=0.01), seed=0)
     center = 0.5 * (robot.workspace_min + robot.workspace_max)
-    path = circle(center=center, radius=1.0, turns=max(1, round(seconds / 14.0)),
-                  speed_max=0.5, acceleration_max=0.5)  # fmt: skip
+    turns = max(1, round(SPEED * seconds / (2.0 * np.pi * RADIUS)))
+    path = circle(center=center, radius=RADIUS, turns=turns, speed_max=SPEED,
+                  acceleration_max=SPEED)  # fmt: skip
     x, y, z = (float(v) for v in path.sample(np.zeros(1)).position[0])
     driver = GuardedAds.build(
         robot,
@@ -147,7 +149,7 @@ def main() -> None:
     text = "\n".join([
         table(["[ms]", "p50", "p99", "p99.9", "largest"], rows), "",
         f"100 Hz for {wall:.0f} s, {len(ticks['tick'])} commands of the kinematic solver on a "
-        f"circle of 1 m: {missed} ticks missed, fault: {fault}, largest gap of "
+        f"circle of {RADIUS} m at {SPEED} m/s: {missed} ticks missed, fault: {fault}, largest gap of "
         f"the link {gap:.0f} ms, tracking error {error:.1f} mm RMS. "
         f"500 Hz: {len(trips)} cycles, {late} missed, {fast.overruns} overruns.", "",
         f"PLC ({plc['cycles']} cycles of 5 ms, {plc['overruns']} late, {plc['lost_time']:.2f} s "
