@@ -149,8 +149,8 @@ def main() -> None:
     text = "\n".join([
         table(["[ms]", "p50", "p99", "p99.9", "largest"], rows), "",
         f"100 Hz for {wall:.0f} s, {len(ticks['tick'])} commands of the kinematic solver on a "
-        f"circle of {RADIUS} m at {SPEED} m/s: {missed} ticks missed, fault: {fault}, largest gap of "
-        f"the link {gap:.0f} ms, tracking error {error:.1f} mm RMS. "
+        f"circle of {RADIUS} m at {SPEED} m/s: {missed} ticks missed, fault: {fault}, largest gap "
+        f"of the link {gap:.0f} ms, tracking error {error:.1f} mm RMS. "
         f"500 Hz: {len(trips)} cycles, {late} missed, {fast.overruns} overruns.", "",
         f"PLC ({plc['cycles']} cycles of 5 ms, {plc['overruns']} late, {plc['lost_time']:.2f} s "
         f"lost), after 100 Hz: {counts}; largest share of a limit commanded: speed "
