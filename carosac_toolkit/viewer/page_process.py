@@ -7,6 +7,7 @@ that moment, the loop waits. Here the loop only sends numbers through a pipe, an
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import sys
 import threading
@@ -26,6 +27,7 @@ from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.picture import take_picture
 from carosac_toolkit.viewer.publisher import RATE, Publisher
 
+LATER = 10  # by so much the page's process is nicer than the loop's
 PATIENCE = 60.0  # [s] for the process to start, and for it to end
 
 
@@ -139,6 +141,8 @@ class PageProcess:
 def _serve(pipe: Connection, options: PageOptions) -> None:
     """Be the process of the page until it is told to end, or its parent has gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which then ends this
+    if hasattr(os, "nice"):
+        os.nice(LATER)  # where the cores do not suffice for both, pictures are late, not the loop
     try:
         page = Page(
             options.robot, options.title, host=options.host, port=options.port,
