@@ -33,7 +33,8 @@ def load(kind: Kind, name: str) -> Any:
 
     Args:
         kind: ``"controllers"``, ``"estimators"``, ``"drivers"``, ``"commands"`` or ``"figures"``.
-        name: A name from `names`, or ``module:Class`` for what is importable but not installed.
+        name: A name from `names`, or ``module:Class`` for what is importable but not installed;
+            modules are looked for in the working folder as well, after all other places.
 
     Returns:
         What the name stands for: a class, or a module for most commands and figures.
@@ -44,6 +45,7 @@ def load(kind: Kind, name: str) -> Any:
             package hides one of ours, or its import fails.
     """
     if ":" in name:
+        _look_in_working_folder()
         return _resolve(kind, name, EntryPoint(name, name, _group(kind)))
     installed = _installed(kind)
     if name not in installed:
@@ -119,6 +121,13 @@ def _changed(folder: str) -> int:
 def _read(group: str, state: tuple[tuple[str, int], ...]) -> EntryPoints:
     """Entry points of a group, for a state of the Python path."""
     return entry_points(group=group)
+
+
+def _look_in_working_folder() -> None:
+    """Let modules that lie there be found, as ``python -m`` does; also by workers started later."""
+    here = os.getcwd()
+    if here not in sys.path and "" not in sys.path:
+        sys.path.append(here)
 
 
 def _owner(point: EntryPoint) -> str:

@@ -382,7 +382,8 @@ class Simulator:
         if not sound.all():
             k = int(np.argmin(sound))
             reason = statics.REASONS[rest.status[k]] if not rest.converged[k] else "not stable"
-            allowed = f"where the robot of world {which[k]} can rest ({reason})"
+            robot = f"the robot of world {which[k]}" if self._size > 1 else "the robot"
+            allowed = f"where {robot} can rest ({reason})"
             raise InvalidField(f"{name}[{k}]", given[k], allowed)
         return rest
 

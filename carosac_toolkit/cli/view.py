@@ -1,9 +1,12 @@
 """See a robot in the browser: at rest, in a live simulation, or in a recorded run.
 
-carosac view scampi            at rest: drag the target, or move cable lengths
-carosac view scampi --live     simulated in real time: drag the target, a controller follows
-carosac view synthetic         replay of a recording; a second one is its ghost
-carosac view RESULTS:1 RESULTS:0   two runs of a study's folder
+At rest, to drag the target or move cable lengths: carosac view scampi
+
+Simulated in real time, a controller follows the target that you drag: carosac view scampi --live
+
+Replay of a recording; a second one is its ghost: carosac view synthetic
+
+Two runs of a study's folder: carosac view RESULTS:1 RESULTS:0
 
 Open the address that it prints; Ctrl-C ends it. The page is served to this machine alone, unless
 --host says otherwise. --html writes one file that opens without a server, and ends.
@@ -240,8 +243,9 @@ def _ended(
         "limits": dict(watch.limits), "pictures": page.drawn,
         "error": None if error is None else str(error),
     }  # fmt: skip
-    print(f"{watch.cycles} cycles, {driver.overruns} ticks missed; {page.drawn} pictures; "
-          f"limited: {dict(watch.limits) or 'none'}")  # fmt: skip
+    limits = ", ".join(f"{name} in {count}" for name, count in watch.limits.most_common())
+    print(f"{watch.cycles} cycles, {driver.overruns} ticks of the clock missed; {page.drawn} "
+          f"pictures; cycles in which a limit changed the command: {limits or 'none'}")  # fmt: skip
     if error is not None:
         print(f"carosac: {error}", file=sys.stderr)
     return CommandResult(data, status=0 if error is None else 1)

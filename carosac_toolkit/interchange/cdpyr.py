@@ -149,21 +149,36 @@ def _platform(
     if inertia.get("angular") is None:
         return
     matrix = _square(file, inertia["angular"], f"{where}.inertia.angular")
-    if not centre.any():
+    known = centre if given is not None else None
+    _inertia(file, matrix, mass, known, draft, inertia_about)
+
+
+def _inertia(
+    file: SourceFile, matrix: Array, mass: float | None, centre: Array | None, draft: Draft,
+    about: str | None,
+) -> None:  # fmt: skip
+    """Angular inertia about the centre of mass, where it can be known; `centre` is the file's."""
+    if centre is not None and not centre.any():
         said = "angular inertia of the platform; origin and centre of gravity are one point"
-    elif inertia_about is None:
+    elif about is None:
         draft.dropped.append(
             "angular inertia of the platform: the file does not say about which point; "
             "--inertia-about origin or center_of_mass takes it"
         )
         return
-    elif inertia_about == "origin":
+    elif about == "center_of_mass":
+        said = "angular inertia of the platform, said to be about its centre of mass"
+    elif centre is None:
+        draft.dropped.append(
+            "angular inertia of the platform: without a centre of gravity in the file nobody can "
+            "move it from the origin; give platform.inertia about the centre of mass"
+        )
+        return
+    else:
         if mass is None:
-            file.fault(f"{where}.inertia.linear", "nothing", "the mass, to move the inertia")
+            file.fault("platforms[0].inertia.linear", "nothing", "the mass, to move the inertia")
         matrix = about_centre_of_mass(matrix, mass or np.nan, centre)
         said = "angular inertia of the platform about its origin, moved to the centre of mass"
-    else:
-        said = "angular inertia of the platform, said to be about its centre of mass"
     draft.put(("platform", "inertia"), matrix.tolist(), said)
 
 

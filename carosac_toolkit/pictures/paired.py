@@ -35,7 +35,7 @@ def draw_paired(blocks: Sequence[Block]) -> Figure:
     most = max(len(_rows(block)) for block in shown)
     figure = new_figure(6.0 * len(shown) + 1.0, ABOVE + LINE * (most + 1))
     panels = figure.subplots(1, len(shown), squeeze=False)[0]
-    labels = list(dict.fromkeys(label for block in shown for _, label, _ in _rows(block)))
+    labels = dict.fromkeys(one.label for block in shown for one in block.compared)  # as elsewhere
     colors = {label: COLORS[k % len(COLORS)] for k, label in enumerate(labels)}
     for axes, block in zip(panels, shown, strict=True):
         _draw_block(axes, block, colors)

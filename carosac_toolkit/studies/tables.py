@@ -84,6 +84,12 @@ def failures(results: StudyResults) -> list[str]:
         if len(listed) > REASONS_SHOWN:
             rest = sum(count for _, count in listed[REASONS_SHOWN:])
             lines.append(f"  {rest} for other reasons")
+        if any("no tensions within the limits" in reason for reason, _ in listed):
+            robot = line["robot"]
+            lines.append(
+                "  paths are drawn in the workspace box of the robot file; where in it the robot "
+                f"can rest says carosac workspace {robot}"
+            )
     return lines
 
 

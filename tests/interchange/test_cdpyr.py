@@ -78,6 +78,16 @@ def test_inertia_with_an_offset_centre_needs_its_reference_point(tmp_path):
     assert difference == pytest.approx(25.0 * (np.eye(3) * (arm @ arm) - np.outer(arm, arm)))
 
 
+def test_inertia_without_a_centre_is_not_taken_to_be_about_it(tmp_path):
+    data = cdpyr(*geometry("cogiro"))
+    data["platforms"][0].pop("center_of_gravity", None)
+    for about in (None, "origin"):
+        draft = draft_of(tmp_path, data, inertia_about=about)
+        assert ("platform", "inertia") in [path for path, _ in complete(draft).missing]
+    own = draft_of(tmp_path, data, inertia_about="center_of_mass")
+    assert "said to be about its centre of mass" in own.provenance["platform.inertia"]
+
+
 def test_gravity_and_stiffness_are_asked_for(tmp_path):
     missing = [path for path, _ in complete(draft_of(tmp_path, cdpyr(*geometry("cogiro")))).missing]
     assert ("gravity",) in missing and ("cable_types", "cable", "axial_stiffness") in missing
