@@ -162,6 +162,7 @@ def cdpyr(exits: Any, anchors: Any, *, pulleys: Any = None) -> dict[str, Any]:
             {
                 "anchors": [{"position": [float(x) for x in p]} for p in anchors[::-1]],
                 "motion_pattern": "3R3T",
+                "center_of_gravity": [0.0, 0.0, 0.0],
                 "inertia": {
                     "linear": (25.0 * np.eye(3)).tolist(),
                     "angular": [[2.0, 0.1, 0.0], [0.1, 3.0, 0.0], [0.0, 0.0, 4.0]],
