@@ -171,7 +171,6 @@ def cdpyr(exits: Any, anchors: Any, *, pulleys: Any = None) -> dict[str, Any]:
         ],
         "cables": [
             {
-                "center_of_gravity": [0.0, 0.0, 0.0],
                 "name": "cable",
                 "material": "PE",
                 "diameter": 0.0025,
