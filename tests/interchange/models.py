@@ -169,14 +169,7 @@ def cdpyr(exits: Any, anchors: Any, *, pulleys: Any = None) -> dict[str, Any]:
                 },
             }
         ],
-        "cables": [
-            {
-                "name": "cable",
-                "material": "PE",
-                "diameter": 0.0025,
-            }
-            for _ in range(count)
-        ],
+        "cables": [{"name": "cable", "material": "PE", "diameter": 0.0025} for _ in range(count)],
         "kinematic_chains": [
             {"frame_anchor": i, "platform": 0, "platform_anchor": count - 1 - i, "cable": i}
             for i in range(count)
