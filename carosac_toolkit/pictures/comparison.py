@@ -155,7 +155,7 @@ def draw_bars(results: StudyResults) -> Figure:
     where.set_title("tracking error by region", fontsize=10)
     estimate.set_xticks(range(4), NAMES)
     estimate.set_ylabel("RMSE of the estimation error [mm]")
-    estimate.set_title("estimation error", fontsize=10)
+    estimate.set_title(f"estimation error{_of_estimator(results)}", fontsize=10)
     for axes in (where, estimate):
         axes.grid(axis="y", alpha=0.25)
         axes.set_axisbelow(True)
@@ -170,7 +170,7 @@ def draw_bars(results: StudyResults) -> Figure:
 
 def draw_beliefs(results: StudyResults) -> Figure:
     """Draw estimation errors, and how far estimators are right about them."""
-    return draw_estimates(_groups(results), _left_out(results))
+    return draw_estimates(_groups(results), _of_estimator(results) + _left_out(results))
 
 
 PICTURES: Mapping[str, Callable[[StudyResults], Figure]] = {
@@ -187,6 +187,12 @@ def _groups(results: StudyResults) -> dict[str, tuple[list[Row], str]]:
     """Rows and colour of the first groups, by label."""
     pairs = zip(results.labels[:MOST], results.groups[:MOST], COLORS, strict=False)
     return {label: (rows, color) for label, rows, color in pairs}
+
+
+def _of_estimator(results: StudyResults) -> str:
+    """Which estimator it is, where there is one alone: rows then differ in something else."""
+    names = {str(line["estimator"]) for line in results.summary}
+    return f" (of the estimator {names.pop()})" if len(names) == 1 else ""
 
 
 def _left_out(results: StudyResults) -> str:

@@ -64,12 +64,15 @@ def set_space(axes: Any, limits: Array) -> None:
         axis.set_tick_params(labelsize=8)
 
 
+BELL = 5  # values that have a distribution
+
+
 def draw_bell(axes: Any, values: Array, low: float, color: str) -> None:
-    """Draw values as ticks at a height below zero, and their normal distribution above."""
+    """Draw values as ticks at a height below zero, and above the normal distribution of enough."""
     axes.plot(values, np.full(len(values), low), "|", color=color, ms=7, alpha=0.7)
     mean, deviation = float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
     text = f"{mean:.1f}"
-    if deviation > 0.0:
+    if deviation > 0.0 and len(values) >= BELL:
         text += f" ± {deviation:.1f}"
         grid = mean + deviation * np.linspace(-3.5, 3.5, 141)
         height = np.exp(-0.5 * ((grid - mean) / deviation) ** 2)

@@ -182,8 +182,8 @@ def _notes(results: StudyResults) -> list[str]:
     failed = sum(line["failures"] for line in results.summary)
     if failed:
         notes.append(
-            f"{failed} of {counted(len(results.rows), 'case')} without a score: errors are those "
-            "of the rest."
+            f"{failed} of {counted(len(results.rows), 'case')} without a score: errors of a row "
+            "are those of its own other cases; comparisons are over the cases of both."
         )
     short = sum(line["incomplete"] for line in results.summary)
     if short:
