@@ -99,7 +99,7 @@ class Options(CommonOptions):
     """Worker processes on this machine; 0 is none but this one; by default one per core."""
     batch: int = 1
     """How many seeds run together in one simulation, where driver, controller and estimator can:
-    2 to 3 times faster on a CPU, the same numbers to rounding, but no latencies."""
+    10 together are 2 to 3 times faster on a CPU; the same numbers to rounding, but no latencies."""
     timeout: float = TIMEOUT
     """How long a case may run [s]."""
     retry: tuple[str, ...] = ()
