@@ -40,6 +40,7 @@ SHORTER: dict[str, dict[str, tuple[str, ...]]] = {
     "smooth": {"--stop": ("60",)},
     "train": {"--steps": ("200",)},
     "validate": {"--stop": ("40",)},
+    "view": {"--duration": ("2",)},
 }
 
 # Commands whose answer is negative on purpose.
