@@ -59,6 +59,24 @@ EXCEPTIONS = {
     "first command of README",
     "carosac train --preset carosac --robot my-robot.yaml": "a second robot: 20 minutes, and the "
     "same command runs for the bundled one",
+    **dict.fromkeys(
+        (
+            "carosac compare --suite reference",
+            "carosac compare --suite reference --controllers my_module:MyController "
+            "--against benchmarks/reference",
+            "carosac compare --suite reference --estimators my_module:MyEstimator "
+            "--against benchmarks/reference",
+        ),
+        "24 minutes; `make bench` runs the suite",
+    ),
+    **dict.fromkeys(
+        (
+            "carosac view carosac-results/run/20261122-041500.jsonl",
+            "carosac view carosac-results/demo:1 carosac-results/demo:0",
+            "carosac view carosac-results/demo:1 carosac-results/demo:0 --html sway.html",
+        ),
+        "names results of the reader's own; the tests of the viewer replay such ones",
+    ),
 }
 
 
