@@ -25,10 +25,10 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, period_of_rate
 from carosac_toolkit.cli.place import Place
 from carosac_toolkit.cli.plc import take_priority
-from carosac_toolkit.cli.run_parts import LINE, REST, make_guard, make_path, period_of, recorded
+from carosac_toolkit.cli.run_parts import LINE, REST, make_guard, make_path, recorded
 from carosac_toolkit.crash_safe import CrashSafeRecorder
 from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.errors import CarosacError
@@ -111,7 +111,7 @@ def run(options: Options) -> CommandResult:
     chosen = chosen_settings(
         options.settings, controllers=[options.controller], estimators=[options.estimator]
     )
-    period, seed = period_of(options), options.seed
+    period, seed = period_of_rate(options.rate), options.seed
     controller = build_controller(options.controller, robot, chosen, period, seed=seed)
     estimator = build_estimator(options.estimator, robot, chosen, seed=seed)
     path = make_path(robot, options)

@@ -12,7 +12,6 @@ import numpy as np
 
 from carosac_toolkit import registry, trajectories
 from carosac_toolkit.arrays import Array
-from carosac_toolkit.cli.common import period_of_rate
 from carosac_toolkit.crash_safe import CrashSafeRecorder
 from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.drivers.guarded import GuardedDriver
@@ -43,11 +42,6 @@ OPTIONS = {
     "period": "--rate, or controller.NAME.period",
     "real_time": "no other value: a live run takes the time of the wall",
 }  # what no setting may say behind an option's back
-
-
-def period_of(options: Options) -> float:
-    """Time between two commands as --rate has it [s]."""
-    return period_of_rate(options.rate)
 
 
 def make_guard(

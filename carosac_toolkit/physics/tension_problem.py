@@ -35,14 +35,7 @@ def prepare(
     tension_max: ArrayLike,
     arm: float,
 ) -> TensionProblem:
-    """Check and scale.
-
-    Args:
-        structure_matrix: A, maps tensions to the wrench on the platform, shape (B, 6, n).
-        wrench: External wrench w at the platform origin, in W [N, N m], shape (B, 6).
-        tension_min: Lower limits [N], a number, shape (n,) or (B, n).
-        tension_max: Upper limits [N], likewise.
-        arm: Lever arm that makes moments comparable with forces [m].
+    """Check and scale what `tension_margin.solve` and `tension_distribution.solve` are given.
 
     Raises:
         InvalidField: Wrong shapes, or a lower limit above its upper one.

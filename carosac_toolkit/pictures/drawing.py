@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 MEASURED = "#202020"
 REST = "#d9dde2"
+BELL = 5  # values that have a distribution
 FEW = 20  # samples up to which each is drawn as a dot
 LONG = 2.0  # times as far along y as along x: the view from above is turned
 CHARACTERS = 11.0  # of a legend per inch
@@ -62,9 +63,6 @@ def set_space(axes: Any, limits: Array) -> None:
         axis.labelpad = 12.0 * span / spans.max() - 2.0
         axis.set_major_locator(MaxNLocator(nbins=max(2, round(7 * span / spans.max()))))
         axis.set_tick_params(labelsize=8)
-
-
-BELL = 5  # values that have a distribution
 
 
 def draw_bell(axes: Any, values: Array, low: float, color: str) -> None:

@@ -24,6 +24,7 @@ from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import load_robot, robot_text
 from carosac_toolkit.studies.case import Case
 from carosac_toolkit.studies.estimation_scores import estimation_scores
+from carosac_toolkit.trajectories.trajectory import Trajectory
 from carosac_toolkit.values import Belief, Command, Measurement
 
 DRIVER = "simulator"
@@ -85,22 +86,14 @@ def run_case(case: Case) -> dict[str, Any]:
     robot = robot_of(case.robot, digest_of(case))
     condition = find_condition(case.perturbation)
     plant = draw_plant(robot, condition, np.random.default_rng(case.plant_seed))
-    limits = {x: float(settings.get(x, 1.0)) for x in ("speed_max", "acceleration_max")}
     controller = build_part("controllers", case.controller, robot, case, "controller_settings")
     name = str(settings.get("driver", DRIVER))
     recorded = replays(registry.load("drivers", name))
-    path = (
-        None
-        if recorded
-        else trajectories.build(case.trajectory, robot, case.path_seed % 2**32, **limits)
-    )
+    path = None if recorded else path_of(case, robot)
     start = robot.home_position if path is None else path.sample(np.zeros(1)).position[0]
     given = given_to_driver(case, condition, period_of(controller), tuple(float(x) for x in start))
     driver = build_part("drivers", name, plant, case, "driver_settings", given)
-    if case.estimator == "truth":
-        estimator: Any = Truth(driver)
-    else:
-        estimator = build_part("estimators", case.estimator, robot, case, "estimator_settings")
+    estimator = estimator_of(case, robot, driver)
     duration = REST + path.duration if path else controller.period * len(driver.recording.time)
     path = path or trajectories.from_recording(driver.recording)
     if getattr(driver, "real_time", False):
@@ -110,6 +103,19 @@ def run_case(case: Case) -> dict[str, Any]:
         raise CarosacError(f"driver {name}: {driver.fault}")
     row = score(log, robot, path.duration, replayed=recorded)
     return row | {"series": example_series(case, log)}
+
+
+def path_of(case: Case, robot: Robot) -> Trajectory:
+    """The trajectory that a case draws."""
+    limits = {x: float(case.settings.get(x, 1.0)) for x in ("speed_max", "acceleration_max")}
+    return trajectories.build(case.trajectory, robot, case.path_seed % 2**32, **limits)
+
+
+def estimator_of(case: Case, robot: Robot, driver: object) -> Any:
+    """The estimator that a case names; `truth` asks the driver."""
+    if case.estimator == "truth":
+        return Truth(driver)
+    return build_part("estimators", case.estimator, robot, case, "estimator_settings")
 
 
 def given_to_driver(

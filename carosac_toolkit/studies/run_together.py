@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit import registry, trajectories
+from carosac_toolkit import registry
 from carosac_toolkit.errors import CarosacError
 from carosac_toolkit.loop import run
 from carosac_toolkit.perturbations import draw_plant, find_condition
@@ -21,12 +21,13 @@ from carosac_toolkit.studies.results import LATENCIES
 from carosac_toolkit.studies.run_case import (
     DRIVER,
     REST,
-    Truth,
     build_part,
     digest_of,
+    estimator_of,
     example_series,
     given_to_driver,
     known_settings,
+    path_of,
     period_of,
     plugin_name,
     robot_of,
@@ -72,13 +73,7 @@ def run_together(cases: Sequence[Case]) -> list[dict[str, Any]]:
     plants = [
         draw_plant(robot, condition, np.random.default_rng(case.plant_seed)) for case in cases
     ]
-    limits = {x: float(settings.get(x, 1.0)) for x in ("speed_max", "acceleration_max")}
-    paths = Paths(
-        tuple(
-            trajectories.build(first.trajectory, robot, case.path_seed % 2**32, **limits)
-            for case in cases
-        )
-    )
+    paths = Paths(tuple(path_of(case, robot) for case in cases))
     controller = build_part("controllers", first.controller, robot, first, "controller_settings")
     driver = build_part(
         "drivers", str(settings.get("driver", DRIVER)), plants, first, "driver_settings",
@@ -87,9 +82,7 @@ def run_together(cases: Sequence[Case]) -> list[dict[str, Any]]:
     )  # fmt: skip
     if getattr(driver, "real_time", False):
         raise CarosacError("a driver in real time runs one case at a time")
-    estimator: Any = Truth(driver)
-    if first.estimator != "truth":
-        estimator = build_part("estimators", first.estimator, robot, first, "estimator_settings")
+    estimator = estimator_of(first, robot, driver)
     log = run(driver, estimator, controller, paths, duration=REST + paths.duration)
     if not log.completed:
         raise CarosacError("the driver stopped before the end")
