@@ -9,6 +9,7 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.pictures.drawing import (
+    BELL,
     COLORS,
     MEASURED,
     REST,
@@ -78,8 +79,8 @@ def draw_gaussians(results: StudyResults) -> Figure:
         axes.axhline(0.0, color=MEASURED, lw=0.6)
         axes.grid(axis="x", alpha=0.25)
     figure.suptitle(
-        "RMSE per case: its normal distribution, scaled to one height; ticks: the cases; "
-        "number: mean and standard deviation" + _left_out(results)
+        "RMSE per case; ticks: the cases; number: mean and standard deviation; bell, from "
+        f"{BELL} cases on: their normal distribution, scaled to one height" + _left_out(results)
     )
     put_patches(figure, _colors(groups))
     return figure
