@@ -20,6 +20,7 @@ from carosac_toolkit import registry
 from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
 from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.drivers.guarded_ads import GuardedAds, GuardedAdsSettings
+from carosac_toolkit.live.real_time import quick_threads, take_priority
 from carosac_toolkit.loop import Step, run
 from carosac_toolkit.plc.client import PlcClient
 from carosac_toolkit.trajectories.arcs import circle
@@ -124,7 +125,8 @@ def bare(seconds: float) -> tuple[list[float], list[float], AdsDriver]:
 def main() -> None:
     """Measure and write the table."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else SECONDS
-    with tempfile.TemporaryDirectory() as folder:
+    take_priority("host")
+    with tempfile.TemporaryDirectory() as folder, quick_threads():
         report = Path(folder) / "plc.json"
         with Plc(report):
             ticks, driver, wall = controlled(seconds)

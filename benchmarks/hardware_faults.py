@@ -31,10 +31,10 @@ from baselines.kinematic_solver import KinematicSolver
 from baselines.kinematic_solver_controller import KinematicSolverController
 from benchmarks.results import table, write_section
 from carosac_toolkit.cli import run as run_command
-from carosac_toolkit.cli.plc import take_priority
 from carosac_toolkit.crash_safe import read_run
 from carosac_toolkit.drivers.drive_state import Fault
 from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.live.real_time import quick_threads, take_priority
 from carosac_toolkit.plc import machine_blocks
 from carosac_toolkit.plc.client import PlcClient
 from carosac_toolkit.plc.emulator import Emulator
@@ -125,21 +125,20 @@ def child(work: Callable[[], int], output: Path) -> int:
 
 def plc(trial: Trial, check: bool) -> int:
     """The PLC process."""
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
-    sys.setswitchinterval(5e-4)
+    take_priority("plc")
     robot = ct.load_robot(trial.folder / "robot.yaml")
     settings = PlcSettings(encoder_check=check, shift=0.1, watchdog=NOTICED)
     emulator = Emulator(robot, robot, settings, seed=os.getpid())
     signal.signal(signal.SIGTERM, lambda *_: emulator.stop())
-    emulator.run()
+    with quick_threads():
+        emulator.run()
     emulator.close()
     return 0
 
 
 def host(trial: Trial) -> int:
     """The host process: the command itself."""
-    take_priority()
+    take_priority("host")
     options = run_command.Options(
         robot=str(trial.folder / "robot.yaml"), driver="ads",
         controller="benchmarks.hardware_faults:Wrong",

@@ -12,7 +12,6 @@ Exit status 1 means that it missed more than one cycle in ten.
 from __future__ import annotations
 
 import json
-import os
 import signal
 import sys
 import threading
@@ -25,6 +24,7 @@ import tyro
 from carosac_toolkit.cli.common import CommandResult, CommonOptions
 from carosac_toolkit.cli.place import Place
 from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.live.real_time import quick_threads, take_priority
 from carosac_toolkit.perturbations import draw_plant, find_condition
 from carosac_toolkit.plc.emulator import Emulator
 from carosac_toolkit.plc.machine_blocks import Injection
@@ -32,8 +32,6 @@ from carosac_toolkit.plc.settings import PlcSettings
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import load_robot
 
-_PRIORITY = 5  # of SCHED_FIFO, 1 to 99
-_SWITCH = 0.5e-3  # [s] after which a thread lets the others run
 WIRED = ("wrong_sign", "reversed_drive")
 _MISSED = 0.1  # share of late cycles above which it was no PLC
 
@@ -81,8 +79,8 @@ class Options(CommonOptions):
 
 def run(options: Options) -> CommandResult:
     """Run the PLC."""
-    if options.priority:  # before any thread: they inherit it
-        take_priority()
+    if options.priority:
+        take_priority("carosac plc")
     nominal = load_robot(options.robot)
     condition = find_condition(options.condition)
     plant = draw_plant(nominal, condition, np.random.default_rng(options.seed))
@@ -96,14 +94,14 @@ def run(options: Options) -> CommandResult:
     )  # fmt: skip
     emulator = Emulator(plant, nominal, settings, seed=options.seed, ip=options.ip)
     with_signals(emulator)
-    sys.setswitchinterval(_SWITCH)
     if options.control:
         threading.Thread(target=listen, args=(emulator,), daemon=True).start()
     ads = emulator.hardware.ads
     print(f"carosac plc: ready: {nominal.name} at {emulator.ip}:48898, net id {emulator.ip}.1.1, "
           f"{ads.from_host}, {ads.to_host}", flush=True)  # fmt: skip
     try:
-        emulator.run(options.duration)
+        with quick_threads():
+            emulator.run(options.duration)
     finally:
         emulator.close()
     found = emulator.diagnosis()
@@ -130,14 +128,6 @@ def with_signals(emulator: Emulator) -> None:
     """End the cycle at Ctrl-C and SIGTERM."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: emulator.stop())
-
-
-def take_priority() -> None:
-    """Have the scheduler of Linux put this process before all others; say where it will not."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
-    except (AttributeError, OSError) as error:
-        print(f"carosac plc: warning: no priority: {error}", file=sys.stderr)
 
 
 def summary(found: dict[str, Any]) -> str:

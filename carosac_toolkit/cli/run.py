@@ -16,7 +16,6 @@ ended the run. A first motion of 10 cm, dry and then for real:
 from __future__ import annotations
 
 import contextlib
-import sys
 import traceback
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,7 +26,6 @@ import tyro
 
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, period_of_rate
 from carosac_toolkit.cli.place import Place
-from carosac_toolkit.cli.plc import take_priority
 from carosac_toolkit.cli.run_parts import LINE, REST, make_guard, make_path, recorded
 from carosac_toolkit.crash_safe import CrashSafeRecorder
 from carosac_toolkit.drivers.guarded import GuardedDriver
@@ -36,6 +34,7 @@ from carosac_toolkit.live.ending import Ending, ending_of
 from carosac_toolkit.live.hand_target import HELP
 from carosac_toolkit.live.library_noise import without_ads_lines
 from carosac_toolkit.live.plugins import build_controller, build_estimator
+from carosac_toolkit.live.real_time import quick_threads, take_priority
 from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.live.saying import say
 from carosac_toolkit.live.statistics import Statistics
@@ -44,8 +43,6 @@ from carosac_toolkit.loop import Path as Followed
 from carosac_toolkit.loop import run as run_loop
 from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.studies.chosen_settings import chosen_settings
-
-SWITCH = 1e-3  # [s] after which a thread lets the others run
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,15 +131,10 @@ def run(options: Options) -> CommandResult:
 @contextlib.contextmanager
 def _prepared(options: Options) -> Iterator[None]:
     """Quick changes of threads, priority where it was asked for, and no words of libraries."""
-    usual = sys.getswitchinterval()
-    sys.setswitchinterval(SWITCH)
     if options.priority:
-        take_priority()
-    try:
-        with without_ads_lines():
-            yield
-    finally:
-        sys.setswitchinterval(usual)
+        take_priority("carosac run")
+    with quick_threads(), without_ads_lines():
+        yield
 
 
 def _run(

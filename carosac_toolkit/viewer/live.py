@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ from carosac_toolkit.arrays import Array
 from carosac_toolkit.drivers.plant import Shaped
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.live.hand_target import HandTarget
+from carosac_toolkit.live.real_time import quick_threads
 from carosac_toolkit.loop import Step, run
 from carosac_toolkit.protocols import Controller, Estimator
 from carosac_toolkit.robot import Robot
@@ -22,7 +22,6 @@ from carosac_toolkit.viewer.page import Page, note_html
 from carosac_toolkit.viewer.picture import Picture, take_picture
 from carosac_toolkit.viewer.publisher import Publisher
 
-SWITCH = 5e-4  # [s] after which other threads let the loop run
 LATEST = 1000  # cycles whose latencies are kept
 
 
@@ -202,18 +201,16 @@ def follow(
         What the loop did, and the error that has ended it.
     """
     watch = LiveWatch(driver=driver, instants=instants)
-    usual = sys.getswitchinterval()
-    sys.setswitchinterval(SWITCH)
     try:
-        run(
-            driver, estimator, controller, target, watch=watch, keep=1,
-            duration=target.duration if duration is None else duration,
-        )  # fmt: skip
+        with quick_threads():
+            run(
+                driver, estimator, controller, target, watch=watch, keep=1,
+                duration=target.duration if duration is None else duration,
+            )  # fmt: skip
     except CarosacError as error:
         return watch, error
     except KeyboardInterrupt:
         pass
     finally:
-        sys.setswitchinterval(usual)
         instants.close()
     return watch, None
