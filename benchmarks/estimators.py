@@ -35,7 +35,9 @@ LOOSE, TIGHT = f"{EKF} coupling=loose", f"{EKF} coupling=tight"
 # As wrong as the robot really is where only encoders are biased, and nothing else.
 MATCHED_TIGHT = f"{TIGHT} length_walk=0 center_of_mass_prior=0"
 MATCHED_LOOSE = f"{LOOSE} length_walk=0 center_of_mass_prior=0"
-MATCHED_DYNAMIC = f"{DYNAMIC} mass=0 center_of_mass=0 length_bias=5e-3 length_bias_walk=0"
+MATCHED_DYNAMIC = (
+    f"{DYNAMIC} mass=0 center_of_mass=0 length_bias=5e-3 length_bias_walk=0 wind_force=1"
+)
 
 ALL = ((KS, LENGTHS), (DYNAMIC, LENGTHS), (LOOSE, INERTIAL), (TIGHT, INERTIAL), (DYNAMIC, INERTIAL))
 MATCHED = (

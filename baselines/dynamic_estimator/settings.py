@@ -29,7 +29,9 @@ class DynamicEstimatorSettings:
         rate_noise: Of the rates of these lengths, in the twist of the belief [m/s].
         stretch_rate: Of the same rates, where an IMU feels them: how little the gyroscope says of
             the stretch [m/s].
-        wind_force: Force of the wind on the platform per horizontal axis [N].
+        wind_force: Force of the wind on the platform per horizontal axis, and of all else that
+            pushes it and that the model does not know: three times the wind alone, so that sway
+            that such a push begins is seen soon [N].
         wind_time: Its correlation time [s].
         start_speed: Speed at the start: each mode has the energy of the platform at it [m/s].
         restart_speed: The same where the platform is hung anew on the way, after a failure or a
@@ -69,7 +71,7 @@ class DynamicEstimatorSettings:
     stretch_noise: float = 0.6e-3
     rate_noise: float = 0.02
     stretch_rate: float = 0.06
-    wind_force: float = 1.0
+    wind_force: float = 3.0
     wind_time: float = 2.0
     start_speed: float = 0.02
     restart_speed: float = 0.5

@@ -16,6 +16,7 @@ from baselines.mpc.planner import Planner
 from baselines.mpc.record import MpcRecord
 from baselines.mpc.settings import MpcSettings
 from baselines.mpc.target import Targets
+from baselines.mpc.unknown_load import Motion
 from baselines.mpc.winch_reference import WinchReference
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import CarosacError, InvalidField
@@ -140,7 +141,7 @@ class Mpc:
         target = self._targets.nearer(wanted, start.position)
         self.record.approached += target is not wanted
         found = self._planner.improve(
-            start, target, time=now, disturbance=self._observer.disturbance,
+            start, target, time=now, load=self._observer.load,
             acceleration=self._winches.acceleration_range(),
             offset=self._excess + self._observer.surplus,
         )  # fmt: skip
@@ -169,12 +170,17 @@ class Mpc:
 
     def _follow(self, plan: Plan) -> Array:
         """The command that leads to the plan's next state."""
-        state = plan.state[1]
+        before, state = plan.state[:2]
         position, rotation = pose_of(state, plan.rotation)
         geometry = self._update_excess(position, rotation, plan.tension[0], share=self._share())
         self._observer.predict(
             Start(position=position, rotation=rotation, twist=state[6:], geometry=geometry,
-                  distance=0.0)
+                  distance=0.0),
+            Motion.of(
+                self._robot, geometry, plan.tension[0],
+                rotation=pose_of(before, plan.rotation)[1], spin=before[9:],
+                spin_rate=(state[9:] - before[9:]) / self.period,
+            ),
         )  # fmt: skip
         length = geometry.length + self._excess + self._observer.surplus
         return self._winches.follow(length, geometry.jacobian @ state[6:])

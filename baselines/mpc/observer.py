@@ -5,8 +5,8 @@ cables they fix n of the six degrees of freedom (all six if n >= 6). The belief 
 which is the sway, and two slow estimates that leave no steady error of the believed position:
 
 * length offsets: sent lengths minus those of the believed pose, by a first-order filter;
-* an acceleration of the free motion: what the believed twist gained beyond the prediction, summed.
-  A centre of mass that is elsewhere, wind and a wrong weight end up there.
+* centre of mass and an unknown acceleration of the free motion, from what the believed twist gained
+  beyond the prediction (`unknown_load`). Wind and a wrong weight end up in the latter.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from scipy.spatial.transform import Rotation
 
 from baselines.mpc.geometry import Geometry, geometry_at
 from baselines.mpc.settings import MpcSettings
+from baselines.mpc.unknown_load import Motion, UnknownLoad
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.physics.modes import mass_matrix
 from carosac_toolkit.physics.structure import constrained_motion
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Belief
 
-ACCELERATION_MAX = np.repeat([2.0, 10.0], 3)  # [m/s^2, rad/s^2]: more is no disturbance
 STEPS = 5  # of Newton's method
 CLOSE = 1e-6  # [m]: lengths that agree
 SLACK = 0.05  # [m]: a cable that is longer than believed by more is slack
@@ -50,25 +50,28 @@ class Start:
 
 
 class Observer:
-    """Estimates offsets and the unknown acceleration, and says where the platform is.
+    """Estimates offsets and the unknown load, and says where the platform is.
 
     Attributes:
         offset: Of the lengths: sent minus modelled [m], shape (n,).
         slack: What lengths differ by so suddenly that it is no offset [m], shape (n,).
-        disturbance: Unknown acceleration in W [m/s^2, rad/s^2], shape (6,).
+        load: Centre of mass and acceleration that the model does not know.
         rebased: How often a belief that disagreed was taken over, since the reset.
     """
 
     def __init__(self, robot: Robot, settings: MpcSettings) -> None:
         self._robot, self._settings = robot, settings
+        self.load = UnknownLoad(
+            robot, period=settings.period, center_of_mass=settings.center_of_mass,
+            disturbance_time=settings.disturbance_time,
+        )  # fmt: skip
 
     def reset(self) -> None:
         """Forget everything."""
         self.offset, self.slack = np.zeros((2, self._robot.n))
-        self.disturbance = np.zeros(6)
         self.rebased = 0
         self._most = np.full(self._robot.n, self._settings.offset_max)
-        self._predicted: Start | None = None
+        self.forget()
 
     @property
     def surplus(self) -> Array:
@@ -82,12 +85,13 @@ class Observer:
 
     def forget(self) -> None:
         """Nothing is planned, and what was learned of the motion may be wrong."""
-        self.disturbance = np.zeros(6)
-        self._predicted = None
+        self.load.reset()
+        self._predicted: Start | None = None
+        self._planned: Motion | None = None
 
-    def predict(self, start: Start) -> None:
-        """Keep what the next belief should say."""
-        self._predicted = start
+    def predict(self, start: Start, planned: Motion | None = None) -> None:
+        """Keep what the next belief should say, and the motion to it if it was planned just now."""
+        self._predicted, self._planned = start, planned
 
     def start(
         self, belief: Belief, length: Array, rate: Array, *, within: float | None = None,
@@ -122,7 +126,7 @@ class Observer:
                          distance=distance)  # fmt: skip
         self._learn_lengths(missing)
         if not self.slack.any():
-            self._learn(twist, np.eye(6) - self._motion(geometry, rotation) @ geometry.jacobian)
+            self._learn(twist, geometry, rotation)
         position, rotation, geometry = self._onto(
             length - self.surplus, position, rotation, geometry
         )
@@ -142,8 +146,12 @@ class Observer:
 
     def _motion(self, geometry: Geometry, rotation: Array) -> Array:
         """Motion of least energy per length of the cables, shape (6, n)."""
-        mass = mass_matrix(self._robot, rotation[None], geometry.length[None])[0]
-        return constrained_motion(mass, geometry.jacobian)
+        return constrained_motion(self._mass(geometry, rotation), geometry.jacobian)
+
+    def _mass(self, geometry: Geometry, rotation: Array) -> Array:
+        """Mass matrix, shape (6, 6)."""
+        mass = mass_matrix(self.load.robot, rotation[None], geometry.length[None])
+        return np.asarray(mass[0])
 
     def _onto(
         self, length: Array, position: Array, rotation: Array, geometry: Geometry
@@ -199,13 +207,13 @@ class Observer:
         share = self._settings.twist_gain / self._settings.period
         return np.asarray(before.twist + share * difference)
 
-    def _learn(self, twist: Array, free: Array) -> None:
-        """Take a share of what the twist gained in the free directions as a disturbance."""
-        if self._predicted is None:
+    def _learn(self, twist: Array, geometry: Geometry, rotation: Array) -> None:
+        """Take in what the twist gained in the free directions; six cables leave none."""
+        if self._predicted is None or self._planned is None or self._robot.n >= 6:
             return
-        gained = free @ (twist - self._predicted.twist)
-        learned = self.disturbance + gained / self._settings.disturbance_time
-        self.disturbance = np.clip(learned, -ACCELERATION_MAX, ACCELERATION_MAX)
+        mass = self._mass(geometry, rotation)
+        free = np.eye(6) - constrained_motion(mass, geometry.jacobian) @ geometry.jacobian
+        self.load.learn(free @ (twist - self._predicted.twist), free, mass, self._planned)
 
 
 def _sound(geometry: Geometry) -> bool:

@@ -12,6 +12,7 @@ from baselines.mpc.plan import Plan
 from baselines.mpc.quadratic_program import FAR, QuadraticProgram
 from baselines.mpc.settings import MpcSettings
 from baselines.mpc.stage_function import StageFunction
+from baselines.mpc.unknown_load import UnknownLoad
 from baselines.mpc.winch_reference import Range
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.robot import Robot
@@ -84,7 +85,7 @@ class Planner:
         self._habit = np.zeros(self._robot.n)
 
     def improve(
-        self, start: Start, target: Target, *, time: float, disturbance: Array,
+        self, start: Start, target: Target, *, time: float, load: UnknownLoad,
         acceleration: Range, offset: Array,
     ) -> tuple[Plan, float] | None:  # fmt: skip
         """Make a plan from where the platform is.
@@ -93,7 +94,7 @@ class Planner:
             start: Pose and twist now.
             target: At the times of `grid` from now.
             time: Now [s].
-            disturbance: Acceleration unknown to the model, shape (6,).
+            load: What was learned of the load.
             acceleration: What the winches can do in the first stage [m/s^2].
             offset: What lengths sent exceed straight ones by [m], shape (n,).
 
@@ -103,7 +104,7 @@ class Planner:
         cold = self.plan is None
         plan = self._guess(start, target, time)
         for _ in range(COLD if cold else 1):
-            self._linearise(plan, start, disturbance)
+            self._linearise(plan, start, load)
             found = self._correct(plan, target, acceleration, offset)
             if found is None:
                 return None
@@ -134,15 +135,15 @@ class Planner:
         state[0, 6:] = start.twist
         return Plan(time=when, state=state, tension=tension, rotation=rotation)
 
-    def _linearise(self, plan: Plan, start: Start, disturbance: Array) -> None:
+    def _linearise(self, plan: Plan, start: Start, load: UnknownLoad) -> None:
         """Evaluate the stage function along the plan."""
         stage, geometry = self.stage, start.geometry
         stage.state[:] = plan.state[:-1]
         stage.tension[:] = plan.tension
         stage.duration[:] = self._duration
         stage.parameters[:] = model.parameters(
-            self._robot, rotation=plan.rotation, length=geometry.free, exits=geometry.exits,
-            disturbance=disturbance,
+            load.robot, rotation=plan.rotation, length=geometry.free, exits=geometry.exits,
+            disturbance=load.acceleration,
         )  # fmt: skip
         stage()
         self._hanging = self._robot.weight_per_length * geometry.free

@@ -38,7 +38,9 @@ class MpcSettings:
             `LimitSettings`.
         offset_time: Time constant of the estimate of length offsets [s].
         offset_max: Largest offset that is kept [m]; what exceeds it is slack, and reeled in.
-        disturbance_time: Time constant of the estimate of the unknown acceleration [s].
+        disturbance_time: Time constant by which an unknown acceleration is followed [s].
+        center_of_mass: By how much the centre of mass may be elsewhere than in the robot file, one
+            standard deviation per axis [m]; 0: it is known.
         excess_time: Time constant by which sag and stretch of the plan reach the command [s]; short
             ones shake cables that hang loosely, as their sag changes much with little tension.
         twist_gain: Share of a position difference that becomes velocity where beliefs have no
@@ -67,7 +69,8 @@ class MpcSettings:
     jerk_max: float = 200.0
     offset_time: float = 0.5
     offset_max: float = 0.1
-    disturbance_time: float = 0.6
+    disturbance_time: float = 0.25
+    center_of_mass: float = 0.02
     excess_time: float = 0.3
     twist_gain: float = 0.2
     belief_gate: float = 0.2
@@ -82,7 +85,8 @@ class MpcSettings:
             if item.name == "compiled" or (item.name == "time_budget" and value is None):
                 continue
             number = isinstance(value, int | float) and not isinstance(value, bool)
-            lowest = 0.0 if item.name.endswith(("_weight", "_steps")) else None
+            zero = item.name.endswith(("_weight", "_steps")) or item.name == "center_of_mass"
+            lowest = 0.0 if zero else None
             good = number and (value >= 0.0 if lowest == 0.0 else value > 0.0) and value < np.inf
             if not good:
                 sign = ">=" if lowest == 0.0 else ">"
