@@ -174,6 +174,8 @@ class Belief:
             None where the estimator has none.
         covariance: Of [dp; log(R R_hat^T); dv; dw] in W, shape (B, 12, 12), or None.
         tension: At the platform [N], shape (B, n), or None where the estimator has no forces.
+        center_of_mass: Of the platform in P [m], shape (B, 3), or None where the estimator takes
+            that of the robot file for granted.
         memory: What the estimator keeps for itself, such as biases.
     """
 
@@ -183,13 +185,14 @@ class Belief:
     twist: Array | None = None
     covariance: Array | None = None
     tension: Array | None = None
+    center_of_mass: Array | None = None
     memory: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
         b = len(self.position)
         _freeze(self, time=(b,), position=(b, 3), rotation=(b, 3, 3), twist=(b, 6))
-        _freeze(self, covariance=(b, 12, 12))
+        _freeze(self, covariance=(b, 12, 12), center_of_mass=(b, 3))
         check_rotations("rotation", self.rotation)
 
 

@@ -131,7 +131,7 @@ def _belief(
             before, time=measurement.time, memory=record,
             position=_kept(now, "position", before.position),
             rotation=_kept(now, "rotation", before.rotation),
-            twist=None, covariance=None, tension=None,
+            twist=None, covariance=None, tension=None, center_of_mass=None,
         )  # fmt: skip
     return Belief(
         time=measurement.time,
@@ -140,6 +140,7 @@ def _belief(
         twist=np.stack([state.twist for state in known]),
         covariance=np.stack([state.platform_covariance(*noise) for state in known]),
         tension=np.stack([state.tension for state in known]),
+        center_of_mass=np.stack([state.center for state in known]),
         memory=record,
     )
 

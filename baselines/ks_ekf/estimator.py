@@ -289,6 +289,7 @@ class KsEkf:
             twist=twist[None],
             covariance=covariance[None],
             tension=None if record.tension is None else record.tension[None],
+            center_of_mass=(self._robot.center_of_mass + state.center)[None],
             memory=record,
         )
 

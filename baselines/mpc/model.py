@@ -12,7 +12,7 @@ origin [m/s]; angular velocity w [rad/s], in W. Input u (n): tension along each 
           \dot v = F / m - \dot\omega \times c - \omega \times (\omega \times c) + d_v
 
 with c from the origin to the centre of mass, F and the moment about it from cables, weight and air
-drag, and an acceleration d_v that the observer adds for what the model does not know.
+drag, and an acceleration d (6) that the observer adds for what the model does not know.
 
 References:
     Schaub, Junkins, *Analytical Mechanics of Space Systems*, AIAA, 2018, section 3.6.
@@ -36,7 +36,7 @@ def parameter_names(n: int) -> dict[str, int]:
     """Size of each block of the parameter vector, in order."""
     return {
         "mass": 1, "center": 3, "inertia": 9, "inverse_inertia": 9, "weight": 1, "hang": 3,
-        "drag": 1, "angular_drag": 1, "rotation": 9, "disturbance": 3,
+        "drag": 1, "angular_drag": 1, "rotation": 9, "disturbance": 6,
         "exits": 3 * n, "anchors": 3 * n, "half_weight": n,
     }  # fmt: skip
 
@@ -51,7 +51,7 @@ def parameters(
         rotation: R_0, from P to W, shape (3, 3).
         length: Length of each cable, for its weight [m], shape (n,).
         exits: Where the free part of each cable begins in W [m], shape (n, 3).
-        disturbance: Acceleration that is added, in W [m/s^2], shape (3,).
+        disturbance: Acceleration that is added [m/s^2, rad/s^2], in W, shape (6,).
 
     Returns:
         Parameter vector, blocks as `parameter_names` says, matrices column by column.
@@ -129,9 +129,9 @@ def _motion(ca: Any, x: Any, u: Any, block: Any, n: int) -> tuple[Any, list[Any]
     inertia, inverse = (ca.reshape(block[k], 3, 3) for k in ("inertia", "inverse_inertia"))
     spin = rotation @ inertia @ rotation.T @ w
     about = moment - ca.cross(center, force) - ca.cross(w, spin)
-    alpha = rotation @ (inverse @ (rotation.T @ about))
+    alpha = rotation @ (inverse @ (rotation.T @ about)) + block["disturbance"][3:]
     inward = ca.cross(alpha, center) + ca.cross(w, ca.cross(w, center))
-    linear = force / block["mass"] - inward + block["disturbance"]
+    linear = force / block["mass"] - inward + block["disturbance"][:3]
     kinematics = (1 - square) * w - 2 * ca.cross(s, w) + 2 * s * ca.dot(s, w)
     return ca.vertcat(v, kinematics / 4, linear, alpha), arms, ca.vertcat(force, moment)
 

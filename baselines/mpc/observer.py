@@ -5,8 +5,9 @@ cables they fix n of the six degrees of freedom (all six if n >= 6). The belief 
 which is the sway, and two slow estimates that leave no steady error of the believed position:
 
 * length offsets: sent lengths minus those of the believed pose, by a first-order filter;
-* centre of mass and an unknown acceleration of the free motion, from what the believed twist gained
-  beyond the prediction (`unknown_load`). Wind and a wrong weight end up in the latter.
+* an unknown acceleration of the free motion, from what the believed twist gained beyond the
+  prediction, and the centre of mass, unless the belief tells it (`unknown_load`). Wind and a wrong
+  weight end up in the former.
 """
 
 from __future__ import annotations
@@ -111,6 +112,8 @@ class Observer:
             The start; offsets and disturbance are updated if it is plausible.
         """
         position, rotation = belief.position[0], belief.rotation[0]
+        if belief.center_of_mass is not None:
+            self.load.tell(belief.center_of_mass[0])
         geometry = geometry_at(self._robot, position, rotation)
         if not _sound(geometry):
             return _nowhere(position, rotation, geometry)

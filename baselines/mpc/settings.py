@@ -38,9 +38,10 @@ class MpcSettings:
             `LimitSettings`.
         offset_time: Time constant of the estimate of length offsets [s].
         offset_max: Largest offset that is kept [m]; what exceeds it is slack, and reeled in.
-        disturbance_time: Time constant by which an unknown acceleration is followed [s].
-        center_of_mass: By how much the centre of mass may be elsewhere than in the robot file, one
-            standard deviation per axis [m]; 0: it is known.
+        disturbance_time: Time constant by which an unknown acceleration is followed, where the
+            belief tells the centre of mass; else four times as long [s].
+        center_of_mass: By how much the centre of mass may be elsewhere than in the robot file,
+            where the belief does not tell it, one standard deviation per axis [m]; 0: it is known.
         excess_time: Time constant by which sag and stretch of the plan reach the command [s]; short
             ones shake cables that hang loosely, as their sag changes much with little tension.
         twist_gain: Share of a position difference that becomes velocity where beliefs have no
@@ -69,7 +70,7 @@ class MpcSettings:
     jerk_max: float = 200.0
     offset_time: float = 0.5
     offset_max: float = 0.1
-    disturbance_time: float = 0.25
+    disturbance_time: float = 0.18
     center_of_mass: float = 0.02
     excess_time: float = 0.3
     twist_gain: float = 0.2

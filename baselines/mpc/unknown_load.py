@@ -28,7 +28,9 @@ from carosac_toolkit.robot import RigidBody, Robot, combine_bodies
 NOISE = 0.012  # [m/s], of the speed gained in a command, for all of the platform alike
 START = 0.2  # [m/s^2], of the acceleration when nothing is known
 WALK = 1e-3  # [m/sqrt(s)], of the centre of mass: what else is wrong changes from place to place
-ACCELERATION_MAX = 2.0  # [m/s^2]: more is no disturbance
+ACCELERATION_MAX = 2.0  # [m/s^2], or a rotation of the same energy: more is no disturbance
+CAREFUL = 4.0  # times slower the acceleration is followed where nobody tells the centre of mass
+PUSH = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # what a wind can do
 FARTHEST = 3.0  # of the standard deviations of the centre of mass: farther out it is not
 MOVED = 1e-4  # [m] by which the centre of mass moves before the robot is made anew
 
@@ -66,10 +68,10 @@ class Motion:
 
 
 class UnknownLoad:
-    """A Kalman filter of five numbers.
+    """A Kalman filter of centre of mass and acceleration.
 
     Attributes:
-        robot: The nominal one with the centre of mass that was learned.
+        robot: The nominal one with the centre of mass that was learned or told.
     """
 
     def __init__(
@@ -85,16 +87,23 @@ class UnknownLoad:
         """
         self._nominal, self._period = robot, period
         self._spread = center_of_mass
-        follow = NOISE / disturbance_time  # [m/s^2], a random walk a command with that gain
-        walk = WALK * np.sqrt(period) * (center_of_mass > 0.0)
-        self._walk = np.diag(np.repeat([walk, follow], (3, 2)) ** 2)
+        gyration = np.sqrt(np.trace(robot.inertia) / (3.0 * robot.mass))
+        self._unit = np.repeat([1.0, 1.0 / gyration], 3)  # of accelerations of equal energy
+        self._follow = NOISE / disturbance_time * self._unit  # a walk that has that gain
         self.reset()
 
     def reset(self) -> None:
         """Forget everything."""
-        self.robot = self._nominal
-        self._found = np.zeros(5)  # in P [m], shape (3,); horizontal [m/s^2], shape (2,)
-        self._covariance = np.diag(np.repeat([self._spread, START], (3, 2)) ** 2)
+        self.robot, self._told = self._nominal, False
+        self._found = np.zeros(9)  # in P [m], shape (3,); in W [m/s^2, rad/s^2], shape (6,)
+        walk = WALK * np.sqrt(self._period) * (self._spread > 0.0)
+        self._set(np.repeat(self._spread, 3), START * self._unit * PUSH)
+        follow = PUSH * self._follow / CAREFUL
+        self._walk = np.diag(np.concatenate([np.repeat(walk, 3), follow]) ** 2)
+
+    def _set(self, shift: Array, acceleration: Array) -> None:
+        """Begin with standard deviations, shapes (3,) and (6,)."""
+        self._covariance = np.diag(np.concatenate([shift, acceleration]) ** 2)
 
     @property
     def shift(self) -> Array:
@@ -103,8 +112,8 @@ class UnknownLoad:
 
     @property
     def acceleration(self) -> Array:
-        """Of the free platform, beyond what the model says, in W [m/s^2], shape (3,)."""
-        return np.append(self._found[3:], 0.0)
+        """Of the free platform, beyond what the model says, in W [m/s^2, rad/s^2], shape (6,)."""
+        return np.asarray(self._found[3:])
 
     def learn(self, gained: Array, free: Array, mass: Array, motion: Motion) -> None:
         """Take in what a twist gained beyond its prediction.
@@ -116,8 +125,7 @@ class UnknownLoad:
             motion: What was planned.
         """
         root = np.linalg.cholesky(mass).T
-        per_acceleration = np.eye(6)[:, :2]
-        by = np.hstack([self._by_shift(motion), per_acceleration])
+        by = np.hstack([self._by_shift(motion), np.eye(6)])
         by = self._period * root @ free @ by
         covariance = self._covariance + self._walk
         noise = NOISE**2 * self._nominal.mass * np.eye(6)
@@ -125,11 +133,30 @@ class UnknownLoad:
         found = self._found + gain @ (root @ gained)
         left = covariance - gain @ by @ covariance
         self._covariance = 0.5 * (left + left.T)
-        most = np.repeat([FARTHEST * self._spread, ACCELERATION_MAX], (3, 2))
-        self._found = np.clip(found, -most, most)
-        known = self._nominal.center_of_mass + self.shift
-        if np.abs(known - self.robot.center_of_mass).max() > MOVED:
-            self.robot = replace(self._nominal, center_of_mass=known)
+        shift = FARTHEST * self._spread
+        most = np.concatenate([np.repeat(shift, 3), ACCELERATION_MAX * self._unit])
+        found = np.clip(found, -most, most)
+        if self._told:
+            found[:3] = self.shift
+        self._found = found
+        self._place(self._nominal.center_of_mass + self.shift)
+
+    def tell(self, center_of_mass: Array) -> None:
+        """Take a centre of mass in P [m], shape (3,), that somebody else knows.
+
+        Then all accelerations are learned, moments as well as pushes.
+        """
+        if not self._told:
+            self._told = True
+            self._set(np.zeros(3), START * self._unit)
+            self._walk = np.diag(np.concatenate([np.zeros(3), self._follow]) ** 2)
+        self._found[:3] = center_of_mass - self._nominal.center_of_mass
+        self._place(center_of_mass)
+
+    def _place(self, center_of_mass: Array) -> None:
+        """Put the centre of mass of the robot there [m], unless it is there already."""
+        if np.abs(center_of_mass - self.robot.center_of_mass).max() > MOVED:
+            self.robot = replace(self._nominal, center_of_mass=center_of_mass)
 
     def _by_shift(self, motion: Motion) -> Array:
         """Acceleration per shift of the centre of mass in P, linear first, in W, shape (6, 3)."""

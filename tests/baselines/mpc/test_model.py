@@ -17,7 +17,7 @@ from tests.robots import eight_cable_robot, simple_robot, with_pulleys
 TURN = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
 STATE = np.concatenate([[0.5, -1.6, 2.4], [0.05, -0.08, 0.1], [0.3, -0.4, 0.2], [0.6, -0.5, 0.9]])
 TENSION = np.array([80.0, 95.0, 70.0, 110.0])
-DISTURBANCE = np.array([0.1, -0.2, 0.3])
+DISTURBANCE = np.array([0.1, -0.2, 0.3, 0.5, -0.4, 0.6])
 
 
 def light(robot):
@@ -30,7 +30,7 @@ def numbers(robot, *, rotation=TURN, disturbance=None):
     lengths = np.linalg.norm(robot.exit_points - STATE[:3], axis=1)
     return model.parameters(
         robot, rotation=rotation, length=lengths, exits=robot.exit_points,
-        disturbance=np.zeros(3) if disturbance is None else disturbance,
+        disturbance=np.zeros(6) if disturbance is None else disturbance,
     )  # fmt: skip
 
 
@@ -87,7 +87,10 @@ def test_a_disturbance_is_an_acceleration():
     robot = simple_robot()
     without = evaluate(robot, STATE, TENSION)[0]
     disturbed = evaluate(robot, STATE, TENSION, disturbance=DISTURBANCE)[0]
-    assert disturbed[6:] - without[6:] == pytest.approx([*DISTURBANCE, 0, 0, 0], abs=1e-12)
+    assert disturbed[9:] - without[9:] == pytest.approx(DISTURBANCE[3:], abs=1e-12)
+    center = model.rotation_of(STATE[3:6]) @ TURN @ simple_robot().center_of_mass
+    along = disturbed[6:9] - without[6:9] + np.cross(DISTURBANCE[3:], center)
+    assert along == pytest.approx(DISTURBANCE[:3], abs=0.05)
 
 
 def test_path_is_length_and_its_two_derivatives():
