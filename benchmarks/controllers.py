@@ -59,7 +59,7 @@ WRONG = {
 }
 STEPS = 10_000
 FEWER = 10  # by this factor, where no bar is at stake
-PARTS = ("time", "endurance", "moves", "sweep")
+PARTS = ("time", "endurance", "bar", "moves", "sweep")
 KEPT = Path(__file__).parent / "controllers.parts"
 GALE = 0.023  # wind over weight: scampi's 1 N; its cables slacken at 6 N, a sixth of its weight
 
@@ -426,6 +426,15 @@ def available() -> list[str]:
     return found
 
 
+def bar_part(pool: Any, seeds: int) -> str:
+    """The fast moves alone, of the two controllers that the bars are about."""
+    names = ("kinematic_solver", "mpc")
+    tasks = [Task(robot=robot, controller=name, path=MAIN, seed=seed)
+             for robot in ROBOTS for name in names for seed in range(seeds)]  # fmt: skip
+    rows = all_of(pool, tasks)
+    return f"The fast moves alone:\n\n{comparison(rows, names)}\n\n{bars(rows)}{ended(rows)}"
+
+
 def moves_part(pool: Any, names: Sequence[str], seeds: int) -> str:
     """The comparison, the bars and the outer part of the box."""
     rows = all_of(pool, tasks_of(names, seeds)[0])
@@ -485,6 +494,7 @@ def main() -> None:
         parts: dict[str, Callable[[], str]] = {
             "time": solve_times,
             "endurance": partial(endurance_part, pool, asked.steps),
+            "bar": partial(bar_part, pool, asked.seeds),
             "moves": partial(moves_part, pool, names, asked.seeds),
             "sweep": partial(sweep_part, pool, names, asked.seeds),
         }

@@ -39,8 +39,14 @@ def missing() -> str | None:
 
 
 @contextmanager
-def browser(width: int, height: int) -> Iterator[Any]:
-    """A window of this size [pixels]; a Selenium driver."""
+def browser(width: int, height: int, *, noting: bool = False) -> Iterator[Any]:
+    """A window of this size [pixels]; a Selenium driver.
+
+    Args:
+        width: [pixels].
+        height: [pixels].
+        noting: Whether all that goes over the network is noted, which takes time.
+    """
     from selenium import webdriver
 
     options = webdriver.ChromeOptions()
@@ -49,7 +55,8 @@ def browser(width: int, height: int) -> Iterator[Any]:
         for flag in (*FLAGS, f"--user-data-dir={profile}"):
             options.add_argument(flag)
         service = webdriver.ChromeService(shutil.which(DRIVERS[0]))
-        options.set_capability("goog:loggingPrefs", {"performance": "ALL"})
+        if noting:
+            options.set_capability("goog:loggingPrefs", {"performance": "ALL"})
         driver = webdriver.Chrome(options=options, service=service)
         try:
             driver.execute_cdp_cmd(

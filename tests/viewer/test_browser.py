@@ -42,7 +42,7 @@ def artifacts(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def window():
-    with browser(860, 600) as driver:
+    with browser(860, 600, noting=True) as driver:
         yield driver
 
 
