@@ -174,8 +174,8 @@ class Belief:
             None where the estimator has none.
         covariance: Of [dp; log(R R_hat^T); dv; dw] in W, shape (B, 12, 12), or None.
         tension: At the platform [N], shape (B, n), or None where the estimator has no forces.
-        center_of_mass: Of the platform in P [m], shape (B, 3), or None where the estimator takes
-            that of the robot file for granted.
+        center_of_mass: Of the platform in P [m], shape (B, 3), or None where nothing was measured
+            of it and that of the robot file is taken for granted.
         memory: What the estimator keeps for itself, such as biases.
     """
 

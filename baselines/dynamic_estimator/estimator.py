@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.state import FilterState
 from baselines.dynamic_estimator.track import Track, Tracker
+from baselines.found_center import found_center
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.consistency import Innovations
 from carosac_toolkit.errors import InvalidField
@@ -59,7 +60,7 @@ class DynamicEstimator:
     def __init__(self, robot: Robot, settings: DynamicEstimatorSettings) -> None:
         self._robot = robot
         self._tracker = Tracker(robot, settings)
-        self._noise = (settings.stretch_noise, settings.rate_noise)
+        self._settings = settings
 
     @classmethod
     def build(
@@ -78,7 +79,7 @@ class DynamicEstimator:
             position=np.tile(self._robot.home_position, (size, 1)),
             rotation=np.tile(self._robot.home_rotation, (size, 1, 1)),
         )
-        return _belief(measurement, tracks, home, 1, self._noise)
+        return _belief(measurement, tracks, home, 1, self._settings)
 
     def update(self, belief: Belief, command: Command, measurement: Measurement) -> Belief:
         """Move the filter to the time of a measurement; the command is not used.
@@ -98,7 +99,7 @@ class DynamicEstimator:
             self._tracker.advance(track, measurement, row)
             for row, track in enumerate(record.tracks)
         )
-        return _belief(measurement, tracks, belief, record.updates + 1, self._noise)
+        return _belief(measurement, tracks, belief, record.updates + 1, self._settings)
 
 
 def _belief(
@@ -106,7 +107,7 @@ def _belief(
     tracks: tuple[Track, ...],
     before: Belief,
     updates: int,
-    noise: tuple[float, float],
+    settings: DynamicEstimatorSettings,
 ) -> Belief:
     """What the filters believe; where one stands nowhere, what was believed before."""
     now = [track.now for track in tracks]
@@ -138,11 +139,25 @@ def _belief(
         position=np.stack([state.position for state in known]),
         rotation=np.stack([state.rotation for state in known]),
         twist=np.stack([state.twist for state in known]),
-        covariance=np.stack([state.platform_covariance(*noise) for state in known]),
+        covariance=np.stack(
+            [
+                state.platform_covariance(settings.stretch_noise, settings.rate_noise)
+                for state in known
+            ]
+        ),
         tension=np.stack([state.tension for state in known]),
-        center_of_mass=np.stack([state.center for state in known]),
+        center_of_mass=_centers(known, settings.center_of_mass),
         memory=record,
     )
+
+
+def _centers(states: list[FilterState], prior: float) -> Array | None:
+    """Centres of mass, where all have been found."""
+    found = []
+    for state in states:
+        where = state.errors.center
+        found.append(found_center(state.center, state.covariance[where, where], prior))
+    return None if any(center is None for center in found) else np.array(found)
 
 
 def _kept(now: list[FilterState | None], name: str, before: Array) -> Array:

@@ -12,10 +12,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from baselines.found_center import found_center
 from baselines.ks_ekf import corrections, starting
 from baselines.ks_ekf.corrections import Evidence
 from baselines.ks_ekf.error_filter import Correction, ErrorFilter, added, no_innovations
-from baselines.ks_ekf.filter_state import FIXED, NO_SAMPLES, POSITION, FilterState
+from baselines.ks_ekf.filter_state import CENTER, FIXED, NO_SAMPLES, POSITION, FilterState
 from baselines.ks_ekf.inertial import InertialMotion, samples_of, slope
 from baselines.ks_ekf.platform_motion import at_rest, carried, origin
 from baselines.ks_ekf.readings import SHORTEST, Reading, due, reading_of
@@ -282,6 +283,10 @@ class KsEkf:
             state = record.state
             twist, covariance = at_rest(state)
             position = state.position
+        center = found_center(
+            self._robot.center_of_mass + state.center, state.covariance[CENTER, CENTER],
+            self._settings.center_of_mass_prior,
+        )  # fmt: skip
         return Belief(
             time=measurement.time,
             position=position[None],
@@ -289,7 +294,7 @@ class KsEkf:
             twist=twist[None],
             covariance=covariance[None],
             tension=None if record.tension is None else record.tension[None],
-            center_of_mass=(self._robot.center_of_mass + state.center)[None],
+            center_of_mass=None if center is None else center[None],
             memory=record,
         )
 

@@ -8,7 +8,7 @@ State x (12): origin p in W [m]; modified Rodrigues parameters s of R = R(s) R_0
 origin [m/s]; angular velocity w [rad/s], in W. Input u (n): tension along each chord [N].
 
 .. math:: \dot s = \tfrac14 \left[(1 - s^\top s) 1 - 2 [s]_\times + 2 s s^\top\right] \omega, \qquad
-          J \dot\omega = \tau_c - \omega \times J \omega, \qquad
+          J \dot\omega = \tau_c - \omega \times J \omega + J d_\omega, \qquad
           \dot v = F / m - \dot\omega \times c - \omega \times (\omega \times c) + d_v
 
 with c from the origin to the centre of mass, F and the moment about it from cables, weight and air

@@ -2,12 +2,11 @@ r"""Where the plan starts: the belief, made to agree with the cable lengths that
 
 The lengths that the winches have been sent to are known better, and sooner, than any pose: with n
 cables they fix n of the six degrees of freedom (all six if n >= 6). The belief gives the others,
-which is the sway, and two slow estimates that leave no steady error of the believed position:
+which is the sway, and two estimates that leave no steady error of the believed position:
 
 * length offsets: sent lengths minus those of the believed pose, by a first-order filter;
 * an unknown acceleration of the free motion, from what the believed twist gained beyond the
-  prediction, and the centre of mass, unless the belief tells it (`unknown_load`). Wind and a wrong
-  weight end up in the former.
+  prediction, and the centre of mass, unless the belief tells it (`unknown_load`).
 """
 
 from __future__ import annotations
@@ -109,11 +108,9 @@ class Observer:
                 differs by becomes the offset, which moves nothing by itself.
 
         Returns:
-            The start; offsets and disturbance are updated if it is plausible.
+            The start; offsets and the load are updated if it is plausible.
         """
         position, rotation = belief.position[0], belief.rotation[0]
-        if belief.center_of_mass is not None:
-            self.load.tell(belief.center_of_mass[0])
         geometry = geometry_at(self._robot, position, rotation)
         if not _sound(geometry):
             return _nowhere(position, rotation, geometry)
@@ -129,7 +126,7 @@ class Observer:
                          distance=distance)  # fmt: skip
         self._learn_lengths(missing)
         if not self.slack.any():
-            self._learn(twist, geometry, rotation)
+            self._learn(belief, twist, geometry, rotation)
         position, rotation, geometry = self._onto(
             length - self.surplus, position, rotation, geometry
         )
@@ -210,13 +207,16 @@ class Observer:
         share = self._settings.twist_gain / self._settings.period
         return np.asarray(before.twist + share * difference)
 
-    def _learn(self, twist: Array, geometry: Geometry, rotation: Array) -> None:
+    def _learn(self, belief: Belief, twist: Array, geometry: Geometry, rotation: Array) -> None:
         """Take in what the twist gained in the free directions; six cables leave none."""
-        if self._predicted is None or self._planned is None or self._robot.n >= 6:
+        told = belief.center_of_mass
+        news = self.load.tell(None if told is None else told[0])
+        if news or self._predicted is None or self._planned is None or self._robot.n >= 6:
             return
         mass = self._mass(geometry, rotation)
         free = np.eye(6) - constrained_motion(mass, geometry.jacobian) @ geometry.jacobian
-        self.load.learn(free @ (twist - self._predicted.twist), free, mass, self._planned)
+        gained = free @ (twist - self._predicted.twist)
+        self.load.learn(gained, free, mass, self._planned, turning=belief.twist is not None)
 
 
 def _sound(geometry: Geometry) -> bool:

@@ -41,7 +41,8 @@ class MpcSettings:
         disturbance_time: Time constant by which an unknown acceleration is followed, where the
             belief tells the centre of mass; else four times as long [s].
         center_of_mass: By how much the centre of mass may be elsewhere than in the robot file,
-            where the belief does not tell it, one standard deviation per axis [m]; 0: it is known.
+            where the belief does not tell it, one standard deviation per axis [m]; 0: it is known,
+            as if the belief told it.
         excess_time: Time constant by which sag and stretch of the plan reach the command [s]; short
             ones shake cables that hang loosely, as their sag changes much with little tension.
         twist_gain: Share of a position difference that becomes velocity where beliefs have no

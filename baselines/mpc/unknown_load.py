@@ -9,10 +9,12 @@ mass that is elsewhere by :math:`\delta` turns it the more, the more the cables 
           + \omega \times (\omega \times \delta)\right)
 
 with F the sum of all forces, F_w the weight, c the centre of mass from the origin, J the inertia
-about it, and :math:`\mu` the share of the platform in the mass that moves; air drag is left out. A
-controller that took the second for the first would answer itself: what it pulls changes what it has
-learned, and a disturbance that is learned quickly then makes the platform swing ever more. A Kalman
-filter tells them apart.
+about it, and :math:`\mu` the share of the platform in the mass that moves. Left out are air drag,
+and what the shift does to J beside cables that ride along.
+
+A controller that took the second for the first would answer itself: what it pulls changes what it
+has learned, and a disturbance that is learned quickly then makes the platform swing ever more. A
+Kalman filter tells them apart.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from carosac_toolkit.arrays import Array
 from carosac_toolkit.robot import RigidBody, Robot, combine_bodies
 
 NOISE = 0.012  # [m/s], of the speed gained in a command, for all of the platform alike
-START = 0.2  # [m/s^2], of the acceleration when nothing is known
+MOST = 0.25  # [m/s^2], of the acceleration: at the start, and in ways that are not seen for long
 WALK = 1e-3  # [m/sqrt(s)], of the centre of mass: what else is wrong changes from place to place
 ACCELERATION_MAX = 2.0  # [m/s^2], or a rotation of the same energy: more is no disturbance
 CAREFUL = 4.0  # times slower the acceleration is followed where nobody tells the centre of mass
@@ -41,7 +43,7 @@ class Motion:
 
     Attributes:
         rotation: From P to W at its start, shape (3, 3).
-        spin: Angular velocity there in W [rad/s], shape (3,).
+        spin: Angular velocity at its start in W [rad/s], shape (3,).
         spin_rate: Its planned derivative [rad/s^2], shape (3,).
         force: Of the cables on the platform in W, half of their weight included [N], shape (3,).
         riding: Mass of each cable that moves with its anchor point [kg], shape (n,).
@@ -96,14 +98,16 @@ class UnknownLoad:
         """Forget everything."""
         self.robot, self._told = self._nominal, False
         self._found = np.zeros(9)  # in P [m], shape (3,); in W [m/s^2, rad/s^2], shape (6,)
-        walk = WALK * np.sqrt(self._period) * (self._spread > 0.0)
-        self._set(np.repeat(self._spread, 3), START * self._unit * PUSH)
-        follow = PUSH * self._follow / CAREFUL
-        self._walk = np.diag(np.concatenate([np.repeat(walk, 3), follow]) ** 2)
+        walk = WALK * np.sqrt(self._period)
+        self._begin(np.repeat(self._spread, 3), np.repeat(walk, 3), PUSH, PUSH / CAREFUL)
+        if self._spread == 0.0:
+            self.tell(self._nominal.center_of_mass)
 
-    def _set(self, shift: Array, acceleration: Array) -> None:
-        """Begin with standard deviations, shapes (3,) and (6,)."""
-        self._covariance = np.diag(np.concatenate([shift, acceleration]) ** 2)
+    def _begin(self, shift: Array, walk: Array, seen: Array, quick: Array) -> None:
+        """Begin with standard deviations of the shift, and shares of those of the acceleration."""
+        self._most = np.concatenate([shift, MOST * self._unit * seen])
+        self._covariance = np.diag(self._most**2)
+        self._walk = np.diag(np.concatenate([walk, self._follow * quick]) ** 2)
 
     @property
     def shift(self) -> Array:
@@ -112,10 +116,15 @@ class UnknownLoad:
 
     @property
     def acceleration(self) -> Array:
-        """Of the free platform, beyond what the model says, in W [m/s^2, rad/s^2], shape (6,)."""
+        """Of the centre of mass and of the rotation, beyond the model, in W, shape (6,).
+
+        In [m/s^2] and [rad/s^2], as the disturbance of `baselines.mpc.model`.
+        """
         return np.asarray(self._found[3:])
 
-    def learn(self, gained: Array, free: Array, mass: Array, motion: Motion) -> None:
+    def learn(
+        self, gained: Array, free: Array, mass: Array, motion: Motion, *, turning: bool = True
+    ) -> None:
         """Take in what a twist gained beyond its prediction.
 
         Args:
@@ -123,43 +132,63 @@ class UnknownLoad:
             free: Projection onto these ways, shape (6, 6).
             mass: Mass matrix of the platform, shape (6, 6), whose metric that projection has.
             motion: What was planned.
+            turning: Whether the twist was measured; one that follows from poses says nothing of
+                the centre of mass.
         """
         root = np.linalg.cholesky(mass).T
-        by = np.hstack([self._by_shift(motion), np.eye(6)])
-        by = self._period * root @ free @ by
-        covariance = self._covariance + self._walk
+        by = self._period * root @ free @ self._by(motion)
+        covariance = self._bounded(self._covariance + self._walk)
         noise = NOISE**2 * self._nominal.mass * np.eye(6)
         gain = np.linalg.solve(by @ covariance @ by.T + noise, by @ covariance).T
-        found = self._found + gain @ (root @ gained)
-        left = covariance - gain @ by @ covariance
-        self._covariance = 0.5 * (left + left.T)
+        if not turning:
+            gain[:3] = 0.0
+        change = gain @ by
+        keep = np.eye(9) - change
+        covariance = keep @ covariance @ keep.T + gain @ noise @ gain.T
+        self._covariance = 0.5 * (covariance + covariance.T)
         shift = FARTHEST * self._spread
-        most = np.concatenate([np.repeat(shift, 3), ACCELERATION_MAX * self._unit])
-        found = np.clip(found, -most, most)
-        if self._told:
-            found[:3] = self.shift
-        self._found = found
+        farthest = np.concatenate([np.repeat(shift, 3), ACCELERATION_MAX * self._unit])
+        found = self._found + gain @ (root @ gained)
+        learned = np.clip(found, -farthest, farthest)
+        self._found = np.where(self._most > 0.0, learned, self._found)
         self._place(self._nominal.center_of_mass + self.shift)
 
-    def tell(self, center_of_mass: Array) -> None:
+    def _bounded(self, covariance: Array) -> Array:
+        """No deviation above that of the start: ways that are not seen do not become unknown."""
+        now = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        share = np.minimum(1.0, self._most / now)
+        return np.asarray(covariance * np.outer(share, share))
+
+    def tell(self, center_of_mass: Array | None) -> bool:
         """Take a centre of mass in P [m], shape (3,), that somebody else knows.
 
-        Then all accelerations are learned, moments as well as pushes.
+        Then all accelerations are learned, moments as well as pushes. None: nobody knows it any
+        more, and everything begins anew.
+
+        Returns:
+            Whether that is news, so that the last prediction was made with something else.
         """
-        if not self._told:
+        if center_of_mass is None:
+            forgotten = self._told and self._spread > 0.0
+            if forgotten:
+                self.reset()
+            return forgotten
+        new = not self._told
+        if new:
             self._told = True
-            self._set(np.zeros(3), START * self._unit)
-            self._walk = np.diag(np.concatenate([np.zeros(3), self._follow]) ** 2)
+            whole = np.ones(6)
+            self._begin(np.zeros(3), np.zeros(3), whole, whole)
         self._found[:3] = center_of_mass - self._nominal.center_of_mass
         self._place(center_of_mass)
+        return new
 
     def _place(self, center_of_mass: Array) -> None:
         """Put the centre of mass of the robot there [m], unless it is there already."""
         if np.abs(center_of_mass - self.robot.center_of_mass).max() > MOVED:
             self.robot = replace(self._nominal, center_of_mass=center_of_mass)
 
-    def _by_shift(self, motion: Motion) -> Array:
-        """Acceleration per shift of the centre of mass in P, linear first, in W, shape (6, 3)."""
+    def _by(self, motion: Motion) -> Array:
+        """Acceleration, linear first, in W, per shift in P and per `acceleration`, shape (6, 9)."""
         robot, rotation = self.robot, motion.rotation
         points = [
             RigidBody(float(m), b, np.zeros((3, 3)))
@@ -171,10 +200,11 @@ class UnknownLoad:
         force = _cross(motion.force) + weight
         inertia = rotation @ body.inertia @ rotation.T
         turned = np.linalg.solve(inertia, share * force - weight)
-        spin = _cross(motion.spin)
-        moved = _cross(rotation @ body.center_of_mass) @ turned
-        moved -= share * (_cross(motion.spin_rate) + spin @ spin)
-        return np.vstack([moved, turned]) @ rotation
+        spin, center = _cross(motion.spin), _cross(rotation @ body.center_of_mass)
+        moved = center @ turned - share * (_cross(motion.spin_rate) + spin @ spin)
+        disturbed = np.eye(6)
+        disturbed[:3, 3:] = center  # a moment turns it about the centre of mass
+        return np.hstack([np.vstack([moved, turned]) @ rotation, disturbed])
 
 
 def _cross(vector: Array) -> Array:

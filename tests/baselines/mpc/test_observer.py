@@ -98,3 +98,24 @@ def test_the_plan_starts_at_exactly_the_lengths_and_rates_that_were_sent(robot, 
     assert start.geometry.length == pytest.approx(length - observer.surplus, abs=2e-6)
     there = geometry_at(robot, start.position, start.rotation)
     assert there.jacobian @ start.twist == pytest.approx(rate, abs=1e-9)
+
+
+def gaining(robot, told):
+    """The observer after beliefs that gain speed along x, which no prediction has."""
+    observer = Observer(robot, MpcSettings())
+    observer.reset()
+    center = None if told is None else told[None]
+    for k in range(60):
+        belief = replace(at_home(robot, (2e-3 * k, 0, 0, 0, 0, 0)), center_of_mass=center)
+        length = geometry_at(robot, belief.position[0], belief.rotation[0]).length
+        observer.predict(observer.start(belief, length, np.zeros(robot.n)), resting(robot))
+    return observer
+
+
+def test_an_unknown_acceleration_of_the_sway_is_found(robot):
+    careful = gaining(robot, None)
+    assert 0.01 < careful.load.acceleration[0] < 0.2
+    told = robot.center_of_mass + np.array([0.01, -0.02, 0.03])
+    quick = gaining(robot, told)
+    assert quick.load.robot.center_of_mass == pytest.approx(told)
+    assert quick.load.acceleration[0] > careful.load.acceleration[0]

@@ -78,7 +78,7 @@ def test_the_effect_of_a_shift_is_that_of_the_prediction_model():
     rng = np.random.default_rng(2)
     for _ in range(5):
         scene = Scene(robot, rng)
-        found = made(robot)._by_shift(scene.motion(robot))
+        found = made(robot)._by(scene.motion(robot))
         step = 1e-6
         for axis, way in enumerate(step * np.eye(3)):
             ends = [
@@ -88,6 +88,35 @@ def test_the_effect_of_a_shift_is_that_of_the_prediction_model():
             wanted = (ends[0] - ends[1]) / (2.0 * step)
             # Left out are air drag, and what it does to the inertia that cables ride along.
             assert found[:, axis] == pytest.approx(wanted, abs=0.03 * np.abs(wanted).max())
+
+
+def test_the_effect_of_an_acceleration_is_that_of_the_prediction_model():
+    robot = replace(simple_robot(), center_of_mass=[0.05, 0.02, -0.3])
+    scene = Scene(robot, np.random.default_rng(3))
+    found = made(robot)._by(scene.motion(robot))[:, 3:]
+    for axis, way in enumerate(np.eye(6)):
+        wanted = scene.acceleration(robot, way) - scene.acceleration(robot)
+        assert found[:, axis] == pytest.approx(wanted, abs=1e-9)
+
+
+def test_a_long_rest_makes_nothing_less_known():
+    """What no motion shows does not become unknown, so that no gain grows while it rests."""
+    robot = simple_robot()
+    scene = Scene(robot, np.random.default_rng(5))
+    free, mass = scene.free(robot)
+    loads = []
+    for steps in (500, 5_000):
+        load = made(robot)
+        load.tell(robot.center_of_mass)
+        for _ in range(steps):
+            load.learn(np.zeros(6), free, mass, scene.motion(robot))
+        loads.append(load)
+    turned = Scene(robot, np.random.default_rng(6))
+    free, mass = turned.free(robot)
+    for load in loads:
+        load.learn(free @ np.full(6, 0.01), free, mass, turned.motion(robot))
+    moved = [free @ load.acceleration for load in loads]
+    assert moved[1] == pytest.approx(moved[0], rel=0.25, abs=1e-3)
 
 
 def test_a_centre_of_mass_is_told_from_a_force():
@@ -118,8 +147,10 @@ def test_a_centre_of_mass_that_is_told_is_not_learned_and_moments_are():
     for _ in range(5):  # only what moves the free ways can be seen
         free, _ = Scene(robot, rng).free(load.robot)
         assert free @ load.acceleration == pytest.approx(free @ moment, abs=0.12)
-    load.reset()
+    assert not load.tell(load.robot.center_of_mass)
+    assert load.tell(None)  # nobody knows it any more
     assert not load.shift.any() and load.robot is robot
+    assert not load.tell(None)
 
 
 def test_it_stays_where_a_centre_of_mass_can_be():
