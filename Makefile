@@ -74,8 +74,8 @@ docs: $(STAMP)  ## build the documentation into docs/_build
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build
 	@echo "Open docs/_build/index.html"
 
-docs-commands: $(STAMP)  ## run every command of README and docs, some with shorter settings: long
-	$(BIN)/python docs/commands.py
+docs-commands: $(STAMP)  ## run every command of README and docs, some with shorter settings
+	$(BIN)/python docs/commands.py --jobs $(JOBS)
 
 clean:  ## remove what the other targets made, but not .venv
 	rm -rf $(RESULTS) docs/_build docs/_gallery docs/gallery.md build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,8 +1,9 @@
 """The ``carosac`` commands of README and docs: which there are, what they need, how they are run.
 
 ``python docs/commands.py`` runs them all in a scratch folder, some with shorter settings
-(`SHORTER`), and prints what each took; ``--quick`` runs those of `QUICK` alone, as the tests do.
-Files that a reader brings (a survey, a run, a bag) are made by `bring`.
+(`SHORTER`), and prints what each took; ``--jobs 2`` does so on two cores. The tests run those of
+`QUICK`, and ``.ci/run`` all of them. Files that a reader brings (a survey, a run, a bag) are made
+by `bring`; results of the reader's own that some commands show, by `make`.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ import sys
 import tempfile
 import textwrap
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +27,7 @@ import numpy as np
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
+LONGEST = 1200  # [s] that a command may take
 PAGES = (ROOT / "README.md", *sorted(DOCS.glob("*.md")))
 
 # Run in the tests; they take a second or so each, in one process.
@@ -43,6 +46,14 @@ SHORTER: dict[str, dict[str, tuple[str, ...]]] = {
     "view": {"--duration": ("2",)},
 }
 
+# What makes the results that pages name, and what is there then.
+MADE = (
+    ("compare --seeds 1 --trajectories waypoints --workers 0 --output carosac-results/demo",
+     "carosac-results/demo/report.html"),
+    ("run --duration 2 --recording carosac-results/run/20261122-041500.jsonl",
+     "carosac-results/run/20261122-041500.jsonl"),
+)  # fmt: skip
+
 # Commands whose answer is negative on purpose.
 NEGATIVE = (
     "carosac import robot gantry_bodies.xml gantry_cables.xml --form missing.yaml",
@@ -51,6 +62,9 @@ NEGATIVE = (
 
 # Commands in real time: 1 is a fault of the guard, as on a computer that is busy with other things.
 LIVE = ("run",)
+
+# Seconds that one of a name takes (others about 4), to share them out among jobs.
+SECONDS = {"compare": 30.0, "train": 30.0, "identify": 20.0, "smooth": 20.0, "run": 15.0}
 
 # Commands that cannot run here, and why.
 EXCEPTIONS = {
@@ -68,14 +82,6 @@ EXCEPTIONS = {
             "--against benchmarks/reference",
         ),
         "24 minutes; `make bench` runs the suite",
-    ),
-    **dict.fromkeys(
-        (
-            "carosac view carosac-results/run/20261122-041500.jsonl",
-            "carosac view carosac-results/demo:1 carosac-results/demo:0",
-            "carosac view carosac-results/demo:1 carosac-results/demo:0 --html sway.html",
-        ),
-        "names results of the reader's own; the tests of the viewer replay such ones",
     ),
 }
 
@@ -160,6 +166,15 @@ def bring(folder: Path) -> None:
     _bag(folder / "run.bag")
 
 
+def make(run: Callable[[list[str]], int], folder: Path) -> None:
+    """Make what some commands show, in the folder where `run` runs: a study, a run, a robot."""
+    (folder / "carosac-results" / "run").mkdir(parents=True, exist_ok=True)
+    for words, made in MADE:
+        run(shlex.split(words))
+        if not (folder / made).exists():
+            raise RuntimeError(f"carosac {words} made no {made}")
+
+
 def programs(page: str) -> list[str]:
     """The Python programs of a page."""
     text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
@@ -224,29 +239,27 @@ def _bag(path: Path) -> None:
                  linear_acceleration_covariance=nothing)  # fmt: skip
 
 
-def to_run(names: Sequence[str]) -> Iterator[Written]:
-    """Commands to run, each once; those of some names only, if there are any."""
-    seen: set[str] = set()
+def to_run(names: Sequence[str] = ()) -> list[Written]:
+    """Commands to run, each once; of some names only, if there are any."""
+    found: dict[str, Written] = {}
     for command in written():
-        if command.synopsis or command.text in EXCEPTIONS or command.text in seen:
-            continue
-        if not names or command.name in names:
-            seen.add(command.text)
-            yield command
+        if not command.synopsis and command.text not in EXCEPTIONS:
+            found.setdefault(command.text, command)
+    return [command for command in found.values() if not names or command.name in names]
 
 
-def run_all(run: Callable[[list[str]], int], names: Sequence[str]) -> list[str]:
-    """Run commands in the current folder; returns what failed.
+def run_all(run: Callable[[list[str]], int], commands: Sequence[Written]) -> list[str]:
+    """Run commands, in the current folder or where `run` does; returns what failed.
 
     Args:
         run: Takes what stands after ``carosac``, returns the exit status.
-        names: Only commands of these names, such as `QUICK`; empty: all.
+        commands: In their order.
     """
     failed = []
-    for command in to_run(names):
-        start, cpu = time.perf_counter(), time.process_time()
+    for command in commands:
+        start = time.perf_counter()
         status = run(shortened(command.words))
-        took = f"{time.perf_counter() - start:6.1f} s, {time.process_time() - cpu:6.1f} s here"
+        took = f"{time.perf_counter() - start:6.1f} s"
         print(f"{took}  status {status}  {command.page}: {command.text}", flush=True)
         allowed = (1,) if command.text in NEGATIVE else (0, 1) if command.name in LIVE else (0,)
         if status not in allowed:
@@ -254,46 +267,104 @@ def run_all(run: Callable[[list[str]], int], names: Sequence[str]) -> list[str]:
     return failed
 
 
+class Processes:
+    """Runs each command in a process of its own; an emulated PLC stays until the next one."""
+
+    def __init__(self, folder: Path) -> None:
+        """Run them in a folder."""
+        self._folder = folder
+        self._plc: subprocess.Popen[str] | None = None
+
+    def run(self, words: list[str]) -> int:
+        """Run what stands after ``carosac``; returns the exit status."""
+        if words[0] == "plc":  # stays, for `carosac run` after it
+            return self._start_plc(words)
+        if "ads" in words:
+            self._start_plc(shortened(["plc", "carosac"]))
+        try:
+            done = subprocess.run(
+                _call(words), capture_output=True, text=True, timeout=LONGEST, cwd=self._folder
+            )
+        except subprocess.TimeoutExpired:
+            print(f"carosac {shlex.join(words)}: over {LONGEST} s", file=sys.stderr)
+            return 124
+        if done.returncode:
+            print(done.stdout[-2000:], done.stderr, file=sys.stderr)
+        return done.returncode
+
+    def close(self) -> None:
+        """End the PLC."""
+        if self._plc is not None:
+            self._plc.terminate()
+            self._plc.wait()
+
+    def _start_plc(self, words: list[str]) -> int:
+        """Start a PLC in place of the one before, and wait until it is ready."""
+        self.close()
+        self._plc = subprocess.Popen(
+            _call(words), stdout=subprocess.PIPE, text=True, cwd=self._folder
+        )
+        assert self._plc.stdout is not None
+        return 0 if "ready" in self._plc.stdout.readline() else 1
+
+
+def _call(words: list[str]) -> list[str]:
+    """A ``carosac`` command as a process."""
+    return [sys.executable, "-m", "carosac_toolkit.cli.main", *words]
+
+
+def shares(commands: Sequence[Written], jobs: int) -> list[list[Written]]:
+    """Commands by who runs them; those of a page, and all pages with a PLC, stay together.
+
+    Args:
+        commands: In their order, which stays.
+        jobs: How many run at a time.
+    """
+    live = {c.page for c in commands if c.name in ("plc", "run")}
+    groups: dict[str, list[Written]] = {}
+    for command in commands:
+        groups.setdefault("live" if command.page in live else command.page, []).append(command)
+    found: list[list[Written]] = [[] for _ in range(jobs)]
+    for group in sorted(groups.values(), key=_seconds, reverse=True):
+        min(found, key=_seconds).extend(group)
+    return [share for share in found if share]
+
+
+def _seconds(commands: Sequence[Written]) -> float:
+    """About how long they take."""
+    return sum(SECONDS.get(command.name, 4.0) for command in commands)
+
+
+def run_share(commands: Sequence[Written]) -> list[str]:
+    """Run commands in a scratch folder of their own; returns what failed."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        subprocess.run([sys.executable, __file__, "--bring", scratch], check=True)
+        processes = Processes(folder)
+        try:
+            make(processes.run, folder)
+            return run_all(processes.run, commands)
+        finally:
+            processes.close()
+
+
 def main() -> int:
     """Run all of them, each in a process of its own."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="only those that the tests run")
-    parser.add_argument("--only", nargs="+", default=[], help="only these, such as compare")
+    known = sorted({command.name for command in to_run()})
+    parser.add_argument("--only", nargs="+", default=[], choices=known, help="only these")
+    parser.add_argument("--jobs", type=int, default=1, choices=range(1, 17), metavar="N",
+                        help="how many run at a time")  # fmt: skip
+    parser.add_argument("--bring", type=Path, metavar="DIR",
+                        help="only put what readers bring there, and run nothing")  # fmt: skip
     options = parser.parse_args()
-    names = QUICK if options.quick else tuple(options.only)
-    background: list[subprocess.Popen[str]] = []
-
-    def plc(words: list[str]) -> int:
-        for old in background:
-            old.terminate()
-            old.wait()
-        call = [sys.executable, "-m", "carosac_toolkit.cli.main", *words]
-        background[:] = [subprocess.Popen(call, stdout=subprocess.PIPE, text=True)]
-        stream = background[0].stdout
-        assert stream is not None
-        return 0 if "ready" in stream.readline() else 1
-
-    def run(words: list[str]) -> int:
-        call = [sys.executable, "-m", "carosac_toolkit.cli.main", *words]
-        if words[0] == "plc":  # stays, for `carosac run` after it
-            return plc(words)
-        if "ads" in words:
-            plc(shortened(["plc", "carosac"]))
-        done = subprocess.run(call, capture_output=True, text=True, timeout=1200)
-        if done.returncode:
-            print(done.stderr, file=sys.stderr)
-        return done.returncode
-
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-        os.chdir(folder)
-        bring(Path(folder))
-        try:
-            failed = run_all(run, names)
-        finally:
-            for process in background:
-                process.terminate()
-            os.chdir(ROOT)
+    if options.bring:
+        bring(options.bring)
+        return 0
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    with ThreadPoolExecutor(options.jobs) as pool:
+        parts = pool.map(run_share, shares(to_run(options.only), options.jobs))
+        failed = [text for part in parts for text in part]
     print("\n".join(failed) or "all ran")
     return 1 if failed else 0
 

@@ -31,7 +31,19 @@ def test_there_are_commands_and_exceptions_are_still_written():
     assert set(commands.EXCEPTIONS) <= {command.text for command in ALL}
 
 
-@pytest.mark.parametrize("text", sorted({c.text for c in ALL if not c.synopsis}))
+def test_every_command_is_run_by_one_job_and_what_belongs_together_stays_so():
+    todo = commands.to_run()
+    parts = commands.shares(todo, 3)
+    assert sorted(c.text for part in parts for c in part) == sorted(c.text for c in todo)
+    pages = [{c.page for c in part} for part in parts]
+    assert sum(map(len, pages)) == len(set.union(*pages))
+    assert sum(any(c.name in ("plc", "run") for c in part) for part in parts) == 1
+
+
+MADE = {f"carosac {words}" for words, _ in commands.MADE}
+
+
+@pytest.mark.parametrize("text", sorted({c.text for c in ALL if not c.synopsis} | MADE))
 def test_commands_are_understood(text):
     words = commands.Written("", text).words
     name, rest = command_of(words)
@@ -53,7 +65,7 @@ def test_synopses_name_options_that_there_are(command, capsys):
 def test_quick_commands_run(tmp_path, monkeypatch, quick_pictures):
     monkeypatch.chdir(tmp_path)
     commands.bring(tmp_path)
-    assert commands.run_all(main, commands.QUICK) == []
+    assert commands.run_all(main, commands.to_run(commands.QUICK)) == []
     for page in PAGES:
         for program in commands.programs(page):
             exec(program, {})  # works on what the commands of the page have made
