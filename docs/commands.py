@@ -2,13 +2,15 @@
 
 ``python docs/commands.py`` runs them all in a scratch folder, some with shorter settings
 (`SHORTER`), and prints what each took; ``--jobs 2`` does so on two cores. The tests run those of
-`QUICK`, and ``.ci/run`` all of them. Files that a reader brings (a survey, a run, a bag) are made
+`QUICK`. Files that a reader brings (a survey, a run, a bag) are made
 by `bring`; results of the reader's own that some commands show, by `make`.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
+import itertools
 import os
 import re
 import shlex
@@ -60,8 +62,9 @@ NEGATIVE = (
     "carosac import robot gantry_bodies.xml --form missing.yaml",
 )
 
-# Commands in real time: 1 is a fault of the guard, as on a computer that is busy with other things.
-LIVE = ("run",)
+# Commands that may end with 1 here: in real time by a fault of the guard, as on a computer that is
+# busy with other things; `identify` as its verdict, as a tenth of a run says little.
+VERDICTS = ("run", "identify")
 
 # Seconds that one of a name takes (others about 4), to share them out among jobs.
 SECONDS = {"compare": 30.0, "train": 30.0, "identify": 20.0, "smooth": 20.0, "run": 15.0}
@@ -240,11 +243,12 @@ def _bag(path: Path) -> None:
 
 
 def to_run(names: Sequence[str] = ()) -> list[Written]:
-    """Commands to run, each once; of some names only, if there are any."""
-    found: dict[str, Written] = {}
+    """Commands to run, each once, the quick ones once a page; of some names only, if any."""
+    found: dict[tuple[str, str], Written] = {}
     for command in written():
         if not command.synopsis and command.text not in EXCEPTIONS:
-            found.setdefault(command.text, command)
+            page = command.page if command.name in QUICK else ""  # files of one page are its own
+            found.setdefault((page, command.text), command)
     return [command for command in found.values() if not names or command.name in names]
 
 
@@ -261,7 +265,7 @@ def run_all(run: Callable[[list[str]], int], commands: Sequence[Written]) -> lis
         status = run(shortened(command.words))
         took = f"{time.perf_counter() - start:6.1f} s"
         print(f"{took}  status {status}  {command.page}: {command.text}", flush=True)
-        allowed = (1,) if command.text in NEGATIVE else (0, 1) if command.name in LIVE else (0,)
+        allowed = (1,) if command.text in NEGATIVE else (0, 1) if command.name in VERDICTS else (0,)
         if status not in allowed:
             failed.append(f"{command.page}: {command.text}: status {status}")
     return failed
@@ -335,17 +339,19 @@ def _seconds(commands: Sequence[Written]) -> float:
     return sum(SECONDS.get(command.name, 4.0) for command in commands)
 
 
-def run_share(commands: Sequence[Written]) -> list[str]:
-    """Run commands in a scratch folder of their own; returns what failed."""
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        subprocess.run([sys.executable, __file__, "--bring", scratch], check=True)
-        processes = Processes(folder)
-        try:
-            make(processes.run, folder)
-            return run_all(processes.run, commands)
-        finally:
-            processes.close()
+def run_share(template: Path, commands: Sequence[Written]) -> list[str]:
+    """Run commands, those of each page in a copy of the template; returns what failed."""
+    failed = []
+    for page, group in itertools.groupby(commands, key=lambda command: command.page):
+        with tempfile.TemporaryDirectory() as scratch:
+            folder = Path(scratch) / page
+            shutil.copytree(template, folder)
+            processes = Processes(folder)
+            try:
+                failed += run_all(processes.run, list(group))
+            finally:
+                processes.close()
+    return failed
 
 
 def main() -> int:
@@ -355,15 +361,14 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", default=[], choices=known, help="only these")
     parser.add_argument("--jobs", type=int, default=1, choices=range(1, 17), metavar="N",
                         help="how many run at a time")  # fmt: skip
-    parser.add_argument("--bring", type=Path, metavar="DIR",
-                        help="only put what readers bring there, and run nothing")  # fmt: skip
     options = parser.parse_args()
-    if options.bring:
-        bring(options.bring)
-        return 0
     os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    with ThreadPoolExecutor(options.jobs) as pool:
-        parts = pool.map(run_share, shares(to_run(options.only), options.jobs))
+    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(options.jobs) as pool:
+        template = Path(scratch)
+        bring(template)
+        make(Processes(template).run, template)
+        share = functools.partial(run_share, template)
+        parts = pool.map(share, shares(to_run(options.only), options.jobs))
         failed = [text for part in parts for text in part]
     print("\n".join(failed) or "all ran")
     return 1 if failed else 0
