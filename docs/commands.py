@@ -1,9 +1,9 @@
 """The ``carosac`` commands of README and docs: which there are, what they need, how they are run.
 
-``python docs/commands.py`` runs them all in a scratch folder, some with shorter settings
-(`SHORTER`), and prints what each took; ``--jobs 2`` does so on two cores. The tests run those of
-`QUICK`. Files that a reader brings (a survey, a run, a bag) are made
-by `bring`; results of the reader's own that some commands show, by `make`.
+``python docs/commands.py`` runs them all, those of each page in a scratch folder of its own, some
+with shorter settings (`SHORTER`), and prints what each took; ``--jobs 2`` does so on two cores. The
+tests run those of `QUICK`. Files that a reader brings (a survey, a run, a bag) are made by `bring`;
+results of the reader's own that some commands show, by `make`.
 """
 
 from __future__ import annotations

@@ -56,18 +56,23 @@ def parameters(
     Returns:
         Parameter vector, blocks as `parameter_names` says, matrices column by column.
     """
-    riding = robot.linear_density * length / 3.0
-    points = [
-        RigidBody(float(m), b, np.zeros((3, 3)))
-        for m, b in zip(riding, robot.anchor_points, strict=True)
-    ]
-    body = combine_bodies([RigidBody(robot.mass, robot.center_of_mass, robot.inertia), *points])
+    body = moving_body(robot, length)
     blocks = (
         body.mass, body.center_of_mass, body.inertia, np.linalg.inv(body.inertia),
         robot.weight, robot.center_of_mass, robot.drag, robot.angular_drag, rotation.T,
         disturbance, exits, robot.anchor_points, 0.5 * robot.weight_per_length,
     )  # fmt: skip
     return np.concatenate([np.ravel(block) for block in blocks])
+
+
+def moving_body(robot: Robot, length: Array) -> RigidBody:
+    """The platform with a third of each cable, of lengths [m], shape (n,), at its anchor point."""
+    riding = robot.linear_density * length / 3.0
+    points = [
+        RigidBody(float(m), b, np.zeros((3, 3)))
+        for m, b in zip(riding, robot.anchor_points, strict=True)
+    ]
+    return combine_bodies([RigidBody(robot.mass, robot.center_of_mass, robot.inertia), *points])
 
 
 def rotation_of(s: Array) -> Array:

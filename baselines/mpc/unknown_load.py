@@ -24,8 +24,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from baselines.mpc.geometry import Geometry
+from baselines.mpc.model import moving_body
 from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import RigidBody, Robot, combine_bodies
+from carosac_toolkit.robot import Robot
 
 NOISE = 0.012  # [m/s], of the speed gained in a command, for all of the platform alike
 MOST = 0.25  # [m/s^2], of the acceleration: at the start, and in ways that are not seen for long
@@ -46,14 +47,14 @@ class Motion:
         spin: Angular velocity at its start in W [rad/s], shape (3,).
         spin_rate: Its planned derivative [rad/s^2], shape (3,).
         force: Of the cables on the platform in W, half of their weight included [N], shape (3,).
-        riding: Mass of each cable that moves with its anchor point [kg], shape (n,).
+        length: Of the cables, a third of which moves with its anchor point [m], shape (n,).
     """
 
     rotation: Array
     spin: Array
     spin_rate: Array
     force: Array
-    riding: Array
+    length: Array
 
     @classmethod
     def of(
@@ -65,7 +66,7 @@ class Motion:
         return cls(
             rotation=rotation, spin=spin, spin_rate=spin_rate,
             force=-tension @ geometry.direction - np.array([0.0, 0.0, hanging]),
-            riding=robot.linear_density * geometry.free / 3.0,
+            length=geometry.free,
         )  # fmt: skip
 
 
@@ -190,11 +191,7 @@ class UnknownLoad:
     def _by(self, motion: Motion) -> Array:
         """Acceleration, linear first, in W, per shift in P and per `acceleration`, shape (6, 9)."""
         robot, rotation = self.robot, motion.rotation
-        points = [
-            RigidBody(float(m), b, np.zeros((3, 3)))
-            for m, b in zip(motion.riding, robot.anchor_points, strict=True)
-        ]
-        body = combine_bodies([RigidBody(robot.mass, robot.center_of_mass, robot.inertia), *points])
+        body = moving_body(robot, motion.length)
         share = robot.mass / body.mass
         weight = _cross(np.array([0.0, 0.0, -robot.weight]))
         force = _cross(motion.force) + weight

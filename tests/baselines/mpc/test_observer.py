@@ -31,7 +31,7 @@ def resting(robot):
     """A planned motion that is none, with cables that carry the weight."""
     return Motion(
         rotation=np.eye(3), spin=np.zeros(3), spin_rate=np.zeros(3),
-        force=np.array([0.0, 0.0, robot.weight]), riding=np.zeros(robot.n),
+        force=np.array([0.0, 0.0, robot.weight]), length=np.zeros(robot.n),
     )  # fmt: skip
 
 
