@@ -7,6 +7,7 @@ it is not installed.
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -21,6 +22,7 @@ import carosac_toolkit as ct
 from benchmarks.results import table, write_section
 from carosac_toolkit import registry
 from carosac_toolkit.live.hand_target import HandTarget
+from carosac_toolkit.live.real_time import take_priority
 from carosac_toolkit.loop import Step, run
 from carosac_toolkit.viewer.live import follow
 from carosac_toolkit.viewer.page_process import PageOptions, PageProcess
@@ -119,10 +121,14 @@ def _ignore(step: Step) -> None:
     """Nothing."""
 
 
-def viewed(seconds: float, watch: Callable[[str, float], Callable[[], float]]) -> Any:
+def viewed(
+    seconds: float, watch: Callable[[str, float], Callable[[], float]], *, plain: bool = False
+) -> Any:
     """The loop with a page, as the command has it, and with somebody who looks at it."""
     driver, estimator, controller, target = parts()
-    options = PageOptions(robot=ct.load_robot(ROBOT), title=ROBOT, host="127.0.0.1", port=PORT)
+    options = PageOptions(
+        robot=ct.load_robot(ROBOT), title=ROBOT, host="127.0.0.1", port=PORT, plain=plain
+    )
     page = PageProcess(options, target.go_to)
     over = threading.Event()
     shown = watch(page.url, seconds)
@@ -133,6 +139,15 @@ def viewed(seconds: float, watch: Callable[[str, float], Callable[[], float]]) -
     rate = shown()
     page.close()
     return driver, page.drawn / seconds, rate
+
+
+def first(take: Callable[[float], Any], seconds: float) -> Any:
+    """With the priority of ``carosac view --priority``."""
+    take_priority("benchmark", inherited=False)
+    try:
+        return take(seconds)
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def nobody(url: str, seconds: float) -> Callable[[], float]:
@@ -195,6 +210,9 @@ def rows() -> dict[str, Callable[[float], Any]]:
     }
     if missing() is None:
         found["page, Chromium draws it (software)"] = lambda seconds: viewed(seconds, chromium)
+        found["`--plain`, Chromium"] = plain = lambda seconds: viewed(seconds, chromium, plain=True)
+        found["no viewer, `--priority`"] = lambda seconds: first(alone, seconds)
+        found["`--plain --priority`, Chromium"] = lambda seconds: first(plain, seconds)
     else:
         print(f"without Chromium: {missing()}")
     return found

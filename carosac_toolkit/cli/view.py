@@ -33,6 +33,7 @@ from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.filled_settings import filled
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.plugins import build_controller, build_estimator
+from carosac_toolkit.live.real_time import take_priority
 from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.output_files import check_writable
 from carosac_toolkit.robot import Robot
@@ -80,6 +81,12 @@ class Options(CommonOptions):
     """Robot of a recording that names none: bundled, or a YAML file."""
     sag: float = 1.0
     """Draw the distance of the cables from their chords so many times larger; the page says so."""
+    plain: tyro.conf.FlagCreatePairsOff[bool] = False
+    """A page that is cheap to draw, for a browser without a GPU: half the pixels along each axis,
+    no floor, no labels at the exits until you choose them."""
+    priority: tyro.conf.FlagCreatePairsOff[bool] = False
+    """With --live: the loop runs before all ordinary processes; on Linux, and with the right to
+    it."""
     html: OutputFile = None
     """Write one HTML file with the robot at rest, or with the replay, and end."""
     host: str = LOOPBACK
@@ -217,12 +224,14 @@ def _live(options: Options, robot: Robot) -> CommandResult:
     page = PageProcess(
         PageOptions(
             robot=robot, title=f"{robot.name}: {options.controller} with {options.estimator}",
-            host=options.host, port=options.port, enlarged=options.sag,
+            host=options.host, port=options.port, enlarged=options.sag, plain=options.plain,
         ),
         target.go_to,
     )  # fmt: skip
     try:
         _announce(page.url, "drag the arrows; the controller follows")
+        if options.priority:
+            take_priority("carosac view", inherited=False)
         watch, error = follow(
             page.instants, driver, estimator, controller, target, duration=options.duration
         )
@@ -273,7 +282,7 @@ def _driver(options: Options, robot: Robot, asked: Any, period: float) -> Simula
 
 def _page(options: Options, robot: Robot, title: str) -> closing[Page]:
     """A page for as long as the block lasts."""
-    page = Page(robot, title, host=options.host, port=options.port)
+    page = Page(robot, title, host=options.host, port=options.port, plain=options.plain)
     page.enlarged.value = options.sag
     return closing(page)
 

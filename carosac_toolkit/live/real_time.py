@@ -22,15 +22,15 @@ def quick_threads() -> Iterator[None]:
         sys.setswitchinterval(usual)
 
 
-def take_priority(command: str) -> None:
-    """Have the scheduler of Linux put this process before all others; say where it will not.
-
-    Threads inherit it: call this before any is started.
+def take_priority(command: str, *, inherited: bool = True) -> None:
+    """Have the scheduler of Linux put this thread before all others; say where it will not.
 
     Args:
         command: That says so, such as ``carosac plc``.
+        inherited: Whether the threads and processes that this one starts from now on have it too.
     """
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        policy = os.SCHED_FIFO | (0 if inherited else os.SCHED_RESET_ON_FORK)
+        os.sched_setscheduler(0, policy, os.sched_param(PRIORITY))
     except (AttributeError, OSError) as error:
         print(f"{command}: warning: no priority: {error}", file=sys.stderr)

@@ -23,7 +23,9 @@ from carosac_toolkit.viewer.scene import RobotScene
 LOOPBACK = "127.0.0.1"
 PORT = 8080
 STATUS_EVERY = 0.15  # [s] between two status lines, unless the news is bad or good again
+PLAIN_STATUS_EVERY = 0.45  # [s]
 MOST_ENLARGED = 50.0
+PLAIN_PIXELS = 0.5  # drawn per pixel of the screen along each axis, on a plain page
 
 
 class Page:
@@ -41,7 +43,7 @@ class Page:
 
     def __init__(
         self, robot: Robot, title: str, *, host: str = LOOPBACK, port: int = PORT,
-        rate: float = RATE, followed: str = "target",
+        rate: float = RATE, followed: str = "target", plain: bool = False,
     ) -> None:  # fmt: skip
         """Start to serve.
 
@@ -52,8 +54,9 @@ class Page:
             port: To listen at; the next free one where it is taken.
             rate: Pictures a second, at most.
             followed: What the target of a picture is, in a word.
+            plain: Whether it should be cheap to draw, for a browser without a GPU.
         """
-        self.robot, self.rate, self._followed = robot, rate, followed
+        self.robot, self.rate, self._followed, self._plain = robot, rate, followed, plain
         self.server = start_server(host, port, title)
         self.picture: Picture | None = None
         self._drawing = threading.Lock()
@@ -63,11 +66,11 @@ class Page:
         server.initial_camera.position = place
         server.initial_camera.look_at = middle
         server.initial_camera.fov = 0.75
-        self.scene = RobotScene(server.scene, robot)
+        self.scene = RobotScene(server.scene, robot, plain=plain)
         self._status = server.gui.add_html("", order=0)
         server.gui.add_html(legend_html(robot), order=1)
         self.controls = server.gui.add_folder("Move", order=2)
-        self.plots = Plots(server.gui, robot, followed)
+        self.plots = Plots(server.gui, robot, followed, plain=plain)
         self._add_display()
         self._said = ("", False)
         self._said_at = 0.0
@@ -76,7 +79,8 @@ class Page:
     @property
     def url(self) -> str:
         """Where the page is."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+        address = f"http://{self.server.get_host()}:{self.server.get_port()}"
+        return f"{address}/?fixedDpr={PLAIN_PIXELS:g}" if self._plain else address
 
     def offer(self, picture: Picture) -> None:
         """Show a picture soon, unless a newer one comes first; never waits."""
@@ -91,7 +95,8 @@ class Page:
         """Show a status line."""
         if (text, problem) == self._said:
             return
-        fresh = time.monotonic() - self._said_at < STATUS_EVERY
+        every = PLAIN_STATUS_EVERY if self._plain else STATUS_EVERY
+        fresh = time.monotonic() - self._said_at < every
         if fresh and problem == self._said[1]:
             return
         self._said, self._said_at = (text, problem), time.monotonic()
@@ -145,7 +150,7 @@ class Page:
                 hint="The distance of each cable from its chord is drawn so many times larger.",
             )  # fmt: skip
             trails = gui.add_checkbox("trails", initial_value=True)
-            labels = gui.add_checkbox("tensions at the exits", initial_value=True)
+            labels = gui.add_checkbox("tensions at the exits", initial_value=not self._plain)
             forget = gui.add_button("Clear trails")
         self.enlarged = enlarged
 

@@ -42,6 +42,7 @@ class PageOptions:
         port: To serve at, or the next free one.
         enlarged: Factor on the sag that is drawn.
         rate: Pictures a second, at most.
+        plain: Whether it should be cheap to draw.
     """
 
     robot: Robot
@@ -50,6 +51,7 @@ class PageOptions:
     port: int
     enlarged: float = 1.0
     rate: float = RATE
+    plain: bool = False
 
 
 class PageProcess:
@@ -146,7 +148,7 @@ def _serve(pipe: Connection, options: PageOptions) -> None:
     try:
         page = Page(
             options.robot, options.title, host=options.host, port=options.port,
-            rate=options.rate, followed="reference",
+            rate=options.rate, followed="reference", plain=options.plain,
         )  # fmt: skip
     except CarosacError as error:
         pipe.send(("error", str(error)))

@@ -16,6 +16,7 @@ WINDOW = 20.0  # [s] that live plots show
 LEAST = 0.08  # [s] between two samples of a live plot
 MOST = 400  # samples of a plot
 REFRESH = 0.2  # [s] between two drawings
+PLAIN_REFRESH = 0.6  # [s]
 HEIGHT = 170  # [pixels]
 ORDER = 30  # in the panel
 SCALES = {"x": {"time": False}, "y": {"range": (0.0, None)}}  # from zero to what is highest
@@ -30,9 +31,17 @@ class Plots:
         whole: Whether they show a whole run with a dot for now, and not the last seconds.
     """
 
-    def __init__(self, gui: Any, robot: Robot, followed: str) -> None:
-        """Add them to `viser.GuiApi`; `followed` is what the platform should reach, in a word."""
+    def __init__(self, gui: Any, robot: Robot, followed: str, *, plain: bool = False) -> None:
+        """Add them to `viser.GuiApi`.
+
+        Args:
+            gui: `viser.GuiApi`.
+            robot: The robot.
+            followed: What the platform should reach, in a word.
+            plain: Whether they are drawn less often.
+        """
         self._robot = robot
+        self._refresh = PLAIN_REFRESH if plain else REFRESH
         self.whole = False
         self._samples: deque[tuple[float, Array, float]] = deque(maxlen=round(WINDOW / LEAST))
         self._drawn = -np.inf
@@ -76,7 +85,7 @@ class Plots:
             self._samples.clear()
         if not self._samples or time - self._samples[-1][0] >= LEAST:
             self._samples.append((time, picture.tension, 1e3 * picture.error))
-        if abs(time - self._drawn) >= REFRESH:
+        if abs(time - self._drawn) >= self._refresh:
             self._drawn = time
             self.settle()
 

@@ -26,6 +26,9 @@ BELIEVED: Rgb = (123, 79, 163)
 WORKSPACE: Rgb = (170, 175, 182)
 TRAIL = 500  # pictures that a trail is long
 TRAIL_EVERY = 5  # pictures between two drawings of the trails, and of the labels
+PLAIN_TRAIL_EVERY = 15
+PLAIN_MOST = 60  # points of a trail that are drawn
+PLAIN_SAMPLES = 10  # points of a cable
 STEP = 2e-3  # [m], below which a trail does not grow
 GHOST_OPACITY = 0.3
 
@@ -42,8 +45,9 @@ class RobotScene:
     """
 
     def __init__(
-        self, scene: Any, robot: Robot, name: str = "/robot", *, ghost: bool = False
-    ) -> None:
+        self, scene: Any, robot: Robot, name: str = "/robot", *, ghost: bool = False,
+        plain: bool = False,
+    ) -> None:  # fmt: skip
         """Draw the frame; a ghost has none, and is transparent.
 
         Args:
@@ -51,25 +55,30 @@ class RobotScene:
             robot: The robot, n cables.
             name: Where it is in the tree of the scene.
             ghost: Whether this is a second run beside another.
+            plain: Cheap to draw: without floor, labels only once somebody wants them, exit
+                points as dots, cables and trails of fewer points, trails less often.
         """
         self._scene, self._robot, self._name, self._ghost = scene, robot, name, ghost
         self.enlarged = 1.0
-        self.trails = True
-        self.labels = self.own_trails = True
+        self.trails = self.own_trails = True
+        self.labels = not plain
+        self._every = PLAIN_TRAIL_EVERY if plain else TRAIL_EVERY
+        self._most: int | None = PLAIN_MOST if plain else None
+        self._samples: int | None = PLAIN_SAMPLES if plain else None
         self._count = 0
         self._size = float(np.ptp(extent(robot), axis=0).max())
         self._ways: dict[str, deque[Array]] = {
             key: deque(maxlen=TRAIL) for key in ("platform", "target")
         }
         if not ghost:
-            self._draw_frame()
+            self._draw_frame(plain=plain)
         self._platform = self._add_platform()
         self._cables = self._add_lines("cables", np.zeros((1, 2, 3)), FRAME, 2.0 if ghost else 4.0)
         self._trails = {
             key: self._add_lines(f"trail_{key}", np.zeros((1, 2, 3)), color, 2.0)
             for key, color in (("platform", GHOST if ghost else PLATFORM), ("target", TARGET))
         }
-        self._names = [] if ghost else self._add_names()
+        self._names: list[Any] = []  # labels cost even where they cannot be seen: made when wanted
         self._target = self._add_ball("target", TARGET, 0.010)
         self._belief = self._add_ball("believed", BELIEVED, 0.008)
         self._colored: Rgb | None = None
@@ -86,7 +95,7 @@ class RobotScene:
         self._color_target(picture.held)
         if self.own_trails:
             self._remember(picture)
-        if self._count % TRAIL_EVERY == 0:
+        if self._count % self._every == 0:
             self.settle(picture)
         self._count += 1
 
@@ -116,7 +125,7 @@ class RobotScene:
         handle = self._trails[key]
         handle.visible = self.trails and len(way) > 1
         if handle.visible:
-            handle.points = segments(way)
+            handle.points = segments(way[_evenly(len(way), self._most)])
 
     @property
     def visible(self) -> bool:
@@ -133,34 +142,47 @@ class RobotScene:
         if not visible:
             self._target.visible = self._belief.visible = False
 
-    def _draw_frame(self) -> None:
-        """Floor, posts, exit points and the workspace box."""
+    def _draw_frame(self, *, plain: bool) -> None:
+        """What stands still: floor, posts, exit points, axes of W and the workspace box."""
         scene, robot, name = self._scene, self._robot, self._name
         lower, upper = extent(robot)
-        middle = 0.5 * (lower + upper)
-        scene.add_grid(
-            f"{name}/floor", width=1.3 * (upper - lower)[0], height=1.3 * (upper - lower)[1],
-            plane="xy", cell_size=1.0, section_size=5.0, cell_thickness=0.6,
-            cell_color=(205, 208, 213), section_color=(170, 175, 182), section_thickness=1.0,
-            position=(middle[0], middle[1], lower[2]),
-        )  # fmt: skip
+        axes = 0.06 * self._size
+        radius = 0.007 * self._size
+        if plain:
+            scene.add_point_cloud(
+                f"{name}/exits", robot.exit_points, FRAME, point_size=2.0 * radius,
+                point_shape="circle", precision="float32",
+            )  # fmt: skip
+        else:
+            self._draw_floor(lower, upper)
+            self._draw_letters(lower, axes)
+            for i, point in enumerate(robot.exit_points):
+                scene.add_icosphere(
+                    f"{name}/exit_{i}", radius=radius, color=FRAME, subdivisions=2, position=point
+                )
         self._add_lines("posts", posts(robot), (190, 193, 199), 2.0)
         self._add_lines("workspace", np.stack(box_edges(robot)), WORKSPACE, 1.2)
-        for i, point in enumerate(robot.exit_points):
-            scene.add_icosphere(
-                f"{name}/exit_{i}", radius=0.007 * self._size, color=FRAME, subdivisions=2,
-                position=point,
-            )  # fmt: skip
-        axes = 0.06 * self._size
         scene.add_frame(
             f"{name}/world", axes_length=axes, axes_radius=0.05 * axes,
             position=lower, origin_radius=0.08 * axes,
         )  # fmt: skip
+
+    def _draw_floor(self, lower: Array, upper: Array) -> None:
+        """A grid of metres below everything."""
+        middle = 0.5 * (lower + upper)
+        self._scene.add_grid(
+            f"{self._name}/floor", width=1.3 * (upper - lower)[0], height=1.3 * (upper - lower)[1],
+            plane="xy", cell_size=1.0, section_size=5.0, cell_thickness=0.6,
+            cell_color=(205, 208, 213), section_color=(170, 175, 182), section_thickness=1.0,
+            position=(middle[0], middle[1], lower[2]),
+        )  # fmt: skip
+
+    def _draw_letters(self, origin: Array, axes: float) -> None:
+        """Names at the ends of the axes of W, which are so long [m]."""
         for k, letter in enumerate("xyz"):
-            place = lower + 1.15 * axes * np.eye(3)[k]
-            scene.add_label(
-                f"{name}/axis_{letter}", letter, position=place, anchor="center-center",
-                font_screen_scale=0.8,
+            self._scene.add_label(
+                f"{self._name}/axis_{letter}", letter, anchor="center-center",
+                position=origin + 1.15 * axes * np.eye(3)[k], font_screen_scale=0.8,
             )  # fmt: skip
 
     def _add_platform(self) -> Any:
@@ -207,6 +229,7 @@ class RobotScene:
     def _draw_cables(self, picture: Picture) -> None:
         """All cables as one set of segments, coloured by tension."""
         points = picture.drawn(self.enlarged)
+        points = points[:, _evenly(points.shape[1], self._samples)]
         pairs = np.stack([points[:, :-1], points[:, 1:]], axis=2)  # (n, samples - 1, 2, 3)
         colors = tension_colors(self._robot, picture.tension)
         if self._ghost:
@@ -239,11 +262,19 @@ class RobotScene:
 
     def _label(self, tension: Array) -> None:
         """Name cables with their tensions."""
+        if self.labels and not self._names and not self._ghost:
+            self._names = self._add_names()
         for i, handle in enumerate(self._names):
             handle.visible = self.labels
             known = np.isfinite(tension[i])
             value = f"{tension[i]:.0f} N" if known else "? N"
             handle.text = f"{self._robot.cable_names[i]}: {value}"
+
+
+def _evenly(count: int, most: int | None) -> NDArray[np.int64]:
+    """At most so many of these indices, first and last among them."""
+    kept = count if most is None else min(count, most)
+    return np.linspace(0, count - 1, kept).round().astype(np.int64)
 
 
 def segments(way: Array) -> NDArray[np.float32]:

@@ -20,7 +20,7 @@ FLAGS = (
     "--headless=new", "--no-sandbox", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
     "--disable-dev-shm-usage", "--hide-scrollbars",
-    "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",  # no GPU
+    "--enable-unsafe-swiftshader",  # WebGL without a GPU
 )  # fmt: skip
 PATIENCE = 60.0  # [s]
 

@@ -11,6 +11,8 @@ from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.viewer.live import LivePage
 from carosac_toolkit.viewer.page import Page
+from carosac_toolkit.viewer.picture import take_picture
+from carosac_toolkit.viewer.scene import RobotScene
 
 X, Z = np.eye(3)[[0, 2]]
 
@@ -68,3 +70,30 @@ def test_the_note_goes_with_the_next_good_target(page, live, moved):
     live.go(page.robot.home_position + 0.1 * X)
     assert live.note.content == ""
     assert len(moved) == 1
+
+
+def test_a_plain_page_draws_half_the_pixels_no_floor_and_labels_only_once_wanted():
+    robot = load_robot("scampi")
+    served = Page(robot, "plain", port=8490, plain=True)
+    try:
+        rest = take_picture(robot, robot.home_position, robot.home_rotation)
+        served.draw(rest)
+        names = set(served.server.scene._handle_from_node_name)
+        assert served.url.endswith("/?fixedDpr=0.5")
+        assert not any("floor" in name or "/name_" in name or "/axis_" in name for name in names)
+        served.scene.labels = True
+        served.scene.settle(rest)
+        labels = [x for x in served.server.scene._handle_from_node_name if "/name_" in x]
+        assert len(labels) == robot.n
+    finally:
+        served.close()
+
+
+def test_a_plain_trail_has_few_points_and_both_ends(page):
+    scene = RobotScene(page.server.scene, page.robot, "/plain", plain=True)
+    way = np.linspace(page.robot.home_position, page.robot.workspace_max, 500)
+    scene.draw_way("platform", way)
+    drawn = scene._trails["platform"].points
+    assert len(drawn) < 100
+    assert drawn[0, 0] == pytest.approx(way[0], rel=1e-6)
+    assert drawn[-1, 1] == pytest.approx(way[-1], rel=1e-6)
