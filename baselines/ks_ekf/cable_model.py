@@ -5,6 +5,10 @@ The platform's inertia and weight are what its cables exert,
 gyroscope at the centre of mass and :math:`d_i` the half of each cable's own weight, across its
 chord, that hangs on the platform. Least squares over the six equations give the tensions, these
 the sag and stretch.
+
+A cable that is pulled taut after it has sagged under little tension swings with the energy of that
+sag, :math:`E = f\,\delta`, where :math:`\delta` is what sag adds to the length. Under another
+tension it then takes up to E / f of length, for as long as it swings.
 """
 
 from __future__ import annotations
@@ -27,6 +31,24 @@ TAUT = 2.0  # times its own error: a smaller tension does not say how much the c
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Swing:
+    """With what energy the cables may swing themselves.
+
+    Attributes:
+        energy: Of each cable [J], shape (n,), or 0 where nothing is known yet.
+        time: When it was that [s].
+    """
+
+    energy: Array | float = 0.0
+    time: float = 0.0
+
+    def later(self, time: float, damping_time: float) -> Swing:
+        """What is left of it at a time [s], if it fades within `damping_time` to a share 1/e."""
+        gone = max(time - self.time, 0.0)
+        return Swing(energy=self.energy * np.exp(-gone / damping_time), time=time)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ExpectedLengths:
     """What the state says of the lengths of one robot, without their biases.
 
@@ -35,8 +57,9 @@ class ExpectedLengths:
         jacobian: Per error of the state, shape (n, 18 + n), bias included.
         tension: At the platform [N], shape (n,); not positive where the cable would have to push.
         valid: Whether the cable is taut, so that its length says something, shape (n,).
-        spread: Standard deviation of the length, as the tension is not known well and the
-            pose may be too far off for lengths to be linear in it [m], shape (n,).
+        spread: Standard deviation of the length, as the tension is not known well, the cable may
+            swing, and the pose may be too far off for lengths to be linear in it [m], shape (n,).
+        swing: Of the cables, the sag of now included.
     """
 
     length: Array
@@ -44,10 +67,11 @@ class ExpectedLengths:
     tension: Array
     valid: NDArray[np.bool_]
     spread: Array
+    swing: Swing
 
 
 def expected_lengths(
-    robot: Robot, state: FilterState, turning: Array, settings: KsEkfSettings
+    robot: Robot, state: FilterState, turning: Array, swing: Swing, settings: KsEkfSettings
 ) -> ExpectedLengths:
     """Expect the lengths of a state.
 
@@ -55,6 +79,7 @@ def expected_lengths(
         robot: Nominal robot, n cables.
         state: Of the filter, with samples.
         turning: Angular acceleration in P [rad/s^2], shape (3,).
+        swing: Of the cables, as far as earlier lengths know it, at the time of the state.
         settings: Where the IMU is.
 
     Returns:
@@ -66,24 +91,30 @@ def expected_lengths(
     loads = np.stack([_wrench(robot, state, turning, settings), _weight(robot, state)], axis=1)
     loads -= _hanging(robot, state.rotation, straight)[:, None]
     tension, still = np.asarray(np.linalg.lstsq(matrix, loads, rcond=None)[0]).T
-    cables = length_at_tension(robot, where, state.rotation[None], tension[None])
+    weight = robot.weight_per_length * straight.length[0]
+    pull = np.maximum(tension, weight)  # below its weight a cable does not count as taut
+    cables = length_at_tension(robot, where, state.rotation[None], pull[None])
     jacobian = -matrix.T @ pose_map(state, settings.imu_position)
     jacobian[:, len(jacobian.T) - robot.n :] = np.eye(robot.n)
     # By the sag, which goes with the inverse square of the tension, and the stretch.
     doubt = (
         settings.tension_share * np.abs(tension)
         + settings.tension_change * np.abs(tension - still)
-        + settings.tension_weight * robot.weight_per_length * straight.length[0]
+        + settings.tension_weight * weight
     )
     taut = tension > TAUT * doubt
     less = np.where(taut, tension - doubt, 1.0)
     bend = _curvature(robot, state, straight, settings)
-    spread = (2.0 * cables.sag[0] + cables.stretch[0]) * doubt / less + bend
+    sagging = pull * cables.sag[0]
+    energy = np.maximum(swing.energy, sagging)
+    swinging = settings.swing_share * (energy - sagging) / pull
+    spread = (2.0 * cables.sag[0] + cables.stretch[0]) * doubt / less + bend + swinging
     return ExpectedLengths(
         length=cables.unstrained_length[0],
         jacobian=jacobian,
         tension=tension,
         spread=spread,
+        swing=Swing(energy=energy, time=swing.time),
         valid=cables.valid[0] & taut & straight.valid[0],
     )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from baselines.ks_ekf.cable_model import expected_lengths
+from baselines.ks_ekf.cable_model import Swing, expected_lengths
 from baselines.ks_ekf.filter_state import (
     CENTER,
     FORCE_BIAS,
@@ -35,6 +35,7 @@ class Evidence:
         noise: Its covariance, shape (m, m).
         left_out: Channels that could not be used.
         tension: Of the cables [N], shape (n,), as far as it is known here.
+        swing: Of the cables, as far as it is known here.
     """
 
     residual: Array
@@ -42,13 +43,15 @@ class Evidence:
     noise: Array
     left_out: int = 0
     tension: Array | None = None
+    swing: Swing | None = None
 
 
 def of_lengths(
-    robot: Robot, state: FilterState, lengths: Array, turning: Array, settings: KsEkfSettings
-) -> Evidence:
+    robot: Robot, state: FilterState, lengths: Array, turning: Array, swing: Swing,
+    settings: KsEkfSettings,
+) -> Evidence:  # fmt: skip
     """Lengths (n,) as they are, tight; `turning` is the angular acceleration in P [rad/s^2]."""
-    expected = expected_lengths(robot, state, turning, settings)
+    expected = expected_lengths(robot, state, turning, swing, settings)
     use = expected.valid
     residual = (lengths - expected.length - state.length_bias)[use]
     return Evidence(
@@ -57,6 +60,7 @@ def of_lengths(
         noise=np.diag(settings.length_noise**2 + expected.spread[use] ** 2),
         left_out=int((~use).sum()),
         tension=expected.tension,
+        swing=expected.swing,
     )
 
 

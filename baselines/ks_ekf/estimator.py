@@ -198,8 +198,11 @@ class KsEkf:
         state, settings = record.state, self._settings
         if settings.coupling == "tight":
             turning = slope(record.window.samples, state.time, SLOPE)
-            tight = corrections.of_lengths(self._robot, state, reading.lengths, turning, settings)
-            return record, tight
+            swing = record.swing.later(reading.time, settings.swing_time)
+            tight = corrections.of_lengths(
+                self._robot, state, reading.lengths, turning, swing, settings
+            )
+            return replace(record, swing=tight.swing or swing), tight
         record, rest = self._rest(record, reading)
         if rest is None:
             return record, None

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from baselines.ks_ekf.cable_model import Swing
 from baselines.ks_ekf.filter_state import FilterState
 from baselines.ks_ekf.readings import Reading
 from baselines.ks_ekf.rest_detection import Window
@@ -23,6 +24,7 @@ class KsEkfRecord:
         innovations: Of the lengths or poses of rest since the last belief, rejected ones left out
             of the squares.
         tension: At the platform [N], shape (n,), when it was last computed, or None.
+        swing: Of the cables themselves, when lengths were used last; the tight coupling knows it.
         resting: Whether the platform was found to rest.
         rest_used: When that was used last [s].
         updates: Measurements, the first one included.
@@ -47,6 +49,7 @@ class KsEkfRecord:
     innovations: Innovations
     waiting: tuple[Reading, ...] = ()
     tension: Array | None = None
+    swing: Swing = field(default_factory=Swing)
     resting: bool = False
     rest_used: float = -float("inf")
     updates: int = 0

@@ -10,7 +10,7 @@ import pytest
 
 import carosac_toolkit as ct
 from baselines.ks_ekf import KsEkfSettings, starting
-from baselines.ks_ekf.cable_model import expected_lengths
+from baselines.ks_ekf.cable_model import Swing, expected_lengths
 from baselines.ks_ekf.error_filter import ErrorFilter
 from baselines.ks_ekf.filter_state import FIXED, LENGTHS, POSE, FilterState, Samples
 from baselines.ks_ekf.inertial import InertialMotion, slope
@@ -20,6 +20,7 @@ from baselines.ks_ekf.rest_detection import Window, detect_rest
 from baselines.ks_ekf.rest_pose import find_rest
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.physics import statics
+from carosac_toolkit.physics.straight_line import straight_length
 
 ROBOT = ct.load_robot("carosac")
 SIZE = FIXED + ROBOT.n
@@ -176,7 +177,7 @@ def state_at_rest(settings: KsEkfSettings) -> tuple[FilterState, statics.Equilib
 
 def test_lengths_at_rest_are_those_of_the_statics():
     state, rest = state_at_rest(SETTINGS)
-    found = expected_lengths(ROBOT, state, np.zeros(3), SETTINGS)
+    found = expected_lengths(ROBOT, state, np.zeros(3), Swing(), SETTINGS)
     assert found.valid.all()
     assert found.tension == pytest.approx(rest.tension[0], rel=0.02)
     assert found.length == pytest.approx(rest.unstrained_length[0], abs=1e-4)
@@ -184,11 +185,11 @@ def test_lengths_at_rest_are_those_of_the_statics():
 
 def test_length_jacobian_is_that_of_small_errors():
     state, _ = state_at_rest(SETTINGS)
-    found = expected_lengths(ROBOT, state, np.zeros(3), SETTINGS)
+    found = expected_lengths(ROBOT, state, np.zeros(3), Swing(), SETTINGS)
     step, columns = 1e-5, []
     for row in step * np.eye(SIZE):
         both = [
-            expected_lengths(ROBOT, s, np.zeros(3), SETTINGS).length + s.length_bias
+            expected_lengths(ROBOT, s, np.zeros(3), Swing(), SETTINGS).length + s.length_bias
             for s in (state.injected(row, state.covariance), state.injected(-row, state.covariance))
         ]
         columns.append((both[0] - both[1]) / (2.0 * step))
@@ -201,7 +202,7 @@ def test_length_jacobian_is_that_of_small_errors():
 def test_slack_cable_says_nothing():
     state, _ = state_at_rest(SETTINGS)
     falling = Samples(time=np.zeros(1), rate=np.zeros((1, 3)), force=np.zeros((1, 3)))
-    found = expected_lengths(ROBOT, replace(state, samples=falling), np.zeros(3), SETTINGS)
+    found = expected_lengths(ROBOT, replace(state, samples=falling), np.zeros(3), Swing(), SETTINGS)
     assert not found.valid.any()
 
 
@@ -211,7 +212,9 @@ def test_lengths_count_less_where_motion_changes_the_tension():
 
     def spread(factor: float, settings: KsEkfSettings) -> Array:
         samples = replace(state.samples, force=factor * state.samples.force)
-        found = expected_lengths(ROBOT, replace(state, samples=samples), np.zeros(3), settings)
+        found = expected_lengths(
+            ROBOT, replace(state, samples=samples), np.zeros(3), Swing(), settings
+        )
         assert found.valid.all()
         return found.spread
 
@@ -272,3 +275,39 @@ def test_slope_is_the_angular_acceleration():
     samples = Samples(time=time, rate=np.outer(time, [1.0, -2.0, 0.5]), force=np.zeros((10, 3)))
     assert slope(samples, 0.02, 0.0125) == pytest.approx([1.0, -2.0, 0.5])
     assert slope(samples, 9.0, 0.0125) == pytest.approx(np.zeros(3))
+
+
+def test_a_cable_that_was_nearly_slack_is_believed_less_until_its_swing_has_faded():
+    """Pulled taut again it keeps the energy of its sag, tension times the length that takes."""
+    state, _ = state_at_rest(SETTINGS)
+    loose = Samples(
+        time=np.zeros(1), rate=np.zeros((1, 3)), force=0.1 * state.samples.force
+    )  # a tenth of the weight
+    sagged = expected_lengths(
+        ROBOT, replace(state, samples=loose), np.zeros(3), Swing(), SETTINGS
+    ).swing
+
+    def spread(swing: Swing) -> Array:
+        return expected_lengths(ROBOT, state, np.zeros(3), swing, SETTINGS).spread
+
+    calm = spread(Swing())
+    tension = expected_lengths(ROBOT, state, np.zeros(3), Swing(), SETTINGS).tension
+    at_rest = expected_lengths(ROBOT, state, np.zeros(3), Swing(), SETTINGS).swing.energy
+    more = SETTINGS.swing_share * (sagged.energy - at_rest) / tension
+    assert (more > 0.0).all()
+    assert spread(sagged) == pytest.approx(calm + more, rel=1e-9)
+    half = sagged.later(sagged.time + np.log(2.0) * SETTINGS.swing_time, SETTINGS.swing_time)
+    assert half.energy == pytest.approx(0.5 * sagged.energy)
+    late = sagged.later(sagged.time + 20.0 * SETTINGS.swing_time, SETTINGS.swing_time)
+    assert spread(late) == pytest.approx(calm, rel=1e-9)
+
+
+def test_the_energy_of_sag_is_that_of_the_parabola():
+    """Its length beyond the chord is (w l)^2 l / (24 f^2), with w the weight across the chord."""
+    state, rest = state_at_rest(SETTINGS)
+    found = expected_lengths(ROBOT, state, np.zeros(3), Swing(), SETTINGS)
+    cables = straight_length(ROBOT, rest.position, rest.rotation)
+    length, unit = cables.length[0], cables.direction[0]
+    across = ROBOT.weight_per_length * np.sqrt(1.0 - unit[:, 2] ** 2)
+    parabola = (across * length) ** 2 * length / (24.0 * found.tension)
+    assert found.swing.energy == pytest.approx(parabola, rel=0.1)
