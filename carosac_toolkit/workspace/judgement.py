@@ -173,10 +173,12 @@ def _hold(
 
 
 def _worse(one: WidestRest, other: WidestRest) -> WidestRest:
-    """Row by row the one with the smaller margin; one that was not computed is the worst."""
-    rank = [np.where(np.isnan(x.margin), -np.inf, x.margin) for x in (one, other)]
-    unknown = np.isnan(other.margin) & ~np.isneginf(one.margin)
-    take = (rank[1] < rank[0]) | unknown
+    """Row by row the one with the smaller margin: proved to be none, not computed, then numbers."""
+    first, second = (
+        np.where(np.isneginf(each.margin), 0, np.where(np.isnan(each.margin), 1, 2))
+        for each in (one, other)
+    )
+    take = (second < first) | ((second == first) & (other.margin < one.margin))
     picked = {
         name: np.where(
             take if getattr(one, name).ndim == 1 else take[:, None],

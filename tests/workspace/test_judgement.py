@@ -11,6 +11,7 @@ from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics.widest_rest import hold
 from carosac_toolkit.workspace import Limit, WorkspaceSettings, box_grid, compute, judge, maps
 from carosac_toolkit.workspace.frame import beyond_frame, too_flat
+from carosac_toolkit.workspace.judgement import _worse
 from tests.robots import eight_cable_robot, simple_robot
 
 STRAIGHT = WorkspaceSettings(sag=False)
@@ -107,6 +108,17 @@ def test_far_away_a_proof_decides_where_the_search_fails():
     assert np.isneginf(found.margin).all() and (found.cable == -1).all()
     near = judge(robot, [robot.home_position + np.array([3.0, 0.0, 0.0])])
     assert -1e4 < near.margin[0] < 0.0 and near.limit[0] != Limit.NO_PULL
+
+
+def test_of_two_wrenches_the_worse_decides_and_a_proof_beats_a_failure_to_compute():
+    robot = ct.load_robot("carosac")
+    rest = hold(robot, np.repeat(robot.home_position[None], 9, axis=0))
+    none, unknown = -np.inf, np.nan
+    one = np.array([none, none, none, unknown, unknown, unknown, 2.0, 2.0, 2.0])
+    other = np.array([none, unknown, 1.0, none, unknown, 1.0, none, unknown, 1.0])
+    expected = [none, none, none, none, unknown, unknown, none, unknown, 1.0]
+    found = _worse(replace(rest, margin=one), replace(rest, margin=other)).margin
+    assert found == pytest.approx(expected, nan_ok=True)
 
 
 def test_no_pose_that_inverse_kinematics_can_hold_is_called_infeasible():
