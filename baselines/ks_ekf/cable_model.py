@@ -5,10 +5,6 @@ The platform's inertia and weight are what its cables exert,
 gyroscope at the centre of mass and :math:`d_i` the half of each cable's own weight, across its
 chord, that hangs on the platform. Least squares over the six equations give the tensions, these
 the sag and stretch.
-
-A cable that is pulled taut after it has sagged under little tension swings with the energy of that
-sag, :math:`E = f\,\delta`, where :math:`\delta` is what sag adds to the length. Under another
-tension it then takes up to E / f of length, for as long as it swings.
 """
 
 from __future__ import annotations
@@ -18,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.ks_ekf.cable_swing import Strings, Swing
 from baselines.ks_ekf.filter_state import FilterState, cross
 from baselines.ks_ekf.platform_motion import origin, pose_map
 from baselines.ks_ekf.settings import KsEkfSettings
@@ -31,24 +28,6 @@ TAUT = 2.0  # times its own error: a smaller tension does not say how much the c
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Swing:
-    """With what energy the cables may swing themselves.
-
-    Attributes:
-        energy: Of each cable [J], shape (n,), or 0 where nothing is known yet.
-        time: When it was that [s].
-    """
-
-    energy: Array | float = 0.0
-    time: float = 0.0
-
-    def later(self, time: float, damping_time: float) -> Swing:
-        """What is left of it at a time [s], if it fades within `damping_time` to a share 1/e."""
-        gone = max(time - self.time, 0.0)
-        return Swing(energy=self.energy * np.exp(-gone / damping_time), time=time)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ExpectedLengths:
     """What the state says of the lengths of one robot, without their biases.
 
@@ -59,7 +38,7 @@ class ExpectedLengths:
         valid: Whether the cable is taut, so that its length says something, shape (n,).
         spread: Standard deviation of the length, as the tension is not known well, the cable may
             swing, and the pose may be too far off for lengths to be linear in it [m], shape (n,).
-        swing: Of the cables, the sag of now included.
+        swing: Of the cables, at the time of the state.
     """
 
     length: Array
@@ -79,7 +58,7 @@ def expected_lengths(
         robot: Nominal robot, n cables.
         state: Of the filter, with samples.
         turning: Angular acceleration in P [rad/s^2], shape (3,).
-        swing: Of the cables, as far as earlier lengths know it, at the time of the state.
+        swing: Of the cables, when lengths were used last.
         settings: Where the IMU is.
 
     Returns:
@@ -91,32 +70,41 @@ def expected_lengths(
     loads = np.stack([_wrench(robot, state, turning, settings), _weight(robot, state)], axis=1)
     loads -= _hanging(robot, state.rotation, straight)[:, None]
     tension, still = np.asarray(np.linalg.lstsq(matrix, loads, rcond=None)[0]).T
-    weight = robot.weight_per_length * straight.length[0]
-    pull = np.maximum(tension, weight)  # below its weight a cable does not count as taut
-    cables = length_at_tension(robot, where, state.rotation[None], pull[None])
+    cables = length_at_tension(robot, where, state.rotation[None], tension[None])
     jacobian = -matrix.T @ pose_map(state, settings.imu_position)
     jacobian[:, len(jacobian.T) - robot.n :] = np.eye(robot.n)
     # By the sag, which goes with the inverse square of the tension, and the stretch.
     doubt = (
         settings.tension_share * np.abs(tension)
         + settings.tension_change * np.abs(tension - still)
-        + settings.tension_weight * weight
+        + settings.tension_weight * robot.weight_per_length * straight.length[0]
     )
     taut = tension > TAUT * doubt
     less = np.where(taut, tension - doubt, 1.0)
     bend = _curvature(robot, state, straight, settings)
-    sagging = pull * cables.sag[0]
-    energy = np.maximum(swing.energy, sagging)
-    swinging = settings.swing_share * (energy - sagging) / pull
+    strings = _strings(robot, straight, tension)
+    swing = swing.later(state.time, strings, settings.swing_time)
+    swinging = settings.swing_share * swing.taken(strings)
     spread = (2.0 * cables.sag[0] + cables.stretch[0]) * doubt / less + bend + swinging
     return ExpectedLengths(
         length=cables.unstrained_length[0],
         jacobian=jacobian,
         tension=tension,
         spread=spread,
-        swing=Swing(energy=energy, time=swing.time),
+        swing=swing,
         valid=cables.valid[0] & taut & straight.valid[0],
     )
+
+
+def _strings(robot: Robot, straight: StraightCables, tension: Array) -> Strings:
+    """The cables as strings; those that hang loose as if under their own weight."""
+    length, unit = straight.length[0], straight.direction[0]
+    weight = robot.weight_per_length
+    across = np.sqrt(np.maximum(1.0 - unit[:, 2] ** 2, 0.0))
+    return Strings(
+        length=length, tension=np.maximum(tension, weight * length), density=robot.linear_density,
+        weight=weight * across,
+    )  # fmt: skip
 
 
 def _curvature(

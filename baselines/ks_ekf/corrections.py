@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from baselines.ks_ekf.cable_model import Swing, expected_lengths
+from baselines.ks_ekf.cable_model import expected_lengths
+from baselines.ks_ekf.cable_swing import Swing
 from baselines.ks_ekf.filter_state import (
     CENTER,
     FORCE_BIAS,

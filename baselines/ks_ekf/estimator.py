@@ -198,11 +198,10 @@ class KsEkf:
         state, settings = record.state, self._settings
         if settings.coupling == "tight":
             turning = slope(record.window.samples, state.time, SLOPE)
-            swing = record.swing.later(reading.time, settings.swing_time)
             tight = corrections.of_lengths(
-                self._robot, state, reading.lengths, turning, swing, settings
+                self._robot, state, reading.lengths, turning, record.swing, settings
             )
-            return replace(record, swing=tight.swing or swing), tight
+            return replace(record, swing=tight.swing or record.swing), tight
         record, rest = self._rest(record, reading)
         if rest is None:
             return record, None

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from baselines.ks_ekf.cable_model import Swing
+from baselines.ks_ekf.cable_swing import Swing
 from baselines.ks_ekf.filter_state import FilterState
 from baselines.ks_ekf.readings import Reading
 from baselines.ks_ekf.rest_detection import Window
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.consistency import Innovations
+
+NO_SWING = Swing()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,7 +51,7 @@ class KsEkfRecord:
     innovations: Innovations
     waiting: tuple[Reading, ...] = ()
     tension: Array | None = None
-    swing: Swing = field(default_factory=Swing)
+    swing: Swing = NO_SWING
     resting: bool = False
     rest_used: float = -float("inf")
     updates: int = 0

@@ -41,9 +41,8 @@ class KsEkfSettings:
         tension_change: What adds to that, as a share of what motion changes them by: a cable that
             swings itself does not sag as one at rest under the same tension.
         tension_weight: What adds to that, as a share of the weight of the cable.
-        swing_share: Error of the length of a cable that swings itself, as a multiple of what its
-            swing takes at most. Above 1, as a swing lasts for many readings, which the filter takes
-            to err independently.
+        swing_share: Error of the length of a cable that swings itself after its tension has changed
+            quickly, as a share of what its swing takes at most.
         swing_time: In which such a swing fades to a share 1/e [s].
         length_bias: Prior of the constant error of each length [m].
         length_walk: By how much that error walks in a minute [m]: exit points that are off change
@@ -83,7 +82,7 @@ class KsEkfSettings:
     tension_share: float = 0.05
     tension_change: float = 0.5
     tension_weight: float = 1.0
-    swing_share: float = 5.0
+    swing_share: float = 1.0
     swing_time: float = 2.0
     length_bias: float = 5e-3
     length_walk: float = 0.01

@@ -1,0 +1,84 @@
+r"""How cables swing themselves where their tension changes faster than they can follow.
+
+A cable of length l and mass per length :math:`\rho` under a tension f is a string. Its slowest
+motion across the chord, with the sag s of its middle, is an oscillator about its sag at rest,
+
+.. math::
+
+    \ddot s = \omega^2 (w l^2 / 8 f - s), \qquad \omega = (\pi / l) \sqrt{f / \rho},
+
+w its weight per length across the chord; damping lets swings fade. A tension that changes slowly
+takes the sag along. A cable that was nearly slack hangs by decimetres and is pulled taut within
+tenths of a second: it swings, and with the amplitude a it takes up to
+:math:`8 ((s + a)^2 - s^2) / 3 l` more length than at rest, millimetres for a second or two.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from carosac_toolkit.arrays import Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Strings:
+    """Cables of one robot at an instant, as strings.
+
+    Attributes:
+        length: Of the chords [m], shape (n,), > 0.
+        tension: [N], shape (n,), > 0.
+        density: Mass per length [kg/m], shape (n,).
+        weight: Per length, across the chord [N/m], shape (n,).
+    """
+
+    length: Array
+    tension: Array
+    density: Array
+    weight: Array
+
+    @property
+    def pace(self) -> Array:
+        """Angular frequency of the slowest motion across the chord [rad/s], shape (n,)."""
+        return np.asarray(np.pi / self.length * np.sqrt(self.tension / self.density))
+
+    @property
+    def sag(self) -> Array:
+        """Of the middle at rest [m], shape (n,)."""
+        return np.asarray(self.weight * self.length**2 / (8.0 * self.tension))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Swing:
+    """Sag of the cables of one robot, as it moves.
+
+    Attributes:
+        sag: Of their middles [m], shape (n,); None where nothing is known yet.
+        speed: Of the sag [m/s], shape (n,).
+        time: When it was that [s].
+    """
+
+    sag: Array | None = None
+    speed: Array | float = 0.0
+    time: float = 0.0
+
+    def later(self, time: float, strings: Strings, damping_time: float) -> Swing:
+        """At a time [s], under tensions of then; swings fade to 1/e in `damping_time` [s]."""
+        rest, pace = strings.sag, strings.pace
+        if self.sag is None:
+            return Swing(sag=rest, speed=np.zeros_like(rest), time=time)
+        gone = max(time - self.time, 0.0)
+        turned, left = pace * gone, np.exp(-gone / damping_time)
+        beyond, drift = self.sag - rest, self.speed / pace
+        sag = rest + left * (beyond * np.cos(turned) + drift * np.sin(turned))
+        speed = left * pace * (drift * np.cos(turned) - beyond * np.sin(turned))
+        return Swing(sag=sag, speed=speed, time=time)
+
+    def taken(self, strings: Strings) -> Array:
+        """Length that the swing takes at most [m], shape (n,)."""
+        if self.sag is None:
+            return np.zeros_like(strings.length)
+        rest = strings.sag
+        amplitude = np.hypot(self.sag - rest, self.speed / strings.pace)
+        return np.asarray(8.0 / (3.0 * strings.length) * ((rest + amplitude) ** 2 - rest**2))
