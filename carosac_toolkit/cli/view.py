@@ -120,6 +120,10 @@ def _check(options: Options) -> None:
         value = getattr(options, name)
         if value is not None and not 0.0 < value < np.inf:
             raise InvalidField(f"--{name}", str(value), "> 0, finite")
+    if options.priority and not options.live:
+        raise InvalidField("--priority", "it without --live", "--live --priority: it is the loop's")
+    if options.plain and options.html is not None:
+        raise InvalidField("--plain", f"it with --html {options.html}", "--plain or --html")
     check_writable("--html", options.html, (".html", ".htm"))
     if options.html is not None and options.live:
         allowed = "no --live; record with carosac run, then carosac view RECORDING --html FILE"

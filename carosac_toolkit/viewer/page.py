@@ -34,6 +34,7 @@ class Page:
     Attributes:
         robot: What is shown.
         rate: Pictures a second, at most.
+        plain: Whether it is cheap to draw.
         server: `viser.ViserServer`.
         scene: Where the robot is drawn.
         plots: Beside it.
@@ -56,7 +57,7 @@ class Page:
             followed: What the target of a picture is, in a word.
             plain: Whether it should be cheap to draw, for a browser without a GPU.
         """
-        self.robot, self.rate, self._followed, self._plain = robot, rate, followed, plain
+        self.robot, self.rate, self._followed, self.plain = robot, rate, followed, plain
         self.server = start_server(host, port, title)
         self.picture: Picture | None = None
         self._drawing = threading.Lock()
@@ -80,7 +81,7 @@ class Page:
     def url(self) -> str:
         """Where the page is."""
         address = f"http://{self.server.get_host()}:{self.server.get_port()}"
-        return f"{address}/?fixedDpr={PLAIN_PIXELS:g}" if self._plain else address
+        return f"{address}/?fixedDpr={PLAIN_PIXELS:g}" if self.plain else address
 
     def offer(self, picture: Picture) -> None:
         """Show a picture soon, unless a newer one comes first; never waits."""
@@ -95,7 +96,7 @@ class Page:
         """Show a status line."""
         if (text, problem) == self._said:
             return
-        every = PLAIN_STATUS_EVERY if self._plain else STATUS_EVERY
+        every = PLAIN_STATUS_EVERY if self.plain else STATUS_EVERY
         fresh = time.monotonic() - self._said_at < every
         if fresh and problem == self._said[1]:
             return
@@ -150,7 +151,7 @@ class Page:
                 hint="The distance of each cable from its chord is drawn so many times larger.",
             )  # fmt: skip
             trails = gui.add_checkbox("trails", initial_value=True)
-            labels = gui.add_checkbox("tensions at the exits", initial_value=not self._plain)
+            labels = gui.add_checkbox("tensions at the exits", initial_value=not self.plain)
             forget = gui.add_button("Clear trails")
         self.enlarged = enlarged
 

@@ -46,7 +46,9 @@ class Replay:
         self._drawn = 0
         page.plots.whole = True
         page.scene.own_trails = False
-        self._ghost_scene = RobotScene(page.server.scene, self.run.robot, "/ghost", ghost=True)
+        self._ghost_scene = RobotScene(
+            page.server.scene, self.run.robot, "/ghost", ghost=True, plain=page.plain
+        )
         self._ghost_scene.own_trails = False
         self._ghost_scene.visible = self.ghost is not None
         self._add_controls(names, NONE if ghost is None else names[ghost])

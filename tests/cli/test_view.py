@@ -77,6 +77,8 @@ def test_what_means_nothing_is_refused_in_one_message(tmp_path, capsys):
     assert "simulated driver" in refused(capsys, "carosac", "--live", "--driver", "ads")
     file = tmp_path / "live.html"
     assert "no --live" in refused(capsys, "carosac", "--live", "--html", str(file))
+    assert "--plain or --html" in refused(capsys, "carosac", "--plain", "--html", str(file))
+    assert "--live --priority" in refused(capsys, "carosac", "--priority")
     assert ".html" in refused(capsys, "carosac", "--html", str(tmp_path / "x.png"))
     assert "what the options say" in refused(
         capsys, "carosac", "--live", "--set", "driver.real_time=false"
