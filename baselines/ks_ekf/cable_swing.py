@@ -9,8 +9,9 @@ motion across the chord, with the sag s of its middle, is an oscillator about it
 
 w its weight per length across the chord; damping lets swings fade. A tension that changes slowly
 takes the sag along. A cable that was nearly slack hangs by decimetres and is pulled taut within
-tenths of a second: it swings, and with the amplitude a it takes up to
-:math:`8 ((s + a)^2 - s^2) / 3 l` more length than at rest, millimetres for a second or two.
+tenths of a second: it swings, and with the amplitude a about the sag s it takes the length
+:math:`8 ((s + a \cos)^2 - s^2) / 3 l` more than at rest. What is linear in a comes and goes several
+times a second; :math:`8 a^2 / 3 l` stays, millimetres for a second or two.
 """
 
 from __future__ import annotations
@@ -76,9 +77,8 @@ class Swing:
         return Swing(sag=sag, speed=speed, time=time)
 
     def taken(self, strings: Strings) -> Array:
-        """Length that the swing takes at most [m], shape (n,)."""
+        """Length that the swing takes at most, but for what comes and goes [m], shape (n,)."""
         if self.sag is None:
             return np.zeros_like(strings.length)
-        rest = strings.sag
-        amplitude = np.hypot(self.sag - rest, self.speed / strings.pace)
-        return np.asarray(8.0 / (3.0 * strings.length) * ((rest + amplitude) ** 2 - rest**2))
+        square = (self.sag - strings.sag) ** 2 + (self.speed / strings.pace) ** 2
+        return np.asarray(8.0 / (3.0 * strings.length) * square)

@@ -157,13 +157,14 @@ class KsEkf:
     def _use_lengths(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
         """Weigh lengths, as they are or as a pose of rest; start anew after too many misfits."""
         record, evidence = self._evidence(record, reading)
-        if evidence is None:
-            return replace(record, failures=record.failures + 1)
+        if evidence is None:  # without a pose of rest nothing holds the inertial prediction
+            return self._misfit(replace(record, failures=record.failures + 1), reading)
         record = replace(record, slack=record.slack + evidence.left_out, tension=evidence.tension)
         if not len(evidence.residual):  # no cable seems taut: no motion lasts long that way
             return self._misfit(record, reading)
         found = self._correct(record.state, evidence)
-        if not found.accepted and len(evidence.residual) > 3:
+        by_cable = self._settings.coupling == "tight"  # a pose is wrong as a whole
+        if not found.accepted and by_cable and len(evidence.residual) > 3:
             fewer = self._correct(record.state, corrections.without_worst(record.state, evidence))
             found = fewer if fewer.accepted else found
             record = replace(record, excluded=record.excluded + fewer.accepted)
