@@ -1,4 +1,4 @@
-"""Read-only float64 arrays, checked once where they enter."""
+"""Read-only float64 arrays, checked once where they enter; even choices of their rows."""
 
 from __future__ import annotations
 
@@ -96,3 +96,8 @@ def set_frozen(instance: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
     """Replace the named fields of a frozen dataclass by their `frozen_array`."""
     for name, shape in shapes.items():
         object.__setattr__(instance, name, frozen_array(name, getattr(instance, name), shape))
+
+
+def evenly(count: int, most: int) -> NDArray[np.int64]:
+    """At most so many of `count` indices, evenly spread, first and last among them."""
+    return np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)

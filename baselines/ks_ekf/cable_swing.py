@@ -10,8 +10,8 @@ motion across the chord, with the sag s of its middle, is an oscillator about it
 w its weight per length across the chord; damping lets swings fade. A tension that changes slowly
 takes the sag along. A cable that was nearly slack hangs by decimetres and is pulled taut within
 tenths of a second: it swings, and with the amplitude a about the sag s it takes the length
-:math:`8 ((s + a \cos)^2 - s^2) / 3 l` more than at rest. What is linear in a comes and goes several
-times a second; :math:`8 a^2 / 3 l` stays, millimetres for a second or two.
+:math:`8 ((s + a \cos \omega t)^2 - s^2) / 3 l` more than at rest. What is linear in a comes and
+goes several times a second; :math:`8 a^2 / 3 l` stays, millimetres for a second or two.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit import registry, trajectories
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.arrays import Array, evenly
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.filled_settings import filled
 from carosac_toolkit.live.rehearsal import rehearse
@@ -215,7 +215,7 @@ def example_series(case: Case, log: Log) -> str | None:
     """
     if case.seed != case.settings.get("example_seed", 0):
         return None
-    keep = np.unique(np.linspace(0, len(log.time) - 1, SERIES).round().astype(int))
+    keep = evenly(len(log.time), SERIES)
     channels: dict[str, Any] = {
         "time_s": log.time[keep],
         "reference_m": log.reference[keep, 0],

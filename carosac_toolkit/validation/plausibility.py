@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.arrays import Array, evenly
 from carosac_toolkit.physics.straight_line import straight_length
 from carosac_toolkit.recording import Recording
 from carosac_toolkit.recordings import quaternions
@@ -65,7 +65,7 @@ def find_mix_ups(
     Returns:
         Sentences; none for a recording that is plausible.
     """
-    some = np.unique(np.linspace(0, len(length) - 1, SAMPLES).round().astype(int))
+    some = evenly(len(length), SAMPLES)
     trial = _Trial(
         robot=robot,
         length=length[some],

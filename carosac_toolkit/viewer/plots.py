@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.arrays import Array, evenly
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.viewer.colors import CABLES, hex_of
 from carosac_toolkit.viewer.picture import Picture
@@ -105,7 +105,7 @@ class Plots:
             error: [m], shape (T,).
             now: [s].
         """
-        keep = np.unique(np.linspace(0, len(time) - 1, MOST).round().astype(int))
+        keep = evenly(len(time), MOST)
         here = int(np.argmin(np.abs(time[keep] - now)))
         self._draw(time[keep], tension[keep], 1e3 * error[keep], here)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.arrays import Array, evenly
 from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.publisher import Publisher
 from carosac_toolkit.viewer.runs import Run
@@ -177,7 +177,4 @@ class Replay:
 
 def thinned(way: Array) -> Array:
     """At most `WAY` points of a way, the last one included."""
-    if len(way) <= WAY:
-        return way
-    keep = np.unique(np.linspace(0, len(way) - 1, WAY).round().astype(int))
-    return np.asarray(way[keep])
+    return np.asarray(way[evenly(len(way), WAY)])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.arrays import Array, evenly
 from carosac_toolkit.pictures.robot import box_edges
 from carosac_toolkit.recordings.quaternions import from_matrix
 from carosac_toolkit.robot import Robot
@@ -63,8 +63,7 @@ class RobotScene:
         self.trails = self.own_trails = True
         self.labels = not plain
         self._every = PLAIN_TRAIL_EVERY if plain else TRAIL_EVERY
-        self._most: int | None = PLAIN_MOST if plain else None
-        self._samples: int | None = PLAIN_SAMPLES if plain else None
+        self._plain = plain
         self._count = 0
         self._size = float(np.ptp(extent(robot), axis=0).max())
         self._ways: dict[str, deque[Array]] = {
@@ -125,7 +124,7 @@ class RobotScene:
         handle = self._trails[key]
         handle.visible = self.trails and len(way) > 1
         if handle.visible:
-            handle.points = segments(way[_evenly(len(way), self._most)])
+            handle.points = segments(way[evenly(len(way), PLAIN_MOST)] if self._plain else way)
 
     @property
     def visible(self) -> bool:
@@ -229,7 +228,8 @@ class RobotScene:
     def _draw_cables(self, picture: Picture) -> None:
         """All cables as one set of segments, coloured by tension."""
         points = picture.drawn(self.enlarged)
-        points = points[:, _evenly(points.shape[1], self._samples)]
+        if self._plain:
+            points = points[:, evenly(points.shape[1], PLAIN_SAMPLES)]
         pairs = np.stack([points[:, :-1], points[:, 1:]], axis=2)  # (n, samples - 1, 2, 3)
         colors = tension_colors(self._robot, picture.tension)
         if self._ghost:
@@ -269,12 +269,6 @@ class RobotScene:
             known = np.isfinite(tension[i])
             value = f"{tension[i]:.0f} N" if known else "? N"
             handle.text = f"{self._robot.cable_names[i]}: {value}"
-
-
-def _evenly(count: int, most: int | None) -> NDArray[np.int64]:
-    """At most so many of these indices, first and last among them."""
-    kept = count if most is None else min(count, most)
-    return np.linspace(0, count - 1, kept).round().astype(np.int64)
 
 
 def segments(way: Array) -> NDArray[np.float32]:
