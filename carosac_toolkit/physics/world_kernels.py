@@ -18,6 +18,7 @@ from carosac_toolkit.physics.winch_kernels import Winch, WinchState, winch_advan
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 CALM = wp.constant(3)  # steps after which a change from slack to taut is over
+ALIKE = wp.constant(-1)  # in place of such steps: all steps alike, through impacts too
 LIMIT = wp.constant(12)  # Newton steps in one time step
 FINEST = wp.constant(64)  # parts of a time step in which it may be taken where it fails
 STEP = wp.constant(wp.float64(1.0e-7))  # [m] a smaller Newton step of the platform is the last
@@ -48,7 +49,7 @@ class Worlds:
     seed: wp.array(dtype=int)
     last: wp.array(dtype=wp.float64)  # size of the last step [s]; 0: there was none
     slack: wp.array(dtype=wp.float64)  # stands for which segments of chains are slack
-    rough: wp.array(dtype=int)  # steps to go since a cable fell slack or snapped taut
+    rough: wp.array(dtype=int)  # steps to go since a cable fell slack or snapped taut, or `ALIKE`
     failed: wp.array(dtype=int)
     time: wp.array(dtype=wp.float64)  # since the last reset [s]
     position: wp.array(dtype=wp.vec3d)  # platform origin [m]
@@ -144,6 +145,8 @@ def turn_back(worlds: Worlds, b: int, lane: int, lanes: int):
 @wp.func
 def roughness(rough: int, before: wp.float64, now: wp.float64) -> int:
     """Steps to go until an impact is over, which is where `before` and `now` differ."""
+    if rough == ALIKE:
+        return ALIKE
     if before != now:
         return CALM
     return wp.max(rough - 1, 0)

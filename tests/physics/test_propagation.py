@@ -99,6 +99,18 @@ def test_derivatives_hold_at_a_turned_pose(robot, rest):
     assert change[1] == pytest.approx(2.0 * change[0], rel=1e-3, abs=1e-9)
 
 
+def test_neighbours_stay_neighbours_through_a_jerk(robot, rest):
+    """Filters difference motions side by side, also where a tension falls by half in a step."""
+    up = np.linspace(0.0, 2.0, 201)
+    kick = np.zeros((201, 6))
+    kick[:, 2] = up
+    length = np.repeat(rest.unstrained_length, 201, axis=0)
+    end = Propagation(robot, 201).run(let_go(rest, kick), length, length, 0.05)
+    assert end.tension.min() < 0.05 * rest.tension.min()
+    assert np.abs(np.diff(end.position, 2, axis=0)).max() < 5e-5
+    assert np.abs(np.diff(end.twist, 2, axis=0)).max() < 5e-3
+
+
 def test_mass_and_centre_of_mass_can_be_changed(robot, rest):
     heavy = replace(robot, mass=1.1 * robot.mass, center_of_mass=np.array([0.01, 0.0, -0.1]))
     hung = ct.statics.forward_kinematics(heavy, rest.unstrained_length)
