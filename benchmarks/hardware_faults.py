@@ -49,6 +49,8 @@ MOVING = 0.1  # [m/s] from which on a fault may come
 NOTICED = 0.2  # [s] of silence that either side takes for a fault: other programs run here
 STATED = 1.0  # [s] from the fault to rest: to notice it, 0.5 s from 2.5 m/s, and the machine
 LEAST_ROWS = 50
+NOT_HELD = ("PLC killed", "Ctrl-C")  # nobody is left who could hold the fault, or there is none
+ASKED = "then reset it"  # what a start says that a fault of before refuses
 OVER = ("over_length", "over_speed", "over_acceleration", "over_jerk", "not_finite", "jumps")
 NOTHING, RAISES, HANGS, NAN, FAR, DIVERGES = range(6)
 WHAT = Value(c_int, NOTHING)  # what controller and estimator do wrong, from the parent process
@@ -136,7 +138,7 @@ def plc(trial: Trial, check: bool) -> int:
     return 0
 
 
-def host(trial: Trial) -> int:
+def host(trial: Trial, name: str = "run") -> int:
     """The host process: the command itself."""
     take_priority("host")
     options = run_command.Options(
@@ -146,11 +148,11 @@ def host(trial: Trial) -> int:
         home=tuple(float(x) for x in ct.load_robot("carosac").home_position), home_anew=True,
         settings=(f"driver.stale_time={NOTICED}", f"driver.hang_time={NOTICED}",
                   f"driver.inner.lost_after={NOTICED}"),
-        speed=0.8, acceleration=0.8, recording=trial.folder / "run.jsonl",
+        speed=0.8, acceleration=0.8, recording=trial.folder / f"{name}.jsonl",
     )  # fmt: skip
     result = run_command.run(options)
     said = {key: result.data[key] for key in ("fault", "reason")}
-    (trial.folder / "result.json").write_text(json.dumps(said))
+    (trial.folder / f"{name}.json").write_text(json.dumps(said))
     return result.status
 
 
@@ -262,6 +264,7 @@ def run_trial(name: str, rng: np.random.Generator, number: int) -> Trial:
             time.sleep(rng.uniform(0.0, 2.0))
             watch(trial, name, inject)
             judge(trial, name, allowed)
+            try_again(trial, name)
         except (TimeoutError, CarosacError) as error:
             sys.stdout.flush()
             said = [(trial.folder / f"{who}.txt").read_text()[-600:] for who in ("plc", "host")]
@@ -304,7 +307,7 @@ def judge(trial: Trial, name: str, allowed: str) -> None:
         trial.said = str(list(Fault)[state(trial)[1]])
     else:
         until(lambda: ended(trial.host), "the host did not end")
-    result = trial.folder / "result.json"
+    result = trial.folder / "run.json"
     if result.exists():
         trial.said = json.loads(result.read_text())["fault"] or "none"
     if name != "PLC killed":
@@ -318,6 +321,27 @@ def judge(trial: Trial, name: str, allowed: str) -> None:
         warnings.simplefilter("ignore")  # where the process was killed, half a row may be left
         trial.rows = len(read_run(trial.folder / "run.jsonl").recording.time)
     trial.problems += problems(trial, name, allowed)
+
+
+def try_again(trial: Trial, name: str) -> None:
+    """Start the command once more as it was: a fault that nobody has reset lets nothing move."""
+    if name in NOT_HELD:
+        return
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(trial.host, signal.SIGKILL)
+    until(lambda: ended(trial.host), "the host did not end")
+    WHAT.value = NOTHING
+    trial.host = child(lambda: host(trial, "again"), trial.folder / "again.txt")
+    fastest = 0.0
+    began = time.monotonic()
+    while not ended(trial.host) and time.monotonic() - began < PATIENCE:
+        fastest = max(fastest, speed(trial))
+        time.sleep(0.002)
+    said = (trial.folder / "again.txt").read_text()
+    if fastest > 0.0:
+        trial.problems.append(f"moved again without a reset: {fastest:.2f} m/s")
+    elif ASKED not in said:
+        trial.problems.append(f"no word of a reset: {said[-300:]}")
 
 
 def problems(trial: Trial, name: str, allowed: str) -> list[str]:

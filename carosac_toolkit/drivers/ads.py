@@ -149,18 +149,15 @@ class AdsDriver(AdsReader):
         Raises:
             CarosacError: The PLC obeys another host, whose winches these are.
         """
-        link = self.link
-        if link is None or not self._settings.motion or not self._enabled:
-            return
-        self._enabled = False
-        if not link.other:
-            answer = link.request(Request.DISABLE, ads_reader.ANSWER)
-            if answer is Answer.NONE:
-                return
-            if answer is not Answer.NOT_OWNER:
-                self._wait_for_rest()
-            link.quiet()
-        self._alone()
+        self._let_go(Request.DISABLE)
+
+    def hold_fault(self, fault: Fault) -> None:
+        """Disable, and have the PLC hold a fault of this side: nobody moves before a reset.
+
+        Raises:
+            CarosacError: As of `disable`.
+        """
+        self._let_go(Request.HOLD, fault)
 
     def reset_fault(self) -> None:
         """Clear a latched fault of the PLC, or of the connection once it is back.
@@ -174,7 +171,7 @@ class AdsDriver(AdsReader):
         if link.counters.restarts != self._restarts:
             self._restarts = link.counters.restarts
             self._homed = self._enabled = False
-        if self.fault in (Fault.LOST_CONNECTION, Fault.STALE_DATA):
+        if self.link_fault in (Fault.LOST_CONNECTION, Fault.STALE_DATA):
             raise CarosacError(f"{self.name}: {self.fault_text}")
         self._alone()
         self._wait_for_rest()
@@ -260,6 +257,21 @@ class AdsDriver(AdsReader):
         check_period(duration, self._settings.period, "driver")
         self._ticks.wait()
         return not self._stopped and self.state not in (DriveState.FAULT, DriveState.ESTOP)
+
+    def _let_go(self, request: Request, fault: Fault = Fault.NONE) -> None:
+        """Disable, or hold a fault, where the drives may be on."""
+        link = self.link
+        if link is None or not self._settings.motion or not self._enabled:
+            return
+        self._enabled = False
+        if not link.other:
+            answer = link.request(request, ads_reader.ANSWER, fault=fault.number)
+            if answer is Answer.NONE:
+                return
+            if answer is not Answer.NOT_OWNER:
+                self._wait_for_rest()
+            link.quiet()
+        self._alone()
 
     def _alone(self) -> None:
         """Refuse to write where the PLC obeys another host."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from carosac_toolkit.errors import CarosacError
 
-LAYOUT = 1  # version of the layout; both sides refuse another one
+LAYOUT = 2  # version of the layout; both sides refuse another one
 
 
 class Request(IntEnum):
@@ -28,6 +28,7 @@ class Request(IntEnum):
     STOP = 2  # ramp to rest; the drives hold then
     DISABLE = 3  # ramp to rest, switch the drives off, obey nobody
     RESET = 4  # clear a latched fault whose cause is gone
+    HOLD = 5  # as disable, and latch a fault that the host has seen
 
 
 class Answer(IntEnum):
@@ -135,7 +136,7 @@ def from_host(n: int) -> Block:
         Field("cables", "UDINT", "number of cables"),
         Field("sequence", "UDINT", "heartbeat: one more at each write"),
         Field("session", "UDINT", "number that the host drew; the PLC obeys one"),
-        Field("request", "UDINT", "0 none, 1 enable, 2 stop, 3 disable, 4 reset"),
+        Field("request", "UDINT", "0 none, 1 enable, 2 stop, 3 disable, 4 reset, 5 hold a fault"),
         Field("request_number", "UDINT", "one more at each new request"),
         Field("follow", "UDINT", "1: length and rate are to be followed"),
         Field("command", "UDINT", "one more at each new command"),
@@ -143,7 +144,7 @@ def from_host(n: int) -> Block:
         Field("length", "LREAL", "set position [unit]", n),
         Field("rate", "LREAL", "set velocity [unit/s]", n),
         Field("sequence_end", "UDINT", "as sequence: the data are of one write"),
-        Field("spare", "UDINT", "0"),
+        Field("fault", "UDINT", "with request 5: number of the fault"),
     ))  # fmt: skip
 
 

@@ -26,6 +26,7 @@ from carosac_toolkit.plc.machine_blocks import TRUTH, truth
 _AGAIN = 0.2  # [s] between two attempts to connect
 _REOPEN = 4  # calls in a row that failed, after which the connection is opened anew
 _BY_HANDLE = 0xF005
+_LETS_GO = (Request.DISABLE, Request.HOLD)
 
 
 class AdsLink:
@@ -71,13 +72,13 @@ class AdsLink:
         self._active = False  # whether anything is written now
         self._ending = False  # whether that ends with the next write
         self._heard = False  # whether the PLC was read since the connection was opened
-        self._pending: int | None = None  # disable that was not answered in time
+        self._pending: int | None = None  # disable or hold that was not answered in time
         self._running = False
         self._thread: threading.Thread | None = None
         self._out: dict[str, Any] = {
             "layout": ads_block.LAYOUT, "cables": n, "session": self.session, "follow": 0,
             "request": 0, "request_number": secrets.randbelow(2**31), "command": 0,
-            "period": 0.0, "length": 0.0, "rate": 0.0,
+            "period": 0.0, "length": 0.0, "rate": 0.0, "fault": 0,
         }  # fmt: skip
         self._sequence, self._failures, self._ended = 0, 0, 0.0
 
@@ -145,15 +146,16 @@ class AdsLink:
         with self._wake:
             self._out = self._out | {"follow": 0}
 
-    def request(self, request: Request, patience: float = 0.0) -> Answer:
+    def request(self, request: Request, patience: float = 0.0, *, fault: int = 0) -> Answer:
         """Ask the PLC for something; commands no longer count then.
 
         Args:
             request: What.
             patience: How long to wait for the answer [s]; 0: not at all.
+            fault: Number of the fault to hold.
 
-        A disable that is not answered in time stays, and the heartbeat stands still, so that the
-        watchdog of the PLC stops the winches where the request does not reach it.
+        A disable or hold that is not answered in time stays, and the heartbeat stands still, so
+        that the watchdog of the PLC stops the winches where the request does not reach it.
 
         Returns:
             The answer, `Answer.NONE` where there was none in time.
@@ -162,6 +164,7 @@ class AdsLink:
             number = (self._out["request_number"] + 1) % 2**32 or 1
             self._out = self._out | {
                 "request": int(request), "request_number": number, "follow": 0,
+                "fault": fault,
             }  # fmt: skip
             self._active, self._ending, self._pending = True, False, None
             self._fresh = True
@@ -169,7 +172,7 @@ class AdsLink:
         answer = self._answer(number, patience)
         with self._wake:
             if self._out["request_number"] == number:
-                if request is Request.DISABLE and answer is Answer.NONE:
+                if request in _LETS_GO and answer is Answer.NONE:
                     self._pending = number
                 elif patience > 0.0:  # a PLC that starts anew must not find it
                     self._out = self._out | {"request": 0}

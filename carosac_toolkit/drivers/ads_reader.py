@@ -70,7 +70,7 @@ class AdsReader:
         link = self.link
         if link is None or link.reading is None:
             return DriveState.DISCONNECTED
-        if self.fault in (Fault.LOST_CONNECTION, Fault.STALE_DATA, Fault.OWNER):
+        if self.link_fault is not Fault.NONE:
             return DriveState.FAULT
         said = state_of(link.reading.values["state"])
         return DriveState.HOMED if said is DriveState.CONNECTED and self._homed else said
@@ -85,7 +85,15 @@ class AdsReader:
 
     @property
     def fault(self) -> Fault:
-        """What is wrong, by the PLC or by the connection to it."""
+        """What is wrong, by the connection to the PLC or by the PLC."""
+        own, link = self.link_fault, self.link
+        if own is not Fault.NONE or link is None or link.reading is None:
+            return own
+        return fault_of(link.reading.values["fault"])
+
+    @property
+    def link_fault(self) -> Fault:
+        """What is wrong with the connection; the PLC may hold the same word of an earlier one."""
         link = self.link
         if link is None or link.reading is None:
             return Fault.NONE
@@ -97,7 +105,7 @@ class AdsReader:
             return Fault.STALE_DATA
         if self._enabled and link.other:
             return Fault.OWNER
-        return fault_of(link.reading.values["fault"])
+        return Fault.NONE
 
     @property
     def fault_text(self) -> str:
@@ -105,7 +113,7 @@ class AdsReader:
         link, fault = self.link, self.fault
         if link is None or link.reading is None:
             return "not connected"
-        if fault is Fault.LOST_CONNECTION:
+        if self.link_fault is Fault.LOST_CONNECTION:
             if link.age <= self.lost_after:
                 return "lost connection: the PLC was started anew; home again"
             return f"lost connection: no answer for {link.age:.2f} s ({link.error})"

@@ -102,11 +102,18 @@ class BrakingGuard(GuardCore):
             self._quietly(self._brake_to_rest)
         finally:
             self._live = False
-            if hasattr(self.inner, "disable"):
-                self._quietly(self.inner.disable)
+            self._quietly(self._switch_off)
             self._checks.standing(None)
         if self.fault is None:
             self._life.go(DriveState.HOMED)
+
+    def _switch_off(self) -> None:
+        """Disable the drives; they hold a fault of this side too, for whoever comes after us."""
+        hold = getattr(self.inner, "hold_fault", None)
+        if hold is not None and self.fault is not None:
+            hold(self.fault.fault)
+        elif hasattr(self.inner, "disable"):
+            self.inner.disable()
 
     def _brake_to_rest(self) -> None:
         """All cycles of a stop, blind where the driver fails; gives up after `stop_time_max`."""

@@ -69,9 +69,11 @@ class GuardedDriver(BrakingGuard):
             try:
                 if self.settings.reset_at_once and self.settings.motion:
                     self._reset_inner()
-                self.measure()
-                if self.settings.enable_at_once and self.settings.motion:
+                moves = self.settings.enable_at_once and self.settings.motion
+                if moves:
                     self._check_held()
+                self.measure()
+                if moves:
                     self.home(self._start(), anew=self.settings.home_anew)
                     self.enable()
                 elif self.settings.rehearse and not self.settings.motion:

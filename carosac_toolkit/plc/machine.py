@@ -10,7 +10,7 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.drivers.ads_block import LAYOUT, Answer, DriveStatus, Request
-from carosac_toolkit.drivers.drive_state import DriveState, Fault
+from carosac_toolkit.drivers.drive_state import DriveState, Fault, fault_of
 from carosac_toolkit.plc.command_checks import CommandChecks, Counters
 from carosac_toolkit.plc.playback import Playback
 from carosac_toolkit.plc.winches import Winches, WinchLimits
@@ -201,13 +201,16 @@ class Machine:
             return self._enable(host)
         if request == Request.RESET:
             return self._reset()
-        if request in (Request.STOP, Request.DISABLE):
+        if request in (Request.STOP, Request.DISABLE, Request.HOLD):
             if not mine:
                 return Answer.NOT_OWNER
-            self._disable = self._disable or request == Request.DISABLE
+            if request == Request.HOLD:
+                held = fault_of(host["fault"])
+                self.stop(Fault.UNKNOWN if held is Fault.NONE else held)
+            self._disable = self._disable or request != Request.STOP
             if self.state in (DriveState.ENABLED, DriveState.FOLLOWING):
                 self.state = DriveState.STOPPING
-            elif request == Request.DISABLE and self.winches.at_rest:
+            elif request != Request.STOP and self.winches.at_rest:
                 self._release()
             self._host.playback = None
             return Answer.DONE
@@ -300,10 +303,10 @@ class Machine:
             self.wires.tripped
         )  # fmt: skip
         self.winches.ramp(braked)
-        if self.state is DriveState.STOPPING and self.winches.at_rest:
-            self.state = DriveState.ENABLED
+        if self.state in (DriveState.STOPPING, DriveState.FAULT) and self.winches.at_rest:
+            if self.state is DriveState.STOPPING:
+                self.state = DriveState.CONNECTED if self._disable else DriveState.ENABLED
             if self._disable:
-                self.state = DriveState.CONNECTED
                 self._release()
             self._disable = False
 

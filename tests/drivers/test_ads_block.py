@@ -34,8 +34,8 @@ def test_values_come_back_as_they_were_packed():
 
 def test_another_layout_is_refused_by_name():
     block = ads_block.to_host(4)
-    values = block.unpack(block.pack({"layout": 2, "cables": 4}))
-    with pytest.raises(ads_block.WrongBlock, match=r"ST_ToHost.layout: got 2; allowed: 1"):
+    values = block.unpack(block.pack({"layout": 1, "cables": 4}))
+    with pytest.raises(ads_block.WrongBlock, match=r"ST_ToHost.layout: got 1; allowed: 2"):
         ads_block.whole(block, values, 4)
 
 

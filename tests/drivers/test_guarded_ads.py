@@ -176,6 +176,28 @@ def test_a_drive_that_trips_is_named_and_needs_a_reset(plc):
         again.close()
 
 
+def test_a_controller_that_raised_keeps_the_next_host_from_moving(plc):
+    """The PLC holds a fault that only the host has seen, for hosts that are started again."""
+
+    def bug():
+        raise ZeroDivisionError("a bug")
+
+    guard = guard_of(plc, motion=True, place=True)
+    with pytest.raises(ZeroDivisionError):
+        follow(guard, plc, then=bug)
+    assert guard.fault.fault is Fault.CONTROLLER
+    assert at_rest(plc)
+    before = counters(plc)["commands"]
+    again = guard_of(plc, motion=True)
+    with pytest.raises(NotReady, match=r"hold a fault of before: controller: .* \(--reset"):
+        again.connect()
+    assert counters(plc)["commands"] == before
+    cleared = guard_of(plc, motion=True, place=True, reset_at_once=True)
+    log = follow(cleared, plc, duration=1.0)
+    assert cleared.fault is None
+    assert log.completed
+
+
 def test_a_plc_that_is_killed_is_a_lost_connection_and_leaves_no_thread(plc):
     """The last one here: it kills the PLC of all others."""
     before = set(threading.enumerate())

@@ -156,6 +156,40 @@ def test_a_host_that_falls_silent_is_heard_of_after_the_watchdog(rig):
     assert rig.ask(Request.ENABLE) is Answer.DONE
 
 
+@pytest.mark.parametrize("moving", [False, True])
+def test_a_fault_of_the_host_is_held_until_it_is_reset(rig, moving):
+    rig.host = rig.host | {"fault": Fault.CONTROLLER.number}
+    assert rig.ask(Request.HOLD) is Answer.NOT_OWNER  # it obeys nobody yet
+    rig.ask(Request.ENABLE)
+    if moving:
+        rig.move(0.4, amplitude=1.0)
+    assert rig.ask(Request.HOLD) is Answer.DONE
+    assert rig.machine.winches.at_rest is not moving
+    rig.cycles(200)
+    assert rig.machine.winches.at_rest
+    assert (rig.out["state"], rig.out["fault"]) == (
+        DriveState.FAULT.number, Fault.CONTROLLER.number,
+    )  # fmt: skip
+    assert rig.ask(Request.ENABLE) is Answer.WRONG_STATE
+    assert rig.ask(Request.RESET) is Answer.DONE
+    assert rig.ask(Request.ENABLE) is Answer.DONE
+
+
+def test_the_first_fault_stays_and_a_number_without_a_name_is_still_one(rig):
+    rig.ask(Request.ENABLE)
+    rig.machine.stop(Fault.DRIVE_TRIP, 2)
+    rig.host = rig.host | {"fault": Fault.STALE_DATA.number}
+    assert rig.ask(Request.HOLD) is Answer.DONE
+    assert (rig.machine.fault, rig.machine.fault_axis) == (Fault.DRIVE_TRIP, 2)
+    rig.ask(Request.RESET)
+    for number in (0, 99):
+        rig.ask(Request.ENABLE)
+        rig.host = rig.host | {"fault": number}
+        rig.ask(Request.HOLD)
+        assert rig.machine.fault is Fault.UNKNOWN
+        assert rig.ask(Request.RESET) is Answer.DONE
+
+
 @pytest.mark.parametrize(
     ("length", "rate", "fault", "counter"),
     [
