@@ -45,7 +45,10 @@ class AdsDriver(AdsReader):
     Attributes:
         link: The connection; None before `connect` and after `close`.
         link_counters: What happened on it, also after `close`.
+        placed: Where `connect` had an emulated PLC set its robot down, in W [m], or None.
     """
+
+    placed: Point | None = None
 
     @classmethod
     def build(
@@ -72,9 +75,10 @@ class AdsDriver(AdsReader):
             timeout=settings.timeout or address.timeout,
         )  # fmt: skip
         link.open()
+        placed = settings.start_position if settings.motion and link.emulated else None
         try:
-            if settings.motion and settings.start_position is not None and link.emulated:
-                self._place(settings.start_position)
+            if placed is not None:
+                self._place(placed)
                 link.wait_for_data(time.monotonic() + 0.05, ads_reader.ANSWER)
             if "imu" in settings.suite and self._named.imu is not None:
                 self._imu = ImuListener(self._named.imu)
@@ -83,6 +87,7 @@ class AdsDriver(AdsReader):
             raise
         self.link, self.link_counters = link, link.counters
         self._hardware = self._named
+        self.placed = placed
         self._homed = self._enabled = self._stopped = False
         self._restarts = link.counters.restarts
         # between connecting and the first cycle any time may pass

@@ -43,6 +43,9 @@ def build_inner(robot: Robot, settings: GuardSettings, seed: int) -> tuple[Any, 
         wanted["real_time"] = real_time
         if SET_DOWN in known:
             wanted[SET_DOWN] = settings.start_position
+    elif settings.set_down and SET_DOWN in known:
+        place = robot.home_position if settings.start_position is None else settings.start_position
+        wanted[SET_DOWN] = tuple(float(x) for x in place)
     chosen = filled("inner", kind(), {**wanted, **settings.inner})
     return plugin.build(robot, chosen, seed=seed), real_time
 

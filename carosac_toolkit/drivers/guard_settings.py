@@ -42,7 +42,9 @@ class GuardSettings:
         period: Time between two commands [s].
         suite: Sensor suite of a driver that has a choice.
         start_position: The pose by which `enable_at_once` homes, and where a simulated robot is set
-            down, in W [m]; None is the home position. A PLC, emulated or not, is not told of it.
+            down, in W [m]; None is the home position. A PLC is not told of it, unless `set_down`.
+        set_down: Whether an emulated PLC sets its robot down at `start_position`, as in each case
+            of a study. A real one cannot: its platform has to be there.
         motion: Whether anything may move; else a run is dry: commands are limited and journaled,
             and not sent.
         enable_at_once: Home and enable in `connect`, where motion is allowed; else it is up to
@@ -102,6 +104,7 @@ class GuardSettings:
     period: float = 0.01
     suite: str = "lengths"
     start_position: Point | None = None
+    set_down: bool = False
     motion: bool = False
     enable_at_once: bool = True
     reset_at_once: bool = False

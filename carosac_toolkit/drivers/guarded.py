@@ -74,7 +74,8 @@ class GuardedDriver(BrakingGuard):
                     self._check_held()
                 self.measure()
                 if moves:
-                    self.home(self._start(), anew=self.settings.home_anew)
+                    start = self._start()
+                    self.home(start, anew=self.settings.home_anew or self._was_set_down(start))
                     self.enable()
                 elif self.settings.rehearse and not self.settings.motion:
                     self.home(self._start(), anew=self.settings.home_anew)
@@ -279,6 +280,11 @@ class GuardedDriver(BrakingGuard):
         return State(
             time=np.zeros(1), position=position.reshape(1, 3), rotation=rotation.reshape(1, 3, 3)
         )
+
+    def _was_set_down(self, start: State) -> bool:
+        """Whether the driver behind has just set an emulated robot down there."""
+        place = getattr(self.inner, "placed", None)
+        return place is not None and np.allclose(place, start.position[0], rtol=0.0, atol=1e-9)
 
     def _standing_still(self) -> Array:
         """Mean of some samples of winches that stand [m], shape (n,)."""

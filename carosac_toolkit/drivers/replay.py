@@ -22,15 +22,17 @@ class ReplaySettings:
 
     Attributes:
         recording: A file, or the name of a bundled recording.
-        suite: What of the recording `Measurement` carries; length rates and tensions always.
+        suite: What of the recording `Measurement` carries; length rates and tensions always. None:
+            all it has but poses.
     """
 
     recording: str = "synthetic"
-    suite: str = "lengths+imu"
+    suite: str | None = None
 
     def __post_init__(self) -> None:
         """Refuse an unknown suite."""
-        check_suite(self.suite, inertial=True)
+        if self.suite is not None:
+            check_suite(self.suite, inertial=True)
 
 
 class ReplayDriver:
@@ -45,8 +47,13 @@ class ReplayDriver:
 
     def __init__(self, robot: Robot, recording: Recording, settings: ReplaySettings) -> None:
         recording.require_cables(robot)
+        suite = settings.suite
+        for sensor, data in (("imu", recording.imu), ("pose", recording.poses)):
+            if suite is not None and sensor in suite and data is None:
+                allowed = f"one without {sensor}: the recording has none"
+                raise InvalidField("suite", repr(suite), allowed)
         self._recording = calibrated(recording, robot)
-        self._settings = settings
+        self._suite = "lengths+imu" if suite is None else suite
         self._index: int | None = None
 
     @classmethod
@@ -70,10 +77,9 @@ class ReplayDriver:
         """The sample of this cycle."""
         index = self._here()
         measurement = self._recording.measurement(index)
-        suite = self._settings.suite
-        if "imu" not in suite:
+        if "imu" not in self._suite:
             measurement = replace(measurement, imu=None)
-        if "pose" not in suite:
+        if "pose" not in self._suite:
             return measurement
         found = self._recording.pose_at(self._recording.time[index : index + 1])
         return replace(measurement, pose=found.pose if found.valid[0] else None)

@@ -28,7 +28,9 @@ from carosac_toolkit.trajectories.trajectory import Trajectory
 from carosac_toolkit.values import Belief, Command, Measurement
 
 DRIVER = "simulator"
-GIVEN = ("suite", "period", "start_position", "wind_force", "wind_time")  # what a case says itself
+GIVEN = (  # what a case says itself
+    "suite", "period", "start_position", "set_down", "wind_force", "wind_time",
+)  # fmt: skip
 REST = 3.0  # [s] after the end of the trajectory that counts as residual sway: over a period
 SERIES = 500  # samples kept of a case for pictures
 SETTINGS = (
@@ -122,7 +124,7 @@ def given_to_driver(
     case: Case, condition: Condition, period: float, start: tuple[Any, ...]
 ) -> dict[str, Any]:
     """Settings of a driver that the case itself says; `start` in W [m], one or a row each."""
-    said = (case.suite, period, start, condition.wind_force, condition.wind_time)
+    said = (case.suite, period, start, True, condition.wind_force, condition.wind_time)
     return dict(zip(GIVEN, said, strict=True))
 
 

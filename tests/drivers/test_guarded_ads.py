@@ -16,6 +16,7 @@ from carosac_toolkit.errors import CarosacError
 from carosac_toolkit.loop import run
 from carosac_toolkit.physics import statics
 from carosac_toolkit.plc.machine_blocks import Injection
+from carosac_toolkit.studies.study import Study
 from carosac_toolkit.values import Belief, Command
 from tests.plc_process import home_pose, plc_process
 
@@ -196,6 +197,21 @@ def test_a_controller_that_raised_keeps_the_next_host_from_moving(plc):
     log = follow(cleared, plc, duration=1.0)
     assert cleared.fault is None
     assert log.completed
+
+
+def test_a_study_runs_on_a_plc_by_the_name_of_the_driver(plc, tmp_path):
+    """Each case begins where its path does: the emulated robot is set down there, and homed."""
+    patient = {"motion": True, "stale_time": 0.5, "hang_time": 2.0, "overrun_share": 1.0}
+    for driver in ("quasi_static", "ads"):
+        study = Study(
+            driver=driver, robots=[str(plc.file)], controllers=["kinematic_solver"],
+            estimators=["kinematic_solver"], trajectories=["line"],
+            perturbations=["none"], seeds=1, workers=0, speed_max=1.5,
+            driver_settings={"ads": patient}, output=tmp_path / driver,
+        )  # fmt: skip
+        rows = study.run(progress=False).rows
+        assert [row["reason"] for row in rows] == [None]
+        assert rows[0]["tracking_rmse_norm_m"] < 0.15
 
 
 def test_a_plc_that_is_killed_is_a_lost_connection_and_leaves_no_thread(plc):

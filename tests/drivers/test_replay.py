@@ -95,8 +95,18 @@ def test_poses_and_inertial_samples_are_withheld_unless_the_suite_has_them(recor
             assert (m.pose is not None) == pose.valid[0]
 
 
-def test_by_default_poses_are_withheld():
-    assert "pose" not in ReplaySettings().suite
+def test_by_default_poses_are_withheld(recording):
+    found = [measurement for measurement, _, _ in every_sample(connected(recording))]
+    assert not any(m.pose is not None for m in found)
+    assert any(m.imu is not None for m in found)
+
+
+def test_what_a_recording_does_not_have_is_not_in_its_suite(recording):
+    bare = replace(recording, imu=None, poses=None)
+    assert connected(bare).measure().imu is None
+    for suite, sensor in (("lengths+imu", "imu"), ("lengths+pose", "pose")):
+        with pytest.raises(InvalidField, match=f"suite.*without {sensor}: the recording has none"):
+            connected(bare, suite=suite)
 
 
 def test_commands_change_nothing_and_it_says_so(recording):

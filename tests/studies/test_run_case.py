@@ -224,7 +224,7 @@ def test_a_slower_trajectory_is_tracked_better():
 
 def test_on_a_recording_only_commands_and_estimates_are_scored():
     settings = FAST | {"driver": "replay", "driver_settings": {"recording": "synthetic"}}
-    row = run_case(case(settings=settings, suite="lengths+imu+pose"))
+    row = run_case(case(settings=settings, suite="lengths+pose"))
     assert all(row[name] is None for name in row if name.startswith("tracking_rmse"))
     assert "tracking_max_m" not in row and "residual_sway_m" not in row
     assert row["command_rmse_m"] > 0.0
