@@ -80,7 +80,8 @@ def told(rows: Rows) -> str:
         for driver in DRIVERS:
             mine = of_way(rows[driver], way)
             done = [row for row in mine if row["status"] == "ok" and row["completed"]]
-            reasons |= {f"{way} on {driver}: {r['reason']}" for r in mine if r not in done}
+            reasons |= {f"{way} on {driver}: {r['reason'] or 'ended early'}" for r in mine
+                        if r not in done}  # fmt: skip
             cells.append(f"{len(done)} of {len(mine)}")
             if driver != "replay":
                 cells.append(middle(done, "tracking_rmse_norm_m"))

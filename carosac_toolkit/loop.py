@@ -160,6 +160,8 @@ def run(
         reason = reason if alive else "end of data"
     except BaseException as error:
         reason = f"{type(error).__name__}: {error}"
+        if isinstance(error, Exception) and isinstance(driver, Supervisor):
+            driver.fail("program", error)
         raise
     finally:
         try:

@@ -130,7 +130,10 @@ class Supervisor(Protocol):
         ...
 
     def fail(self, part: str, error: BaseException) -> None:
-        """The ``"estimator"`` or ``"controller"`` raised an error; `stop` follows."""
+        """The ``"estimator"``, ``"controller"`` or ``"program"`` around them raised an error.
+
+        `stop` follows. The program comes last: it repeats what one of the two has raised.
+        """
         ...
 
 

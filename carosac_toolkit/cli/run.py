@@ -41,6 +41,7 @@ from carosac_toolkit.live.statistics import Statistics
 from carosac_toolkit.live.steering import place, steered
 from carosac_toolkit.loop import Path as Followed
 from carosac_toolkit.loop import run as run_loop
+from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.studies.chosen_settings import chosen_settings
 
@@ -73,8 +74,8 @@ class Options(CommonOptions):
     asked for where --enable moves a robot behind a PLC. With it a dry run is homed and checked
     too, without anything being sent."""
     reset: tyro.conf.FlagCreatePairsOff[bool] = False
-    """With --enable, first clear a fault that the PLC holds from an earlier run, once you know why
-    it came; the platform is homed anew."""
+    """Clear the fault that the PLC holds from an earlier run, once you know why it came, and end;
+    with --enable go on: home and move."""
     home_anew: tyro.conf.FlagCreatePairsOff[bool] = False
     """Home also where that changes an offset by more than 0.1 m; only at a pose that was
     measured."""
@@ -105,6 +106,8 @@ class Options(CommonOptions):
 def run(options: Options) -> CommandResult:
     """Run live."""
     robot = load_robot(options.robot)
+    if options.reset and not options.enable:
+        return _reset(robot, options)
     chosen = chosen_settings(
         options.settings, controllers=[options.controller], estimators=[options.estimator]
     )
@@ -125,7 +128,26 @@ def run(options: Options) -> CommandResult:
     if guard.fault is None and error is None and (guard.unrecorded or not whole):
         text = f"the recording lacks {guard.unrecorded} rows, as the disk did not take them"
         error = CarosacError(text)
-    return _result(guard, statistics, recorder, ending, completed, error)
+    result = _result(guard, statistics, recorder, ending, completed, error)
+    _say_next_step(guard, options)
+    return result
+
+
+def _reset(robot: Robot, options: Options) -> CommandResult:
+    """Clear what the drives hold; nothing is homed, and nothing moves."""
+    chosen = chosen_settings(
+        options.settings, controllers=[options.controller], estimators=[options.estimator]
+    )["driver_settings"]
+    guard = make_guard(robot, options, chosen, period_of_rate(options.rate), reset_only=True)
+    try:
+        with without_ads_lines():
+            guard.connect()
+        cleared = guard.cleared
+    finally:
+        guard.close()
+    said = "no fault was held" if cleared is None else f"cleared: {cleared.fault}: {cleared.text}"
+    say(f"{said}; nothing has moved")
+    return CommandResult({"cleared": None if cleared is None else str(cleared.fault)}, status=0)
 
 
 @contextlib.contextmanager
@@ -174,6 +196,16 @@ def _what(options: Options, guard: GuardedDriver, recorder: CrashSafeRecorder) -
         f"{options.robot} on {options.driver}: {options.controller} with {options.estimator} at "
         f"{1.0 / period:g} Hz; {how}\n{what}\nrecording: {recorder.path}"
     )
+
+
+def _say_next_step(guard: GuardedDriver, options: Options) -> None:
+    """Say what clears the fault that the drives hold now; nothing where they hold none."""
+    ours = guard.fault is not None and hasattr(guard.inner, "hold_fault") and options.enable
+    if not ours and guard.held is None:
+        return
+    held = "this fault" if guard.held is None else f"a fault, {guard.held.fault},"
+    words = f"carosac run --driver {options.driver} --robot {options.robot} --reset"
+    say(f"The drives hold {held} and move for nobody until it is cleared: {words}")
 
 
 def _result(

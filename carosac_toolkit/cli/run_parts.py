@@ -45,9 +45,10 @@ OPTIONS = {
 
 
 def make_guard(
-    robot: Robot, options: Options, chosen: dict[str, Any], period: float
-) -> GuardedDriver:
-    """The driver, guarded."""
+    robot: Robot, options: Options, chosen: dict[str, Any], period: float, *,
+    reset_only: bool = False,
+) -> GuardedDriver:  # fmt: skip
+    """The driver, guarded; `reset_only`: it clears a fault and is not enabled."""
     plugin = registry.load("drivers", options.driver)
     if replays(plugin):
         allowed = "a driver that moves; for a recording: carosac compare --driver replay"
@@ -68,9 +69,9 @@ def make_guard(
     check_types("driver.guard", settings, asked)
     home = options.home or tuple(float(x) for x in robot.home_position)
     wanted = {
-        "period": period, "suite": options.suite, "motion": options.enable,
+        "period": period, "suite": options.suite, "motion": options.enable or reset_only,
         "start_position": home, "home_anew": options.home_anew,
-        "rehearse": options.home is not None,
+        "rehearse": options.home is not None and not reset_only, "enable_at_once": not reset_only,
         "reset_at_once": options.reset, "real_time": True, "speed_max": WINCH * options.speed,
         "tension_shift_max": SHIFT if options.speed <= SLOW else None,
         **asked,

@@ -45,10 +45,7 @@ class AdsDriver(AdsReader):
     Attributes:
         link: The connection; None before `connect` and after `close`.
         link_counters: What happened on it, also after `close`.
-        placed: Where `connect` had an emulated PLC set its robot down, in W [m], or None.
     """
-
-    placed: Point | None = None
 
     @classmethod
     def build(
@@ -75,10 +72,9 @@ class AdsDriver(AdsReader):
             timeout=settings.timeout or address.timeout,
         )  # fmt: skip
         link.open()
-        placed = settings.start_position if settings.motion and link.emulated else None
         try:
-            if placed is not None:
-                self._place(placed)
+            if settings.motion and settings.start_position is not None and link.emulated:
+                self._place(settings.start_position)
                 link.wait_for_data(time.monotonic() + 0.05, ads_reader.ANSWER)
             if "imu" in settings.suite and self._named.imu is not None:
                 self._imu = ImuListener(self._named.imu)
@@ -87,11 +83,30 @@ class AdsDriver(AdsReader):
             raise
         self.link, self.link_counters = link, link.counters
         self._hardware = self._named
-        self.placed = placed
         self._homed = self._enabled = self._stopped = False
         self._restarts = link.counters.restarts
         # between connecting and the first cycle any time may pass
         self._ticks = TickSchedule(settings.period, forgiving=True)
+
+    @property
+    def emulated(self) -> bool:
+        """Whether the PLC is an emulated one."""
+        return self._connected().emulated
+
+    def set_down(self, position: Point) -> None:
+        """Have an emulated PLC set its robot down somewhere, at rest.
+
+        Args:
+            position: In W [m].
+
+        Raises:
+            CarosacError: Read only, a real PLC, drives that are on, or no pose of rest.
+        """
+        link = self._connected()
+        if not self._settings.motion or not link.emulated:
+            raise CarosacError(f"{self.name}: set_down() wants motion=True and an emulated PLC")
+        self._place(position)
+        link.wait_for_data(time.monotonic() + 0.05, ads_reader.ANSWER)
 
     def home(self, position: State) -> None:
         """Find the offset of each cable: the platform stands still at this pose.
@@ -160,7 +175,7 @@ class AdsDriver(AdsReader):
         """Disable, and have the PLC hold a fault of this side: nobody moves before a reset.
 
         Raises:
-            CarosacError: As of `disable`.
+            CarosacError: As of `disable`, or the PLC has not taken it.
         """
         self._let_go(Request.HOLD, fault)
 
@@ -253,7 +268,8 @@ class AdsDriver(AdsReader):
         """Wait for the next tick of an absolute schedule.
 
         Returns:
-            False once stopped, and where the PLC has a fault or does not answer.
+            False once stopped, and where the PLC does not answer, or has a fault and is not only
+            read.
 
         Raises:
             InvalidField: Another duration than the period, for which the limits count.
@@ -261,12 +277,16 @@ class AdsDriver(AdsReader):
         self._connected()
         check_period(duration, self._settings.period, "driver")
         self._ticks.wait()
+        if not self._settings.motion:  # what reads only may look on at drives that hold a fault
+            return not self._stopped and self.link_fault is Fault.NONE
         return not self._stopped and self.state not in (DriveState.FAULT, DriveState.ESTOP)
 
     def _let_go(self, request: Request, fault: Fault = Fault.NONE) -> None:
-        """Disable, or hold a fault, where the drives may be on."""
+        """Disable where the drives may be on, or hold a fault, be they on or not."""
         link = self.link
-        if link is None or not self._settings.motion or not self._enabled:
+        if link is None or not self._settings.motion:
+            return
+        if request is Request.DISABLE and not self._enabled:
             return
         self._enabled = False
         if not link.other:
@@ -276,6 +296,8 @@ class AdsDriver(AdsReader):
             if answer is not Answer.NOT_OWNER:
                 self._wait_for_rest()
             link.quiet()
+            if request is Request.HOLD and answer is not Answer.DONE:
+                raise CarosacError(f"{self.name}: the PLC does not hold {fault}: {_WHY[answer]}")
         self._alone()
 
     def _alone(self) -> None:

@@ -50,7 +50,7 @@ class Fault(StrEnum):
     OVER_LIMIT = "over_limit"
     OWNER = "owner"
     UNKNOWN = "unknown"
-    WORKSPACE = "workspace"  # those of the host alone stand last: the numbers of a PLC stay
+    WORKSPACE = "workspace"  # what only hosts see stands last: numbers of a PLC program stay
     RECORDING = "recording"
 
     @property
@@ -140,8 +140,8 @@ _TEXTS: dict[Fault, tuple[str, str]] = {
         "Close the other host, then connect again.",
     ),
     Fault.UNKNOWN: (
-        "The PLC reports a fault that has no name here.",
-        "Look the number up in the PLC program.",
+        "A fault without a name here.",
+        "Look its number up in the PLC program, if it came from there, then reset.",
     ),
     Fault.WORKSPACE: (
         "The platform is outside its workspace box.",
@@ -149,6 +149,6 @@ _TEXTS: dict[Fault, tuple[str, str]] = {
     ),
     Fault.RECORDING: (
         "The run could no longer be recorded, so that nobody could explain it.",
-        "Free the disk or record on a local one, then start a new run.",
+        "Free the disk or record on a local one, then reset.",
     ),
 }

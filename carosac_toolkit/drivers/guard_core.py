@@ -13,7 +13,7 @@ from carosac_toolkit.arrays import Array
 from carosac_toolkit.drivers.drive_state import DriveState, Fault
 from carosac_toolkit.drivers.guard_checks import Checks, Finding
 from carosac_toolkit.drivers.guard_commander import Commander
-from carosac_toolkit.drivers.guard_inner import described, error_finding, inner_finding
+from carosac_toolkit.drivers.guard_inner import described, error_finding, holds_fault, inner_finding
 from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.drivers.guard_watch import Punctuality, Watchdog
 from carosac_toolkit.drivers.journal import Journal, Silence
@@ -38,6 +38,9 @@ class GuardCore:
         journal: Hears of everything; set it before `connect`. In real time it is called from a
             thread of its own: one that blocks holds nobody up, and is a fault after `record_lag`.
         finding: What the last measurement showed, latched or not.
+        held: The fault that the drives hold by the last measurement, or None; it does not end a dry
+            run.
+        cleared: What the drives held when `connect` reset them, or None.
         home_change: By how much the last homing changed the readings [m], shape (n,), or None.
         refused: What would have been a fault in a dry run, counted by text.
         ending: Why `end` was called, or None.
@@ -76,6 +79,8 @@ class GuardCore:
         )
         self.unrecorded = 0
         self.finding: Finding | None = None
+        self.cleared: Finding | None = None
+        self.held: Finding | None = None
         self.home_change: Array | None = None
         self.ending: str | None = None
         self.refused: dict[str, int] = {}
@@ -153,10 +158,15 @@ class GuardCore:
                 self.latch(found)
 
     def fail(self, part: str, error: BaseException) -> None:
-        """Latch what the estimator or controller raised."""
+        """Latch what the estimator, the controller or, while the winches follow, all else raised.
+
+        Whatever is to blame is known already where a fault is latched.
+        """
+        if part == "program" and not self._live:
+            return
         fault = Fault.ESTIMATOR if part == "estimator" else Fault.CONTROLLER
         named = getattr(error, "field", "").partition("[")[0]
-        if part == "controller" and named in ("unstrained_length", "length_rate"):
+        if part != "estimator" and named in ("unstrained_length", "length_rate"):
             fault = Fault.COMMAND
         text = f"the {part} raised {type(error).__name__}: {error}"
         with self._lock:
@@ -177,12 +187,16 @@ class GuardCore:
     def _judge(self, got: Measurement) -> None:
         """Latch what is wrong with a measurement, or with the driver that it came from."""
         said = inner_finding(self.inner, following=self._life.state is DriveState.FOLLOWING)
+        of_drives = said is not None and holds_fault(self.inner)
+        self.held = said if of_drives else None
+        if of_drives and not self.settings.motion:
+            said = None  # who only reads may look at drives that hold a fault
         held = self.fault is not None and not self._live
         seen = self._checks.measured(got, homed=self._life.homed, held=held)
         self.finding = seen if said is None else said
-        lost = said is not None and said.fault is Fault.LOST_CONNECTION
+        lost = said is not None and said.fault is Fault.LOST_CONNECTION and not of_drives
         self._gone = self._gone + self.settings.period if lost else 0.0
-        if said is not None and (self._live or self._counts_at_rest(said)):
+        if said is not None and (self._live or of_drives or self._counts_at_rest(said)):
             self.latch(said)
         if seen is not None and (self._live or self._counts_at_rest(seen)):
             if said is None or seen.fault in UNHOMED:

@@ -43,11 +43,16 @@ def build_inner(robot: Robot, settings: GuardSettings, seed: int) -> tuple[Any, 
         wanted["real_time"] = real_time
         if SET_DOWN in known:
             wanted[SET_DOWN] = settings.start_position
-    elif settings.set_down and SET_DOWN in known:
-        place = robot.home_position if settings.start_position is None else settings.start_position
-        wanted[SET_DOWN] = tuple(float(x) for x in place)
     chosen = filled("inner", kind(), {**wanted, **settings.inner})
     return plugin.build(robot, chosen, seed=seed), real_time
+
+
+def holds_fault(inner: Any) -> bool:
+    """Whether the drives hold a fault, or their emergency stop is open, by a live connection."""
+    status = getattr(inner, "status", None)
+    if status is None or getattr(inner, "link_fault", Fault.NONE) is not Fault.NONE:
+        return False
+    return status() in (DriveState.FAULT, DriveState.ESTOP)
 
 
 def inner_finding(inner: Any, *, following: bool = False) -> Finding | None:
@@ -63,7 +68,7 @@ def inner_finding(inner: Any, *, following: bool = False) -> Finding | None:
         known = fault if isinstance(fault, Fault) else Fault.UNKNOWN
         told = str(getattr(inner, "fault_text", "")).removesuffix(known.meaning)
         told = told.removeprefix(str(known)).strip(": ")
-        return Finding(fault=known, text=told or "the drives report it")
+        return Finding(fault=known, text=told or "the drives hold it")
     if following and said in OFF:
         text = f"the drives no longer follow: they are {said}, and nobody here switched them off"
         return Finding(fault=Fault.DRIVE_TRIP, text=text)

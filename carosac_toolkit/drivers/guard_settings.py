@@ -43,8 +43,9 @@ class GuardSettings:
         suite: Sensor suite of a driver that has a choice.
         start_position: The pose by which `enable_at_once` homes, and where a simulated robot is set
             down, in W [m]; None is the home position. A PLC is not told of it, unless `set_down`.
-        set_down: Whether an emulated PLC sets its robot down at `start_position`, as in each case
-            of a study. A real one cannot: its platform has to be there.
+        set_down: Whether an emulated PLC clears its fault and sets its robot down at
+            `start_position`, as for each case of a study. A real one cannot: its platform has to be
+            there, and people look at its faults.
         motion: Whether anything may move; else a run is dry: commands are limited and journaled,
             and not sent.
         enable_at_once: Home and enable in `connect`, where motion is allowed; else it is up to

@@ -19,7 +19,12 @@ from carosac_toolkit.arrays import Array
 from carosac_toolkit.drivers.drive_state import DriveState
 from carosac_toolkit.drivers.guard_braking import BrakingGuard
 from carosac_toolkit.drivers.guard_core import check_shape
-from carosac_toolkit.drivers.guard_inner import build_inner, homing_lengths, inner_finding
+from carosac_toolkit.drivers.guard_inner import (
+    build_inner,
+    holds_fault,
+    homing_lengths,
+    inner_finding,
+)
 from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.drivers.guard_watch import Watchdog
 from carosac_toolkit.drivers.lifecycle import NotReady
@@ -67,15 +72,19 @@ class GuardedDriver(BrakingGuard):
             self._checks = self._new_checks()  # the driver now knows how patient it must be
             self._life.go(DriveState.CONNECTED)
             try:
-                if self.settings.reset_at_once and self.settings.motion:
+                motion, start = self.settings.motion, self._start()
+                emulated = motion and self.settings.set_down
+                emulated = emulated and getattr(self.inner, "emulated", False)
+                if motion and (self.settings.reset_at_once or emulated):
                     self._reset_inner()
-                moves = self.settings.enable_at_once and self.settings.motion
+                if emulated:
+                    self.inner.set_down(tuple(float(x) for x in start.position[0]))
+                moves = self.settings.enable_at_once and motion
                 if moves:
                     self._check_held()
                 self.measure()
                 if moves:
-                    start = self._start()
-                    self.home(start, anew=self.settings.home_anew or self._was_set_down(start))
+                    self.home(start, anew=self.settings.home_anew or emulated)
                     self.enable()
                 elif self.settings.rehearse and not self.settings.motion:
                     self.home(self._start(), anew=self.settings.home_anew)
@@ -96,10 +105,11 @@ class GuardedDriver(BrakingGuard):
         if held is not None and hasattr(self.inner, "reset_fault"):
             self._event("reset", f"{held.fault}: {held.text}")
             self.inner.reset_fault()
+            self.cleared = held
 
     def _check_held(self) -> None:
         """Refuse to move drives that hold a fault, as one of an earlier run or case."""
-        held = inner_finding(self.inner)
+        held = inner_finding(self.inner) if holds_fault(self.inner) else None
         if held is not None:
             raise NotReady(
                 f"enable: the drives hold a fault of before: {held.fault}: {held.text}. "
@@ -194,6 +204,7 @@ class GuardedDriver(BrakingGuard):
                     raise NotReady(f"{self.finding.fault}: {self.finding.text}")
             except CarosacError as error:
                 self._life.fault = latched
+                self._quietly(self._switch_off)
                 raise NotReady(f"reset_fault: {error}; the fault stays") from error
             self._life.release()
 
@@ -280,11 +291,6 @@ class GuardedDriver(BrakingGuard):
         return State(
             time=np.zeros(1), position=position.reshape(1, 3), rotation=rotation.reshape(1, 3, 3)
         )
-
-    def _was_set_down(self, start: State) -> bool:
-        """Whether the driver behind has just set an emulated robot down there."""
-        place = getattr(self.inner, "placed", None)
-        return place is not None and np.allclose(place, start.position[0], rtol=0.0, atol=1e-9)
 
     def _standing_still(self) -> Array:
         """Mean of some samples of winches that stand [m], shape (n,)."""

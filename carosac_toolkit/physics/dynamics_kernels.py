@@ -314,8 +314,8 @@ def release(plants: Plants, worlds: Worlds, hung: Hung, freed: Freed, model: int
     """Let worlds go with the acceleration that their forces give; steps of `h` are to follow.
 
     With that acceleration the first step needs no past, and is of second order like all others. It
-    is found by one Euler step of a microsecond. All steps are of the one scheme, through impacts
-    too: motions let go side by side are compared, and two schemes differ by more than they do.
+    is found by one Euler step of a microsecond. Impacts do not change the scheme: motions let go
+    side by side are compared, and two schemes differ by more than they do.
     """
     b = wp.tid()
     row = wp.min(b, plants.bodies.shape[0] - 1)

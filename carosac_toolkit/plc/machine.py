@@ -202,7 +202,7 @@ class Machine:
         if request == Request.RESET:
             return self._reset()
         if request in (Request.STOP, Request.DISABLE, Request.HOLD):
-            if not mine:
+            if not mine and request != Request.HOLD:
                 return Answer.NOT_OWNER
             if request == Request.HOLD:
                 held = fault_of(host["fault"])
@@ -278,7 +278,7 @@ class Machine:
     def _protect(self, inputs: Inputs) -> None:
         """Faults of the machine itself."""
         if self.wires.estop and self.state is not DriveState.ESTOP:
-            self.state, self.fault, self.fault_axis = DriveState.ESTOP, Fault.NONE, 0
+            self.state = DriveState.ESTOP
             self._host.playback = None
         tripped = np.flatnonzero(self.wires.tripped)
         if len(tripped):

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from carosac_toolkit import trajectories
+from carosac_toolkit.cli.main import main
+from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
 from carosac_toolkit.drivers.drive_state import DriveState, Fault
 from carosac_toolkit.drivers.guarded_ads import GuardedAds, GuardedAdsSettings
 from carosac_toolkit.drivers.lifecycle import IllegalTransition, NotReady
@@ -197,6 +199,37 @@ def test_a_controller_that_raised_keeps_the_next_host_from_moving(plc):
     log = follow(cleared, plc, duration=1.0)
     assert cleared.fault is None
     assert log.completed
+
+
+@pytest.mark.parametrize("fault", [Fault.TENSION, Fault.LOST_CONNECTION, Fault.STALE_DATA])
+def test_a_held_fault_leaves_dry_runs_alone_and_can_be_reset(plc, fault):
+    guard = guard_of(plc, motion=True, enable_at_once=False)
+    guard.connect()
+    try:
+        guard.inner.hold_fault(fault)
+        dry = guard_of(plc)
+        assert follow(dry, plc, duration=0.3).completed
+        assert dry.fault is None and dry.held.fault is fault
+        guard.measure()
+        assert guard.fault.fault is fault
+        guard.reset_fault()
+        assert guard.state is DriveState.CONNECTED and guard.fault is None
+    finally:
+        guard.close()
+
+
+def test_the_command_clears_a_fault_and_moves_nothing(plc, capsys):
+    driver = AdsDriver(plc.robot, AdsSettings(motion=True))
+    driver.connect()
+    driver.hold_fault(Fault.ESTIMATOR)
+    driver.close()
+    before = counters(plc)["commands"]
+    words = ["run", "--driver", "ads", "--robot", str(plc.file), "--reset"]
+    assert main(words) == 0
+    assert "cleared: estimator" in capsys.readouterr().out
+    assert main(words) == 0
+    assert "no fault was held; nothing has moved" in capsys.readouterr().out
+    assert counters(plc)["commands"] == before
 
 
 def test_a_study_runs_on_a_plc_by_the_name_of_the_driver(plc, tmp_path):

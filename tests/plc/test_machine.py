@@ -159,7 +159,6 @@ def test_a_host_that_falls_silent_is_heard_of_after_the_watchdog(rig):
 @pytest.mark.parametrize("moving", [False, True])
 def test_a_fault_of_the_host_is_held_until_it_is_reset(rig, moving):
     rig.host = rig.host | {"fault": Fault.CONTROLLER.number}
-    assert rig.ask(Request.HOLD) is Answer.NOT_OWNER  # it obeys nobody yet
     rig.ask(Request.ENABLE)
     if moving:
         rig.move(0.4, amplitude=1.0)
@@ -173,6 +172,20 @@ def test_a_fault_of_the_host_is_held_until_it_is_reset(rig, moving):
     assert rig.ask(Request.ENABLE) is Answer.WRONG_STATE
     assert rig.ask(Request.RESET) is Answer.DONE
     assert rig.ask(Request.ENABLE) is Answer.DONE
+
+
+def test_a_fault_is_held_for_a_host_that_nobody_obeys_and_not_against_the_one_obeyed(rig):
+    rig.host = rig.host | {"fault": Fault.LOST_CONNECTION.number}
+    assert rig.ask(Request.HOLD) is Answer.DONE  # as after a start of the PLC program
+    assert rig.machine.fault is Fault.LOST_CONNECTION
+    assert rig.ask(Request.RESET) is Answer.DONE
+    rig.ask(Request.ENABLE)
+    other = {"session": 8, "request": int(Request.HOLD), "request_number": 1}
+    mine, rig.host = rig.host, rig.host | other
+    rig.cycles()
+    assert rig.out["answer"] == Answer.NOT_OWNER
+    assert rig.machine.fault is Fault.NONE
+    rig.host = mine
 
 
 def test_the_first_fault_stays_and_a_number_without_a_name_is_still_one(rig):
