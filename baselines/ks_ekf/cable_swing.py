@@ -12,6 +12,10 @@ takes the sag along. A cable that was nearly slack hangs by decimetres and is pu
 tenths of a second: it swings, and with the amplitude a about the sag s it takes the length
 :math:`8 ((s + a \cos \omega t)^2 - s^2) / 3 l` more than at rest. What is linear in a comes and
 goes several times a second; :math:`8 a^2 / 3 l` stays, millimetres for a second or two.
+
+A tension that shakes at twice the pace of the string would pump it without end in this equation. In
+a cable it cannot: a swing that takes more length than the cable has to spare raises the tension
+itself. So no swing goes farther than the cable has hung lately.
 """
 
 from __future__ import annotations
@@ -57,24 +61,30 @@ class Swing:
     Attributes:
         sag: Of their middles [m], shape (n,); None where nothing is known yet.
         speed: Of the sag [m/s], shape (n,).
+        loose: How far the cables have hung lately, and may swing [m], shape (n,).
         time: When it was that [s].
     """
 
     sag: Array | None = None
     speed: Array | float = 0.0
+    loose: Array | float = 0.0
     time: float = 0.0
 
     def later(self, time: float, strings: Strings, damping_time: float) -> Swing:
         """At a time [s], under tensions of then; swings fade to 1/e in `damping_time` [s]."""
         rest, pace = strings.sag, strings.pace
         if self.sag is None:
-            return Swing(sag=rest, speed=np.zeros_like(rest), time=time)
+            return Swing(sag=rest, speed=np.zeros_like(rest), loose=rest, time=time)
         gone = max(time - self.time, 0.0)
         turned, left = pace * gone, np.exp(-gone / damping_time)
         beyond, drift = self.sag - rest, self.speed / pace
+        hung = rest + (self.loose - rest) * np.exp(-turned)  # it takes time to fall
+        loose = np.maximum(hung, left * self.loose)
+        far = left * np.hypot(beyond, drift)
+        left = left * np.minimum(1.0, loose / np.maximum(far, 1e-12))
         sag = rest + left * (beyond * np.cos(turned) + drift * np.sin(turned))
         speed = left * pace * (drift * np.cos(turned) - beyond * np.sin(turned))
-        return Swing(sag=sag, speed=speed, time=time)
+        return Swing(sag=sag, speed=speed, loose=loose, time=time)
 
     def taken(self, strings: Strings) -> Array:
         """Length that the swing takes at most, but for what comes and goes [m], shape (n,)."""

@@ -92,3 +92,23 @@ def test_a_swing_fades_and_rest_takes_nothing():
     assert taken[0] > 1e-3
     assert taken[1] < 1e-3 * taken[0]
     assert Swing().later(0.0, CABLE, 2.0).taken(CABLE) == pytest.approx(0.0)
+
+
+def test_a_tension_that_shakes_at_twice_the_pace_does_not_pump_without_end():
+    """A linear string would swing by metres after some seconds."""
+    length, density = 9.0, 0.01
+    pace = np.pi / length * np.sqrt(80.0 / density)
+    swing, most = Swing(), 0.0
+    for k in range(2000):
+        time = 0.01 * k
+        tension = 80.0 * (1.0 + 0.9 * np.sin(2.0 * pace * time))
+        strings = Strings(
+            length=np.array([length]),
+            tension=np.array([tension]),
+            density=np.array([density]),
+            weight=np.array([9.81 * density]),
+        )
+        swing = swing.later(time, strings, 2.0)
+        most = max(most, float(np.hypot(swing.sag - strings.sag, swing.speed / strings.pace)[0]))
+    slackest = 9.81 * density * length**2 / (8.0 * 8.0)
+    assert 0.2 * slackest < most <= slackest
