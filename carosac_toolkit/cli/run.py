@@ -145,7 +145,7 @@ def _reset(robot: Robot, options: Options) -> CommandResult:
         cleared = guard.cleared
     finally:
         guard.close()
-    said = "no fault was held" if cleared is None else f"cleared: {cleared.fault}: {cleared.text}"
+    said = "no fault was held" if cleared is None else f"cleared: {cleared.fault}"
     say(f"{said}; nothing has moved")
     return CommandResult({"cleared": None if cleared is None else str(cleared.fault)}, status=0)
 
