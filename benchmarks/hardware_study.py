@@ -27,6 +27,7 @@ WAYS = {  # controller and estimator
     "TD3": ("td3", "ks_ekf"),
 }
 SUITE = "lengths+imu"
+PATHS = ("minimum_snap", "circle")
 PORT = 5017  # of the IMU
 PATIENCE = 0.25  # [s] that host and PLC wait for each other on a desk
 MM = 1e3
@@ -52,7 +53,8 @@ def study(driver: str, robot: Path, recording: Path, output: Path) -> Study:
     """The study; what it says of a driver is passed over by the others."""
     return Study(
         driver=driver, robots=[str(robot)], controllers=["kinematic_solver", "mpc", "td3"],
-        estimators=["kinematic_solver", "ks_ekf"], suites=[SUITE], perturbations=["none"],
+        estimators=["kinematic_solver", "ks_ekf"], suites=[SUITE], trajectories=PATHS,
+        perturbations=["none"],
         seeds=1, speed_max=0.5, acceleration_max=0.5, output=output, workers=1, timeout=120.0,
         driver_settings={
             "ads": {"motion": True, "hang_time": PATIENCE},
@@ -93,10 +95,10 @@ def told(rows: Rows) -> str:
         "finished", "commands against the recorded ones [mm]" if driver == "replay"
         else "tracking [mm]", "estimation [mm]"))]  # fmt: skip
     return "\n".join([
-        "Paths `minimum_snap`, `cubic_spline`, `waypoints`, `circle` and `spiral` at up to 0.5 m/s "
-        "on `carosac`; a circle, recorded on the PLC, is replayed. Medians over the paths of root "
-        "mean squares. The simulator has sensors with biases and cables of particles, the "
-        "emulated PLC catenaries and lengths as its machine has them.", "",
+        "A minimum-snap path and a circle at up to 0.5 m/s on `carosac`; a circle, recorded on the "
+        "PLC, is replayed. Medians over the paths of root mean squares. The simulator has sensors "
+        "with biases and cables of particles, the emulated PLC catenaries and lengths as its "
+        "machine has them.", "",
         table(header, lines), "", *sorted(reasons),
     ])  # fmt: skip
 

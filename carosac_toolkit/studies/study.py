@@ -42,7 +42,7 @@ class Study:
         estimators: Names, or ``module:Class``; ``truth`` is what a simulated driver knows.
         suites: Sensor suites that the driver has.
         trajectories: Of the catalogue, `carosac_toolkit.trajectories.NAMES`; on the driver
-            `replay` the only one is ``recorded``, the path of the recording.
+            `replay` it is ``recorded`` instead, the path of the recording, whatever is asked for.
         perturbations: Conditions that the plants are drawn from.
         seeds: How many draws, 0, 1, 2 and so on; or which.
         driver: Name, or ``module:Class``.
@@ -89,7 +89,7 @@ class Study:
                 if isinstance(value, str) or not isinstance(value, Sequence):
                     raise InvalidField(item.name, repr(value), "a list")
                 object.__setattr__(self, item.name, tuple(value))
-        if self.driver == "replay" and self.trajectories == TRAJECTORIES:
+        if self.driver == "replay":
             object.__setattr__(self, "trajectories", (RECORDED,))
         if isinstance(self.seeds, int) and (isinstance(self.seeds, bool) or self.seeds < 1):
             raise InvalidField("seeds", repr(self.seeds), "1 or more, or a list of seeds")
