@@ -97,7 +97,7 @@ def run_case(case: Case) -> dict[str, Any]:
     driver = build_part("drivers", name, plant, case, "driver_settings", given)
     estimator = estimator_of(case, robot, driver)
     duration = REST + path.duration if path else controller.period * len(driver.recording.time)
-    path = path or trajectories.from_recording(driver.recording)
+    path = path or trajectories.from_recording(driver.recording, robot)
     if getattr(driver, "real_time", False):
         rehearse(robot, estimator, controller, path, suite=case.suite)
     log = run(driver, estimator, controller, path, duration=duration)

@@ -1,4 +1,4 @@
-"""A smooth trajectory through the measured poses of a recording."""
+"""A smooth trajectory through the poses of a recording, measured or those of rest."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics import statics
 from carosac_toolkit.recording import Recording
+from carosac_toolkit.robot import Robot
 from carosac_toolkit.trajectories.curves import PiecewisePolynomial
 from carosac_toolkit.trajectories.timing import MARGIN, check_limits
 from carosac_toolkit.trajectories.trajectory import Trajectory, peak_of_order
@@ -19,6 +21,7 @@ ROUGHNESS = 1e-6  # weight of squared fourth differences of control points: brid
 
 def from_recording(
     recording: Recording,
+    robot: Robot | None = None,
     *,
     knot_spacing: float = 0.5,
     speed_max: float | None = None,
@@ -34,28 +37,46 @@ def from_recording(
     down uniformly until the limits hold.
 
     Args:
-        recording: With measured poses.
+        recording: With measured poses, or any together with `robot`.
+        robot: Whose poses of rest on the lengths that were sent, or else measured, are followed
+            where no poses were measured.
         knot_spacing: [s], at most; the knots are equidistant.
         speed_max: [m/s], or None for no limit.
         acceleration_max: [m/s^2], or None for no limit.
     """
-    if recording.poses is None:
-        raise InvalidField("poses", None, "a recording with measured poses")
     if not knot_spacing > 0.0:
         raise InvalidField("knot_spacing", f"{knot_spacing} s", "knot_spacing > 0")
-    time = recording.poses.time - recording.poses.time[0]
+    if recording.poses is not None:
+        time, position = recording.poses.time, recording.poses.position
+    elif robot is not None:
+        time, position = _at_rest(recording, robot, knot_spacing)
+    else:
+        raise InvalidField("poses", None, "a recording with measured poses, or a robot")
+    time = time - time[0]
     if len(time) < 2:
         raise InvalidField("poses", f"{len(time)} pose", "at least 2 poses")
     no_limit = float(np.finfo(np.float64).max)
     speed = no_limit if speed_max is None else speed_max
     acceleration = no_limit if acceleration_max is None else acceleration_max
     check_limits(speed, acceleration)
-    curve = _fit(time, recording.poses.position, knot_spacing)
+    curve = _fit(time, position, knot_spacing)
     stretch = max(
         1.0, peak_of_order(curve, 1) / speed, np.sqrt(peak_of_order(curve, 2) / acceleration)
     )
     slower = stretch * (1.0 + MARGIN) if stretch > 1.0 else 1.0
     return Trajectory(name="from_recording", curve=curve, duration=float(curve.breaks[-1] * slower))
+
+
+def _at_rest(recording: Recording, robot: Robot, knot_spacing: float) -> tuple[Array, Array]:
+    """Times [s] and positions [m] at rest, ten a knot, on the lengths sent, or measured."""
+    channel = recording.command
+    times = recording.time if channel is None else channel.time
+    lengths = recording.unstrained_length if channel is None else channel.value
+    ticks = np.floor((times - times[0]) / (0.1 * knot_spacing))
+    chosen = np.unique(ticks, return_index=True)[1]
+    found = statics.forward_kinematics(robot, lengths[chosen])
+    good = found.converged
+    return times[chosen][good], found.position[good]
 
 
 def _fit(time: Array, position: Array, knot_spacing: float) -> PiecewisePolynomial:

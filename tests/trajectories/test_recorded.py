@@ -3,11 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carosac_toolkit import load_recording
+from carosac_toolkit import load_recording, load_robot
 from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.physics import statics
 from carosac_toolkit.recording import Recording
 from carosac_toolkit.recordings.poses import PoseSamples
-from carosac_toolkit.trajectories import from_recording, minimum_snap
+from carosac_toolkit.trajectories import from_recording, line, minimum_snap
+from carosac_toolkit.values import Stamped
 from tests.trajectories.samples import POINTS
 
 
@@ -89,6 +91,23 @@ def test_bad_arguments_are_refused():
         from_recording(recorded(), knot_spacing=0.0)
     with pytest.raises(InvalidField, match=r"speed_max: got 0.0 m/s"):
         from_recording(recorded(), speed_max=0.0)
+
+
+def test_without_poses_those_of_rest_on_the_lengths_sent_are_followed():
+    robot = load_robot("carosac")
+    truth = line(
+        robot.home_position, robot.home_position + 0.5, speed_max=0.5, acceleration_max=0.5
+    )
+    time = np.arange(0.0, truth.duration, 0.02)
+    asked = truth.sample(time).position
+    lengths = statics.inverse_kinematics(robot, asked).unstrained_length
+    run = Recording(
+        time=3.0 + time,
+        unstrained_length=lengths + 0.05,  # misread: what was sent counts
+        command=Stamped(time=3.0 + time, value=lengths),
+    )
+    found = from_recording(run, robot, knot_spacing=0.25).sample(time).position
+    assert np.abs(found - asked).max() < 2e-3
 
 
 def test_the_real_run_is_followed_to_millimetres(real_data):
