@@ -132,6 +132,38 @@ def test_a_host_resets_and_is_silent_again(program, host):
     until(lambda: not written(program))
 
 
+def test_a_plc_that_was_started_anew_holds_the_fault_of_its_host_all_the_same(program, host):
+    driver = host()
+    driver.enable()
+    program.start()
+    until(lambda: driver.link_fault is Fault.LOST_CONNECTION)
+    driver.hold_fault(Fault.LOST_CONNECTION)
+    assert program.machine.fault is Fault.LOST_CONNECTION
+    until(lambda: not written(program))
+    other = host()
+    assert (other.fault, other.link_fault) == (Fault.LOST_CONNECTION, Fault.NONE)
+    with pytest.raises(CarosacError, match="call reset_fault"):
+        other.enable()
+    other.reset_fault()
+    other.enable()
+
+
+def test_a_fault_that_the_plc_did_not_take_is_said(program, host):
+    driver = host()
+    driver.enable()
+    program.machine._request = lambda host, mine: ads_block.Answer.UNKNOWN
+    with pytest.raises(CarosacError, match="does not hold controller: it does not know this"):
+        driver.hold_fault(Fault.CONTROLLER)
+
+
+def test_only_an_emulated_plc_sets_its_robot_down(program, host):
+    driver = host()
+    assert not driver.emulated
+    with pytest.raises(CarosacError, match="emulated PLC"):
+        driver.set_down((0.0, 0.0, 1.0))
+    assert not program.writers
+
+
 def test_a_second_host_writes_nothing_and_is_refused(program, host):
     first, second = host(), host()
     first.enable()
