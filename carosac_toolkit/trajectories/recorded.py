@@ -32,9 +32,10 @@ def from_recording(
     A quintic B-spline with knots every `knot_spacing` is fitted by least squares; motion faster
     than a few knots is smoothed away. A weight of 1e-6 on the squared fourth differences of its
     control points settles it where samples are missing. Its first and last four control points
-    coincide, so it starts and ends with zero velocity, acceleration and jerk. Time 0 is the first
-    pose. The recorded timing is kept, unless a limit would be broken: then all of it is slowed
-    down uniformly until the limits hold.
+    coincide, so it starts and ends with zero velocity, acceleration and jerk. Time 0 is the
+    first pose, or the first sample where no poses were measured. The recorded timing is kept,
+    unless a limit would be broken: then all of it is slowed down uniformly until the limits
+    hold.
 
     Args:
         recording: With measured poses, or any together with `robot`.
@@ -76,7 +77,10 @@ def _at_rest(recording: Recording, robot: Robot, knot_spacing: float) -> tuple[A
     chosen = np.unique(ticks, return_index=True)[1]
     found = statics.forward_kinematics(robot, lengths[chosen])
     good = found.converged
-    return times[chosen][good], found.position[good]
+    times, position = times[chosen][good], found.position[good]
+    if len(times) and times[0] > recording.time[0]:  # before the first command it stood there
+        times, position = np.append(recording.time[0], times), np.vstack([position[:1], position])
+    return times, position
 
 
 def _fit(time: Array, position: Array, knot_spacing: float) -> PiecewisePolynomial:

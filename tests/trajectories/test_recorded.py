@@ -104,9 +104,9 @@ def test_without_poses_those_of_rest_on_the_lengths_sent_are_followed():
     run = Recording(
         time=3.0 + time,
         unstrained_length=lengths + 0.05,  # misread: what was sent counts
-        command=Stamped(time=3.0 + time, value=lengths),
+        command=Stamped(time=3.1 + time, value=lengths),  # and when
     )
-    found = from_recording(run, robot, knot_spacing=0.25).sample(time).position
+    found = from_recording(run, robot, knot_spacing=0.25).sample(0.1 + time).position
     assert np.abs(found - asked).max() < 2e-3
 
 
