@@ -149,7 +149,7 @@ class KsEkf:
         record = replace(record, resting=quiet is not None)
         record = self._use_lengths(record, reading)
         again = reading.time - record.rest_used >= self._settings.rest_period
-        if quiet is not None and again and record.rejected_in_row == 0:
+        if quiet is not None and again and record.misfit_since is None:
             record = self._use_stillness(record, quiet)
             record = self._use_equilibrium(record, reading)
         return record
@@ -171,15 +171,14 @@ class KsEkf:
         record = replace(record, innovations=added(record.innovations, found))
         if found.accepted:
             state = record.state.injected(found.error, found.covariance)
-            return replace(record, state=state, rejected_in_row=0)
+            return replace(record, state=state, misfit_since=None)
         return self._misfit(record, reading)
 
     def _misfit(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
-        """Count lengths that do not fit; too many in a row raise doubts."""
-        record = replace(
-            record, rejected=record.rejected + 1, rejected_in_row=record.rejected_in_row + 1
-        )
-        if record.rejected_in_row < self._settings.rejections_max:
+        """Count lengths that do not fit; where none do for long, that raises doubts."""
+        since = reading.time if record.misfit_since is None else record.misfit_since
+        record = replace(record, rejected=record.rejected + 1, misfit_since=since)
+        if reading.time - since < self._settings.misfit_time:
             return record
         return self._doubt(record, reading)
 
@@ -252,7 +251,7 @@ class KsEkf:
         found = self._place(record, reading, self._settings.sway)
         if found.failures > record.failures:
             return replace(found, state=replace(found.state, samples=record.state.samples))
-        return self._carry(replace(found, restarts=record.restarts + 1, rejected_in_row=0))
+        return self._carry(replace(found, restarts=record.restarts + 1, misfit_since=None))
 
     def _place(self, record: KsEkfRecord, reading: Reading, sway: float) -> KsEkfRecord:
         """Put the state at the pose of rest of the lengths; where there is none, it is lost."""

@@ -33,8 +33,9 @@ class KsEkfRecord:
         rejected: Measurements of lengths that did not pass the gate.
         excluded: Measurements of lengths of which one cable contradicted all others and was left
             out.
-        rejected_in_row: The last ones of them, without one in between that passed.
-        doubts: How often the covariance was raised, after too many rejections in a row.
+        misfit_since: When the first of the last lengths that did not fit was read, without any in
+            between that did [s]; None where the last ones fit.
+        doubts: How often the covariance was raised, after lengths had not fit for long.
         restarts: How often the filter started anew at a pose of rest: where that did not
             help, or as inertial samples came back.
         coasted: Measurements without inertial samples, whose belief is the pose of rest.
@@ -57,7 +58,7 @@ class KsEkfRecord:
     updates: int = 0
     rejected: int = 0
     excluded: int = 0
-    rejected_in_row: int = 0
+    misfit_since: float | None = None
     doubts: int = 0
     restarts: int = 0
     coasted: int = 0

@@ -9,10 +9,10 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array, check_rotations, frozen_array
 from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.number_checks import check_fields, check_fraction, check_whole
+from carosac_toolkit.number_checks import check_fields, check_fraction
 
 Coupling = Literal["loose", "tight"]
-CHECKED_APART = ("coupling", "imu_position", "imu_rotation", "rejections_max", "gate")
+CHECKED_APART = ("coupling", "imu_position", "imu_rotation", "gate")
 MAY_BE_ZERO = (
     "tension_change", "swing_share", "center_of_mass_prior", "bias_walk", "length_walk",
     "initial_sway",
@@ -49,10 +49,10 @@ class KsEkfSettings:
             it as the platform moves. 0: it is constant, as that of an encoder is.
         center_of_mass_prior: By how much the centre of mass may be elsewhere, per axis [m].
         gate: Probability with which a good measurement passes its gate.
-        rejections_max: After so many rejections in a row the filter doubts itself: its covariance
-            grows with each further one, until lengths are believed again or the position is as
-            uncertain as by `sway`; then it starts anew. The default is 1.5 s at 50 Hz: inertial
-            samples alone stay within some centimetres for so long.
+        misfit_time: Once lengths have not fit for so long, the filter doubts itself: its covariance
+            grows with each further misfit, until lengths are believed again or the position is as
+            uncertain as by `sway`; then it starts anew. Inertial samples alone stay within some
+            centimetres for so long, within decimetres on a platform that shakes [s].
         rest_window: What must be quiet for so long is at rest [s].
         rest_length: Largest range of a length in that window [m].
         rest_rate: Largest angular rate in it, root mean square [rad/s].
@@ -88,7 +88,7 @@ class KsEkfSettings:
     length_walk: float = 0.01
     center_of_mass_prior: float = 0.01
     gate: float = 0.9999
-    rejections_max: int = 75
+    misfit_time: float = 1.5
     rest_window: float = 1.0
     rest_length: float = 3e-3
     rest_rate: float = 0.02
@@ -109,7 +109,6 @@ class KsEkfSettings:
         for name, shape in (("imu_position", (3,)), ("imu_rotation", (3, 3))):
             object.__setattr__(self, name, frozen_array(name, getattr(self, name), shape))
         check_rotations("imu_rotation", self.imu_rotation[None])
-        check_whole("rejections_max", self.rejections_max, 1)
         check_fraction("gate", self.gate)
         numbers = [entry.name for entry in fields(self) if entry.name not in CHECKED_APART]
         check_fields(

@@ -142,7 +142,7 @@ def study(*texts, **changes):
         ("estimator.dynamic_estimator.mass=abc", "dynamic_estimator.mass: got 'abc'; allowed: a n"),
         ("estimator.dynamic_estimator.imu_position=3", "imu_position: got 3; allowed: a list"),
         ("estimator.ks_ekf.imu_position=[1, 2]", r"got \[1, 2\]; allowed: 3 numbers"),
-        ("estimator.ks_ekf.rejections_max=abc", "rejections_max: got 'abc'; allowed: a whole"),
+        ("estimator.ks_ekf.misfit_time=abc", "ks_ekf.misfit_time: got 'abc'; allowed: a number"),
         ("driver.sensors.encoder_bias=abc", "sensors.encoder_bias: got 'abc'; allowed: a number"),
         ("driver.sensors=5", "simulator.sensors: got 5; allowed: fields of it"),
         ("driver.cables=rope", "simulator.cables: got 'rope'; allowed: one of"),

@@ -264,7 +264,7 @@ def test_other_beliefs_and_earlier_measurements_are_refused():
         ("coupling", "medium"),
         ("length_noise", 0.0),
         ("gate", 1.0),
-        ("rejections_max", 0),
+        ("misfit_time", 0.0),
         ("imu_rotation", 2.0 * np.eye(3)),
         ("imu_position", np.zeros(2)),
         ("sway", np.nan),
