@@ -98,7 +98,8 @@ def told(rows: Rows) -> str:
         "A minimum-snap path and a circle at up to 0.5 m/s on `carosac`; a circle, recorded on the "
         "PLC, is replayed. Medians over the paths of root mean squares. The simulator has sensors "
         "with biases and cables of particles, the emulated PLC catenaries and lengths as its "
-        "machine has them.", "",
+        "machine has them. On a recording no command moves anything: a controller that learns from "
+        "what its commands do, as the MPC, asks for ever more.", "",
         table(header, lines), "", *sorted(reasons),
     ])  # fmt: skip
 
