@@ -200,12 +200,11 @@ def _what(options: Options, guard: GuardedDriver, recorder: CrashSafeRecorder) -
 
 def _say_next_step(guard: GuardedDriver, options: Options) -> None:
     """Say what clears the fault that the drives hold now; nothing where they hold none."""
-    ours = guard.fault is not None and hasattr(guard.inner, "hold_fault") and options.enable
-    if not ours and guard.held is None:
+    if guard.held is None:
         return
-    held = "this fault" if guard.held is None else f"a fault, {guard.held.fault},"
     words = f"carosac run --driver {options.driver} --robot {options.robot} --reset"
-    say(f"The drives hold {held} and move for nobody until it is cleared: {words}")
+    fault = guard.held.fault
+    say(f"The drives hold a fault, {fault}, and move for nobody until it is cleared: {words}")
 
 
 def _result(

@@ -291,13 +291,14 @@ class AdsDriver(AdsReader):
         self._enabled = False
         if not link.other:
             answer = link.request(request, ads_reader.ANSWER, fault=fault.number)
-            if answer is Answer.NONE:
-                return
-            if answer is not Answer.NOT_OWNER:
+            if answer not in (Answer.NONE, Answer.NOT_OWNER):
                 self._wait_for_rest()
-            link.quiet()
+            if answer is not Answer.NONE:
+                link.quiet()
             if request is Request.HOLD and answer is not Answer.DONE:
                 raise CarosacError(f"{self.name}: the PLC does not hold {fault}: {_WHY[answer]}")
+            if answer is Answer.NONE:
+                return
         self._alone()
 
     def _alone(self) -> None:

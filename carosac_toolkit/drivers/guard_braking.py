@@ -112,6 +112,7 @@ class BrakingGuard(GuardCore):
         hold = getattr(self.inner, "hold_fault", None)
         if hold is not None and self.fault is not None:
             hold(self.fault.fault)
+            self.held = Finding(fault=self.fault.fault, text=self.fault.text)
         elif hasattr(self.inner, "disable"):
             self.inner.disable()
 

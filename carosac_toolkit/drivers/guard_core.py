@@ -38,8 +38,8 @@ class GuardCore:
         journal: Hears of everything; set it before `connect`. In real time it is called from a
             thread of its own: one that blocks holds nobody up, and is a fault after `record_lag`.
         finding: What the last measurement showed, latched or not.
-        held: The fault that the drives hold by the last measurement, or None; it does not end a dry
-            run.
+        held: The fault that the drives hold, by the last measurement or as they were handed it, or
+            None; it does not end a dry run.
         cleared: What the drives held when `connect` reset them, or None.
         home_change: By how much the last homing changed the readings [m], shape (n,), or None.
         refused: What would have been a fault in a dry run, counted by text.

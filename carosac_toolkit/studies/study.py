@@ -8,6 +8,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from carosac_toolkit import trajectories
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.studies.batching import Batching
 from carosac_toolkit.studies.case import Case, product
@@ -42,7 +43,7 @@ class Study:
         estimators: Names, or ``module:Class``; ``truth`` is what a simulated driver knows.
         suites: Sensor suites that the driver has.
         trajectories: Of the catalogue, `carosac_toolkit.trajectories.NAMES`; on the driver
-            `replay` it is ``recorded`` instead, the path of the recording, whatever is asked for.
+            `replay` all of these are ``recorded`` instead, the path of the recording.
         perturbations: Conditions that the plants are drawn from.
         seeds: How many draws, 0, 1, 2 and so on; or which.
         driver: Name, or ``module:Class``.
@@ -89,7 +90,8 @@ class Study:
                 if isinstance(value, str) or not isinstance(value, Sequence):
                     raise InvalidField(item.name, repr(value), "a list")
                 object.__setattr__(self, item.name, tuple(value))
-        if self.driver == "replay":
+        known = self.trajectories and set(self.trajectories) <= set(trajectories.NAMES)
+        if self.driver == "replay" and known:  # `check` refuses all others
             object.__setattr__(self, "trajectories", (RECORDED,))
         if isinstance(self.seeds, int) and (isinstance(self.seeds, bool) or self.seeds < 1):
             raise InvalidField("seeds", repr(self.seeds), "1 or more, or a list of seeds")

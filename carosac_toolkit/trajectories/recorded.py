@@ -53,9 +53,9 @@ def from_recording(
         time, position = _at_rest(recording, robot, knot_spacing)
     else:
         raise InvalidField("poses", None, "a recording with measured poses, or a robot")
-    time = time - time[0]
     if len(time) < 2:
         raise InvalidField("poses", f"{len(time)} pose", "at least 2 poses")
+    time = time - time[0]
     no_limit = float(np.finfo(np.float64).max)
     speed = no_limit if speed_max is None else speed_max
     acceleration = no_limit if acceleration_max is None else acceleration_max
@@ -71,8 +71,9 @@ def from_recording(
 def _at_rest(recording: Recording, robot: Robot, knot_spacing: float) -> tuple[Array, Array]:
     """Times [s] and positions [m] at rest, ten a knot, on the lengths sent, or measured."""
     channel = recording.command
-    times = recording.time if channel is None else channel.time
-    lengths = recording.unstrained_length if channel is None else channel.value
+    times, lengths = recording.time, recording.unstrained_length
+    if channel is not None and len(channel.time):
+        times, lengths = channel.time, channel.value
     ticks = np.floor((times - times[0]) / (0.1 * knot_spacing))
     chosen = np.unique(ticks, return_index=True)[1]
     found = statics.forward_kinematics(robot, lengths[chosen])

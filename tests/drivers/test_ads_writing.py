@@ -156,6 +156,15 @@ def test_a_fault_that_the_plc_did_not_take_is_said(program, host):
         driver.hold_fault(Fault.CONTROLLER)
 
 
+def test_a_plc_that_does_not_answer_is_not_said_to_hold_a_fault(program, host):
+    driver = host()
+    driver.enable()
+    program.deaf = True
+    with pytest.raises(CarosacError, match="does not hold controller: no answer"):
+        driver.hold_fault(Fault.CONTROLLER)
+    until(lambda: program.machine.fault is Fault.HEARTBEAT_LOST)
+
+
 def test_only_an_emulated_plc_sets_its_robot_down(program, host):
     driver = host()
     assert not driver.emulated

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
+from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.studies import read_rows
 from carosac_toolkit.studies.findings import conclusions
 from carosac_toolkit.studies.parts import part_files
@@ -228,6 +229,14 @@ def test_without_a_folder_another_study_gets_a_folder_of_its_own(tmp_path, monke
     other = replace(first, speed_max=2.0)
     assert other.folder().name == "compare-2"
     assert replace(first, seeds=3).folder().name == "compare"
+
+
+def test_on_a_recording_a_known_path_becomes_the_recorded_one_and_others_are_refused():
+    study = ct.Study(driver="replay", trajectories=["circle"], perturbations=["none"], seeds=1)
+    assert study.trajectories == ("recorded",)
+    for wrong in (["circel"], []):
+        with pytest.raises(InvalidField, match="trajector"):
+            replace(study, trajectories=wrong).check()
 
 
 def test_on_a_recording_nothing_is_tracked(tmp_path):

@@ -87,6 +87,9 @@ def test_bad_arguments_are_refused():
         from_recording(Recording(time=[0.0], unstrained_length=[[1.0]]))
     with pytest.raises(InvalidField, match=r"poses: got 1 pose; allowed: at least 2 poses"):
         from_recording(recorded().slice(0, 1))
+    one = Recording(time=[0.0], unstrained_length=np.full((1, 4), 9.0))
+    with pytest.raises(InvalidField, match=r"poses: got 1 pose; allowed: at least 2 poses"):
+        from_recording(one, load_robot("carosac"))
     with pytest.raises(InvalidField, match=r"knot_spacing: got 0.0 s; allowed: knot_spacing > 0"):
         from_recording(recorded(), knot_spacing=0.0)
     with pytest.raises(InvalidField, match=r"speed_max: got 0.0 m/s"):
