@@ -31,6 +31,7 @@ LENGTHS, INERTIAL = "lengths", "lengths+imu"
 LONG, LOSS = 46.0, (5.0, 35.0)  # [s] of a run, without an IMU from and to
 OUTLIERS = {"1 sample": (20.0, 20.01), "1 s": (20.0, 21.0)}  # [s]
 JUMP = np.array([0.5, 0.0, 0.0])  # [m] that wrong lengths move the pose of rest
+SLIP = 0.3  # [m] that encoders say too much from then on
 BACK = 5.0  # [s] after which an estimator must have recovered
 WINDOW = 5.0  # [s] after that, over which it is judged
 

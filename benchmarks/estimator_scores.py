@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from time import process_time
@@ -18,6 +18,7 @@ from benchmarks.estimator_runs import (
     LENGTHS,
     LOSS,
     OUTLIERS,
+    SLIP,
     WINDOW,
     Case,
     Heard,
@@ -106,8 +107,25 @@ def distance(error: Array) -> Array:
     return np.asarray(np.linalg.norm(error[:, :3], axis=1))
 
 
-def faults(robot: Robot) -> dict[str, tuple[Edit, float, float]]:
-    """What may go wrong in a long run, from and to when [s]."""
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """What may go wrong in a long run.
+
+    Attributes:
+        edit: Of what is measured meanwhile.
+        begin: [s].
+        end: [s], from which on an estimator has time to recover.
+        stays: Whether it never ends.
+    """
+
+    edit: Edit
+    begin: float
+    end: float
+    stays: bool = False
+
+
+def faults(robot: Robot) -> dict[str, Fault]:
+    """All of them, by name."""
 
     def blind(measurement: Measurement, _: State) -> Measurement:
         return replace(measurement, imu=None)
@@ -120,10 +138,23 @@ def faults(robot: Robot) -> dict[str, tuple[Edit, float, float]]:
         wrong = measurement.unstrained_length + there - here
         return replace(measurement, unstrained_length=wrong)
 
-    outliers = {
-        f"lengths wrong by 0.5 m, {name}": (corrupt, *span) for name, span in OUTLIERS.items()
+    def slip(count: int) -> Fault:
+        by = np.where(np.arange(robot.n) < count, SLIP, 0.0)
+        begin, end = OUTLIERS["1 sample"]
+        return Fault(
+            edit=lambda m, _: replace(m, unstrained_length=m.unstrained_length + by),
+            begin=begin, end=end, stays=True,
+        )  # fmt: skip
+
+    return {
+        "IMU lost for 30 s": Fault(edit=blind, begin=LOSS[0], end=LOSS[1]),
+        **{
+            f"lengths wrong by 0.5 m, {name}": Fault(edit=corrupt, begin=span[0], end=span[1])
+            for name, span in OUTLIERS.items()
+        },
+        f"one encoder slips by {SLIP:g} m": slip(1),
+        f"all encoders slip by {SLIP:g} m": slip(robot.n),
     }
-    return {"IMU lost for 30 s": (blind, *LOSS)} | outliers
 
 
 def judge(case: Case, heard: Heard, estimator: str, suite: str) -> Score:
@@ -138,8 +169,8 @@ def judge(case: Case, heard: Heard, estimator: str, suite: str) -> Score:
     error = errors(heard, found)
     pose, full = squares(error, found)
     hit = {}
-    for name, (edit, begin, end) in (faults(robot) if case.kind == "long" else {}).items():
-        hit[name] = recovery(listener, heard, found, edit, (begin, end))
+    for name, fault in (faults(robot) if case.kind == "long" else {}).items():
+        hit[name] = recovery(listener, heard, found, fault)
     return Score(
         case=case, estimator=estimator, suite=suite, position=rms(distance(error)),
         rotation=rms(np.linalg.norm(error[:, 3:6], axis=1)), pose=pose, full=full, time=spent,
@@ -147,27 +178,26 @@ def judge(case: Case, heard: Heard, estimator: str, suite: str) -> Score:
     )  # fmt: skip
 
 
-def recovery(
-    listener: Any, heard: Heard, found: list[Belief], edit: Edit, span: tuple[float, float]
-) -> tuple[float, float]:
+def recovery(listener: Any, heard: Heard, found: list[Belief], fault: Fault) -> tuple[float, float]:
     """Position error [m] in the window after a fault, with and without it.
 
     Args:
         listener: The estimator.
         heard: The whole run.
         found: Beliefs without the fault, from which the run with it departs.
-        edit: The fault.
-        span: When it is there [s].
+        fault: What goes wrong.
     """
     time = np.array([m.time[0] for m, _, _ in heard])
-    first, over, last = np.searchsorted(time, [span[0], span[1] + BACK, span[1] + BACK + WINDOW])
+    over = fault.end + BACK
+    first, again, last = np.searchsorted(time, [fault.begin, over, over + WINDOW])
 
     def seen(measurement: Measurement, truth: State) -> Measurement:
-        return edit(measurement, truth) if measurement.time[0] < span[1] else measurement
+        wrong = fault.stays or measurement.time[0] < fault.end
+        return fault.edit(measurement, truth) if wrong else measurement
 
     hit, _ = hear(listener, heard[first:last], seen, found[first - 1])
-    pairs = (hit[over - first :], found[over:last])
-    after, usual = (rms(distance(errors(heard[over:last], part))) for part in pairs)
+    pairs = (hit[again - first :], found[again:last])
+    after, usual = (rms(distance(errors(heard[again:last], part))) for part in pairs)
     return after, usual
 
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from baselines.dynamic_estimator.sway import Sway
+from baselines.length_readings import SLIP_DOUBT
 from carosac_toolkit.arrays import Array
-
-SLIP_DOUBT = (5e-3, 0.03)  # [m] and share: one sigma of how far an encoder slipped
 
 
 class Errors:
@@ -122,7 +121,7 @@ class FilterState:
 
     def slipped(self, slip: Array) -> FilterState:
         """The state after encoders slipped, by (n,) [m]: the platform is where it was."""
-        doubt = np.where(slip == 0.0, 0.0, SLIP_DOUBT[0] + SLIP_DOUBT[1] * np.abs(slip))
+        doubt = np.where(slip == 0.0, 0.0, SLIP_DOUBT)
         return replace(self, length_bias=self.length_bias + slip).loosened(doubt)
 
     def platform_covariance(self, reading: float, speed: float) -> Array:

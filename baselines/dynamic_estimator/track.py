@@ -14,10 +14,10 @@ import numpy as np
 from baselines.dynamic_estimator.evidence import Felt
 from baselines.dynamic_estimator.filter import Filter, Tally
 from baselines.dynamic_estimator.model import Model, NoMotion
-from baselines.dynamic_estimator.readings import SHORTEST, Readings
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.start import Rest
 from baselines.dynamic_estimator.state import FilterState
+from baselines.length_readings import SHORTEST, Readings
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Measurement
@@ -90,7 +90,7 @@ class Tracker:
         """Hang the platform on the first lengths, where it may move at a speed [m/s]."""
         now = float(measurement.time[row])
         length = measurement.unstrained_length[row]
-        readings = Readings(time=np.array([self._counts(measurement, row)]), length=length[None])
+        readings = Readings.first(self._counts(measurement, row), length)
         state = self._rest.state(now, length, speed)
         return Track(
             state=state, now=state, readings=readings, waiting=np.empty((0, 7)),
@@ -108,7 +108,7 @@ class Tracker:
         state = track.state
         keep = min(state.time, now)
         readings = track.readings.taken(
-            when, length, self._robot.speed_max, self._settings.reading_jump, keep
+            when, length, self._robot, self._settings.reading_jump, keep
         )
         track = replace(track, readings=readings, tally=Tally(),
                         waiting=_waiting(track.waiting, measurement, row),

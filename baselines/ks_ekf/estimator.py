@@ -24,6 +24,7 @@ from baselines.ks_ekf.record import KsEkfRecord
 from baselines.ks_ekf.rest_detection import Quiet, Window, detect_rest
 from baselines.ks_ekf.rest_pose import RestPose, find_rest
 from baselines.ks_ekf.settings import KsEkfSettings
+from baselines.length_readings import Readings
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import Belief, Command, Measurement
@@ -66,6 +67,8 @@ class KsEkf:
             state=replace(state, samples=samples),
             reading=first,
             window=nothing.extended([first], samples, self._settings.rest_window),
+            encoders=Readings.first(first.time, first.lengths),
+            slid=np.zeros(self._robot.n),
             innovations=no_innovations(),
             updates=1,
         )
@@ -108,7 +111,9 @@ class KsEkf:
         ready, waiting = due(record.waiting, new, now)
         state, samples = record.state, samples_of(measurement, self._settings)
         late = sum(reading.time < state.time - SHORTEST for reading in ready)
-        later = [reading for reading in ready if reading.time > state.time + SHORTEST]
+        record, good = self._believed(record, ready)
+        state = record.state
+        later = [reading for reading in good if reading.time > state.time + SHORTEST]
         known = state.samples.joined(samples)
         gaps = np.flatnonzero(np.diff(known.time) > self._settings.imu_gap)
         if len(gaps):
@@ -117,15 +122,48 @@ class KsEkf:
         record = replace(
             record,
             state=replace(state, samples=known),
-            reading=max((record.reading, *ready), key=lambda reading: reading.time),
+            reading=max((record.reading, *good), key=lambda reading: reading.time),
             waiting=waiting,
-            window=record.window.extended(ready, samples, self._settings.rest_window),
+            window=record.window.extended(good, samples, self._settings.rest_window),
             innovations=no_innovations(),
             resting=False,
             updates=record.updates + 1,
             late=record.late + late,
         )
         return record, later
+
+    def _believed(
+        self, record: KsEkfRecord, ready: tuple[Reading, ...]
+    ) -> tuple[KsEkfRecord, list[Reading]]:
+        """Hold back lengths that no winch can have wound; take off what encoders slipped by.
+
+        A slip is not believed at once where inertial samples carry the state: it may end.
+        """
+        good = []
+        for reading in ready:
+            before, jump = record.encoders, self._settings.reading_jump
+            now = before.taken(reading.time, reading.lengths, self._robot, jump, reading.time)
+            record = replace(record, encoders=now)
+            held = now.rejected > before.rejected
+            if not held:
+                record = self._slid(record, reading.time)
+                held = record.slipped_since is not None
+            if held:
+                record = replace(record, rejected=record.rejected + 1)
+            else:
+                good.append(replace(reading, lengths=reading.lengths - now.slid))
+        return record, good
+
+    def _slid(self, record: KsEkfRecord, time: float) -> KsEkfRecord:
+        """Believe slips of encoders once they have lasted, or ended."""
+        beyond = record.encoders.slid - record.slid
+        if not np.any(beyond):
+            return replace(record, slipped_since=None)
+        since = time if record.slipped_since is None else record.slipped_since
+        if record.state.inertial and time - since < self._settings.misfit_time:
+            return replace(record, slipped_since=since)
+        state = record.state.slipped(beyond != 0.0)
+        return replace(record, state=state, slid=record.encoders.slid, slipped_since=None)
 
     def _is_carried(self, state: FilterState, now: float) -> bool:
         """Whether inertial samples reach up to now."""

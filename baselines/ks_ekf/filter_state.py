@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from baselines.length_readings import SLIP_DOUBT
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.physics.statics import Equilibrium
 
@@ -129,6 +131,12 @@ class FilterState:
             length_bias=self.length_bias + error[LENGTHS],
             covariance=0.5 * (moved + moved.T),
         )
+
+    def slipped(self, which: NDArray[np.bool_]) -> FilterState:
+        """With more doubt of the lengths of cables (n,) whose encoders have slipped."""
+        covariance = self.covariance.copy()
+        covariance[LENGTHS, LENGTHS] += np.diag(np.where(which, SLIP_DOUBT**2, 0.0))
+        return replace(self, covariance=covariance)
 
 
 def cross(vector: Array) -> Array:

@@ -8,6 +8,7 @@ from baselines.ks_ekf.cable_swing import Swing
 from baselines.ks_ekf.filter_state import FilterState
 from baselines.ks_ekf.readings import Reading
 from baselines.ks_ekf.rest_detection import Window
+from baselines.length_readings import Readings
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.consistency import Innovations
 
@@ -23,6 +24,10 @@ class KsEkfRecord:
         reading: The newest lengths whose time has come.
         waiting: Lengths whose time is still to come, in its order.
         window: The last measurements, from which rest is detected.
+        encoders: The last lengths as they were read, and by how much encoders have slipped.
+        slid: By how much they are believed to have slipped [m], shape (n,).
+        slipped_since: Since when they seem to have slipped by something else [s]; lengths are not
+            used meanwhile. None where they do not.
         innovations: Of the lengths or poses of rest since the last belief, rejected ones left out
             of the squares.
         tension: At the platform [N], shape (n,), when it was last computed, or None.
@@ -49,10 +54,13 @@ class KsEkfRecord:
     state: FilterState
     reading: Reading
     window: Window
+    encoders: Readings
+    slid: Array
     innovations: Innovations
     waiting: tuple[Reading, ...] = ()
     tension: Array | None = None
     swing: Swing = NO_SWING
+    slipped_since: float | None = None
     resting: bool = False
     rest_used: float = -float("inf")
     updates: int = 0

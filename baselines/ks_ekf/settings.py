@@ -49,6 +49,8 @@ class KsEkfSettings:
             it as the platform moves. 0: it is constant, as that of an encoder is.
         center_of_mass_prior: By how much the centre of mass may be elsewhere, per axis [m].
         gate: Probability with which a good measurement passes its gate.
+        reading_jump: Distance from the last lengths, beyond what a winch can do, from which lengths
+            are outliers, or encoders have slipped where they stay there [m].
         misfit_time: Once lengths have not fit for so long, the filter doubts itself: its covariance
             grows with each further misfit, until lengths are believed again or the position is as
             uncertain as by `sway`; then it starts anew. Inertial samples alone stay within some
@@ -88,6 +90,7 @@ class KsEkfSettings:
     length_walk: float = 0.01
     center_of_mass_prior: float = 0.01
     gate: float = 0.9999
+    reading_jump: float = 0.05
     misfit_time: float = 1.5
     rest_window: float = 1.0
     rest_length: float = 3e-3

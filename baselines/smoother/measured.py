@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.dynamic_estimator.evidence import Felt
-from baselines.dynamic_estimator.readings import SHORTEST, Readings
+from baselines.length_readings import SHORTEST, Readings
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.encoders import calibrated
@@ -149,12 +149,12 @@ def _check(run: Recording, settings: SmootherSettings) -> None:
 
 def _believed(run: Recording, robot: Robot, settings: SmootherSettings) -> tuple[Recording, int]:
     """The recording without readings that no winch can have wound, and how many there were."""
-    readings = Readings(time=run.time[:1], length=run.unstrained_length[:1])
+    readings = Readings.first(float(run.time[0]), run.unstrained_length[0])
     keep = np.ones(len(run.time), dtype=np.bool_)
     jump = settings.dynamics.reading_jump
     for k in range(1, len(run.time)):
         time, length = float(run.time[k]), run.unstrained_length[k]
-        after = readings.taken(time, length, robot.speed_max, jump, time)
+        after = readings.taken(time, length, robot, jump, time)
         keep[k] = after.rejected == readings.rejected
         readings = after
     if keep.all():
