@@ -58,13 +58,24 @@ class ErrorFilter:
         self._kalman.predict()
 
     def correct(
-        self, covariance: Array, residual: Array, jacobian: Array, noise: Array
-    ) -> Correction:
-        """Weigh a residual (m,), measured minus expected, with its Jacobian (m, k) and noise."""
+        self, covariance: Array, residual: Array, jacobian: Array, noise: Array,
+        *, bounded: bool = False,
+    ) -> Correction:  # fmt: skip
+        """Weigh a residual (m,), measured minus expected, with its Jacobian (m, k) and noise.
+
+        One beyond the gate is rejected. Where it is `bounded` it is not, but all that it is weighed
+        by, the covariance of the state included, is taken as so much larger that it would just have
+        passed (Huber's influence function on the residual as a whole).
+        """
         kalman = self._kalman
-        spread = jacobian @ covariance @ jacobian.T + noise
+        predicted = jacobian @ covariance @ jacobian.T
+        spread = predicted + noise
         square, dof = float(residual @ np.linalg.solve(spread, residual)), len(residual)
-        if not square <= limit(dof, self._gate):
+        beyond = square / limit(dof, self._gate)
+        accepted = beyond <= 1.0
+        if not accepted and bounded and np.isfinite(beyond):
+            noise = beyond * spread - predicted
+        elif not accepted:
             error = np.zeros(len(covariance))
             return Correction(
                 error=error, covariance=covariance, square=square, dof=dof, accepted=False
@@ -73,7 +84,9 @@ class ErrorFilter:
         kalman.update(residual, lambda _: jacobian, lambda x: jacobian @ x, noise)
         error = kalman.x
         kalman.x = np.zeros(len(error))
-        return Correction(error=error, covariance=kalman.P, square=square, dof=dof, accepted=True)
+        return Correction(
+            error=error, covariance=kalman.P, square=square, dof=dof, accepted=accepted
+        )
 
 
 @lru_cache(maxsize=64)

@@ -210,6 +210,11 @@ class KsEkf:
         if found.accepted:
             state = record.state.injected(found.error, found.covariance)
             return replace(record, state=state, misfit_since=None)
+        since = record.misfit_since
+        if since is not None and reading.time - since >= self._settings.reject_time:
+            found = self._correct(record.state, evidence, bounded=True)
+            state = record.state.injected(found.error, found.covariance)
+            record = replace(record, state=state)
         return self._misfit(record, reading)
 
     def _misfit(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
@@ -272,10 +277,12 @@ class KsEkf:
             return replace(record, held=record.held + 1)
         return replace(record, state=record.state.injected(found.error, found.covariance))
 
-    def _correct(self, state: FilterState, evidence: Evidence) -> Correction:
-        """Weigh evidence."""
+    def _correct(
+        self, state: FilterState, evidence: Evidence, *, bounded: bool = False
+    ) -> Correction:
+        """Weigh evidence; beyond the gate not at all, or as far as the gate allows."""
         return self._kalman.correct(
-            state.covariance, evidence.residual, evidence.jacobian, evidence.noise
+            state.covariance, evidence.residual, evidence.jacobian, evidence.noise, bounded=bounded
         )
 
     def _coast(self, record: KsEkfRecord) -> KsEkfRecord:

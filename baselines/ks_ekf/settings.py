@@ -51,6 +51,8 @@ class KsEkfSettings:
         gate: Probability with which a good measurement passes its gate.
         reading_jump: Distance from the last lengths, beyond what a winch can do, from which lengths
             are outliers, or encoders have slipped where they stay there [m].
+        reject_time: For so long lengths that do not pass are rejected. Where they still do not
+            then, it is rather the model that errs: they count as far as the gate allows [s].
         misfit_time: Once lengths have not fit for so long, the filter doubts itself: its covariance
             grows with each further misfit, until lengths are believed again or the position is as
             uncertain as by `sway`; then it starts anew. Inertial samples alone stay within some
@@ -91,6 +93,7 @@ class KsEkfSettings:
     center_of_mass_prior: float = 0.01
     gate: float = 0.9999
     reading_jump: float = 0.05
+    reject_time: float = 0.1
     misfit_time: float = 1.5
     rest_window: float = 1.0
     rest_length: float = 3e-3
