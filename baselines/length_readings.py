@@ -11,12 +11,34 @@ from carosac_toolkit.robot import Robot
 
 SHORTEST = 1e-6  # [s] between two readings
 AHEAD = 0.1  # [s] for which the last rate goes on
-PATIENCE = 5  # readings in a row that cannot all be outliers
-STAYS = 0.5  # of a jump: by how much less or more it may be after these readings
-BACK = 0.25  # of a jump: encoders that are off by less after it have come back to where they were
+PATIENCE = 5  # readings in a row that agree with each other cannot all be outliers
+STAYS = 0.5  # of a jump: a reading that is off by less is no part of it
+BACK = 0.25  # of a jump: off by less after one back, soon, encoders are where they were
+SOON = 2.0  # [s]: a fault that ends has ended by then
 JITTER = 5e-3  # [m] by which a reading may miss what the last ones led to expect
 SLIP_DOUBT = 5e-3  # [m]: one sigma of how far an encoder slipped
 FROZEN = 3  # equal readings in a row: the encoder is stuck, or the winch rests
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outliers:
+    """The last readings of one robot, which are not believed so far.
+
+    Attributes:
+        time: Of the last of them [s].
+        length: What it says [m], shape (n,).
+        offset: By how much the first of those in a row that agree with each other is off what was
+            expected [m], shape (n,); zero for cables that it says nothing wrong of.
+        prompt: Whether that came so soon after a reading that was believed that the offset is no
+            motion.
+        agree: How many in a row agree.
+    """
+
+    time: float
+    length: Array
+    offset: Array
+    prompt: bool
+    agree: int = 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,38 +50,47 @@ class Readings:
         length: What they say [m], shape (K, n).
         slid: By how much encoders have slipped since the start [m], shape (n,).
         had_slid: The same before the last of these slips, shape (n,).
-        outliers: Readings in a row, up to the last one, that were not believed.
+        slid_at: When that was noticed [s].
+        outliers: Readings since the last one that was believed, or None.
+        sound: How many in a row were believed.
         rejected: Readings that were not believed since the start.
-        offset: By how much the first of these outliers was off [m], shape (n,), or None.
-        frozen: How many of the last readings of each cable were the same, shape (n,), or None.
+        frozen: How many of the last readings of each cable were the same, shape (n,).
         slipped: By how much encoders slipped with the last reading [m], shape (n,), or None.
         slips: How often one did since the start.
+        corrected: How often readings that had been believed were found to be wrong instead.
     """
 
     time: Array
     length: Array
     slid: Array
     had_slid: Array
-    outliers: int = 0
+    frozen: Array
+    slid_at: float = -np.inf
+    outliers: Outliers | None = None
+    sound: int = 1
     rejected: int = 0
-    offset: Array | None = None
-    frozen: Array | None = None
     slipped: Array | None = None
     slips: int = 0
+    corrected: int = 0
 
     @classmethod
     def first(cls, time: float, length: Array) -> Readings:
         """One reading (n,) [m], from which encoders slip."""
         nothing = np.zeros(len(length))
-        return cls(time=np.array([time]), length=length[None], slid=nothing, had_slid=nothing)
+        return cls(
+            time=np.array([time]), length=length[None], slid=nothing, had_slid=nothing,
+            frozen=nothing,
+        )  # fmt: skip
 
     def taken(self, time: float, length: Array, robot: Robot, jump: float, keep: float) -> Readings:
         """With one more reading, if it is one, and can be true.
 
         A cable that jumps farther than its winch can wind, and stays there, has not moved: its
         encoder slipped, and so have others that jumped with it, less far. Earlier readings are then
-        moved as well, so that the path has no step. Encoders that jump back are where they were.
-        One whose readings stood still before is believed: it was stuck, and has come free.
+        moved as well, so that the path has no step. Encoders that soon jump back are where they
+        were. One whose readings stood still before, while others changed, is believed: it was
+        stuck, and has come free. Readings that contradict others which were few themselves are
+        believed as well: the others were wrong.
 
         Args:
             time: When it counts [s]; one that is not later than the last says nothing new.
@@ -68,38 +99,63 @@ class Readings:
             jump: Distance beyond what winches can do from which a reading is an outlier [m].
             keep: Time from which on earlier readings are needed [s].
         """
-        step = time - self.time[-1]
-        if step < SHORTEST:
+        last = self.time[-1] if self.outliers is None else self.outliers.time
+        if time - last < SHORTEST:
             return self
+        found = self._outliers(time, length, robot, jump)
+        nothing = np.zeros(len(length))
+        if found is None:
+            sound = self.sound + 1 if self.outliers is None else 1
+            return self._believed(time, length, nothing, sound, keep)
+        if found.agree < PATIENCE:
+            return replace(self, outliers=found, rejected=self.rejected + 1, slipped=None)
+        if self.sound < PATIENCE or not found.prompt:
+            new = self._believed(time, length, nothing, PATIENCE, keep)
+            return replace(new, corrected=self.corrected + 1)
+        stuck = (self.frozen >= FROZEN) & (self.frozen < FROZEN).any()
+        return self._believed(time, length, np.where(stuck, 0.0, found.offset), PATIENCE, keep)
+
+    def _outliers(self, time: float, length: Array, robot: Robot, jump: float) -> Outliers | None:
+        """The outliers with one more reading; None if it is none."""
+        before = self.outliers
+        if before is not None:
+            wound = robot.speed_max * (time - before.time)
+            if (np.abs(length - before.length) <= wound + JITTER).all():
+                return replace(before, time=time, length=length, agree=before.agree + 1)
+        step = time - self.time[-1]
         far = np.abs(length - self.length[-1]) > robot.speed_max * step + jump
         off = length - self.at(time)
-        start = self.offset
-        if start is None:
-            with_them = far.any() & (np.abs(off) > JITTER + robot.acceleration_max * step**2)
-            start = np.where(far | with_them, off, 0.0)
-        far |= (start != 0.0) & (np.abs(off) > STAYS * np.abs(start))
-        if far.any() and self.outliers + 1 < PATIENCE:
-            return replace(
-                self, outliers=self.outliers + 1, rejected=self.rejected + 1, offset=start,
-                slipped=None,
-            )  # fmt: skip
-        still = np.zeros(len(length)) if self.frozen is None else self.frozen
-        stays = far & (np.abs(off - start) <= STAYS * np.abs(start)) & (start != 0.0)
-        slipped = np.where(stays & (still < FROZEN), start, 0.0)
-        slid, had_slid = self.slid + slipped, self.had_slid
-        if np.linalg.norm(slid - had_slid) < BACK * np.linalg.norm(slipped):
-            slid, slipped = had_slid, had_slid - self.slid
+        if before is not None:
+            wound = robot.speed_max * max(step - AHEAD, 0.0)
+            far |= np.abs(off) > np.maximum(STAYS * np.abs(before.offset), wound + jump)
+        if not far.any():
+            return None
+        jumped = far | (np.abs(off) > JITTER + robot.acceleration_max * step**2)
+        offset = np.where(jumped, off, 0.0)
+        return Outliers(time=time, length=length, offset=offset, prompt=step <= AHEAD + SHORTEST)
+
+    def _believed(
+        self, time: float, length: Array, slipped: Array, sound: int, keep: float
+    ) -> Readings:
+        """With a reading that is believed, before which encoders slipped (n,) [m]."""
+        slid, had_slid, slid_at = self.slid + slipped, self.had_slid, self.slid_at
+        if slipped.any():
+            left, soon = np.linalg.norm(slid - had_slid), time - slid_at < SOON
+            if soon and left < BACK * np.linalg.norm(slipped):
+                slid, slipped = had_slid, had_slid - self.slid
+            had_slid, slid_at = self.slid, time
         first = max(0, int(np.searchsorted(self.time, keep, side="right")) - 2)
         return replace(
             self,
             time=np.append(self.time[first:], time),
             length=np.vstack([self.length[first:] + slipped, length]),
-            outliers=0,
-            offset=None,
-            frozen=np.where(length == self.length[-1], still + 1, 0),
+            outliers=None,
+            sound=sound,
+            frozen=np.where(length == self.length[-1], self.frozen + 1, 0),
             slipped=slipped if slipped.any() else None,
             slid=slid,
-            had_slid=self.slid if slipped.any() else had_slid,
+            had_slid=had_slid,
+            slid_at=slid_at,
             slips=self.slips + int(np.count_nonzero(slipped)),
         )
 

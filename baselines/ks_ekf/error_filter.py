@@ -63,9 +63,9 @@ class ErrorFilter:
     ) -> Correction:  # fmt: skip
         """Weigh a residual (m,), measured minus expected, with its Jacobian (m, k) and noise.
 
-        One beyond the gate is rejected. Where it is `bounded` it is not, but all that it is weighed
-        by, the covariance of the state included, is taken as so much larger that it would just have
-        passed (Huber's influence function on the residual as a whole).
+        One beyond the gate is rejected. Where it is `bounded` it corrects the state by as much as
+        one in its direction that would just have passed (Huber's influence function, on the
+        residual as a whole).
         """
         kalman = self._kalman
         predicted = jacobian @ covariance @ jacobian.T
@@ -74,7 +74,7 @@ class ErrorFilter:
         beyond = square / limit(dof, self._gate)
         accepted = beyond <= 1.0
         if not accepted and bounded and np.isfinite(beyond):
-            noise = beyond * spread - predicted
+            noise = np.sqrt(beyond) * spread - predicted
         elif not accepted:
             error = np.zeros(len(covariance))
             return Correction(

@@ -111,17 +111,16 @@ class KsEkf:
         ready, waiting = due(record.waiting, new, now)
         state, samples = record.state, samples_of(measurement, self._settings)
         late = sum(reading.time < state.time - SHORTEST for reading in ready)
-        record, good = self._believed(record, ready)
-        state = record.state
-        later = [reading for reading in good if reading.time > state.time + SHORTEST]
         known = state.samples.joined(samples)
         gaps = np.flatnonzero(np.diff(known.time) > self._settings.imu_gap)
         if len(gaps):
             known = known.keep(slice(int(gaps[-1]) + 1, None))
             state = starting.released(state, self._settings)
+        record = replace(record, state=replace(state, samples=known))
+        record, good = self._believed(record, ready, now)
+        later = [reading for reading in good if reading.time > state.time + SHORTEST]
         record = replace(
             record,
-            state=replace(state, samples=known),
             reading=max((record.reading, *good), key=lambda reading: reading.time),
             waiting=waiting,
             window=record.window.extended(good, samples, self._settings.rest_window),
@@ -133,37 +132,32 @@ class KsEkf:
         return record, later
 
     def _believed(
-        self, record: KsEkfRecord, ready: tuple[Reading, ...]
+        self, record: KsEkfRecord, ready: tuple[Reading, ...], now: float
     ) -> tuple[KsEkfRecord, list[Reading]]:
-        """Hold back lengths that no winch can have wound; take off what encoders slipped by.
-
-        A slip is not believed at once where inertial samples carry the state: it may end.
-        """
+        """Hold back lengths that no winch can have wound; take off what encoders slipped by."""
         good = []
         for reading in ready:
             before, jump = record.encoders, self._settings.reading_jump
-            now = before.taken(reading.time, reading.lengths, self._robot, jump, reading.time)
-            record = replace(record, encoders=now)
-            held = now.rejected > before.rejected
-            if not held:
-                record = self._slid(record, reading.time)
-                held = record.slipped_since is not None
-            if held:
-                record = replace(record, rejected=record.rejected + 1)
+            heard = before.taken(reading.time, reading.lengths, self._robot, jump, reading.time)
+            record = self._slid(replace(record, encoders=heard), reading.time, now)
+            if heard.corrected > before.corrected:  # what was believed came from wrong lengths
+                since = reading.time - self._settings.misfit_time
+                record = replace(record, misfit_since=since)
+            if heard.outliers is None and np.array_equal(heard.slid, record.slid):
+                good.append(replace(reading, lengths=reading.lengths - record.slid))
             else:
-                good.append(replace(reading, lengths=reading.lengths - now.slid))
+                record = replace(record, rejected=record.rejected + 1, misfit_since=None)
         return record, good
 
-    def _slid(self, record: KsEkfRecord, time: float) -> KsEkfRecord:
-        """Believe slips of encoders once they have lasted, or ended."""
+    def _slid(self, record: KsEkfRecord, time: float, now: float) -> KsEkfRecord:
+        """Believe a slip of encoders: at once, or where inertial samples go on once it lasts."""
         beyond = record.encoders.slid - record.slid
-        if not np.any(beyond):
-            return replace(record, slipped_since=None)
-        since = time if record.slipped_since is None else record.slipped_since
-        if record.state.inertial and time - since < self._settings.misfit_time:
-            return replace(record, slipped_since=since)
+        lasts = time - record.encoders.slid_at >= self._settings.misfit_time
+        carried = record.state.inertial and self._is_carried(record.state, now)
+        if not beyond.any() or (carried and not lasts):
+            return record
         state = record.state.slipped(beyond != 0.0)
-        return replace(record, state=state, slid=record.encoders.slid, slipped_since=None)
+        return replace(record, state=state, slid=record.encoders.slid)
 
     def _is_carried(self, state: FilterState, now: float) -> bool:
         """Whether inertial samples reach up to now."""

@@ -26,8 +26,6 @@ class KsEkfRecord:
         window: The last measurements, from which rest is detected.
         encoders: The last lengths as they were read, and by how much encoders have slipped.
         slid: By how much they are believed to have slipped [m], shape (n,).
-        slipped_since: Since when they seem to have slipped by something else [s]; lengths are not
-            used meanwhile. None where they do not.
         innovations: Of the lengths or poses of rest since the last belief, rejected ones left out
             of the squares.
         tension: At the platform [N], shape (n,), when it was last computed, or None.
@@ -35,7 +33,8 @@ class KsEkfRecord:
         resting: Whether the platform was found to rest.
         rest_used: When that was used last [s].
         updates: Measurements, the first one included.
-        rejected: Measurements of lengths that did not pass the gate.
+        rejected: Measurements of lengths that did not pass the gate, or were held back as no winch
+            can have wound them.
         excluded: Measurements of lengths of which one cable contradicted all others and was left
             out.
         misfit_since: When the first of the last lengths that did not fit was read, without any in
@@ -60,7 +59,6 @@ class KsEkfRecord:
     waiting: tuple[Reading, ...] = ()
     tension: Array | None = None
     swing: Swing = NO_SWING
-    slipped_since: float | None = None
     resting: bool = False
     rest_used: float = -float("inf")
     updates: int = 0

@@ -148,18 +148,21 @@ def _check(run: Recording, settings: SmootherSettings) -> None:
 
 
 def _believed(run: Recording, robot: Robot, settings: SmootherSettings) -> tuple[Recording, int]:
-    """The recording without readings that no winch can have wound, and how many there were."""
+    """The recording without lengths that no winch can have wound, and how many of them there were.
+
+    What encoders slipped by is taken off.
+    """
     readings = Readings.first(float(run.time[0]), run.unstrained_length[0])
     keep = np.ones(len(run.time), dtype=np.bool_)
+    lengths = run.unstrained_length.copy()
     jump = settings.dynamics.reading_jump
     for k in range(1, len(run.time)):
         time, length = float(run.time[k]), run.unstrained_length[k]
         after = readings.taken(time, length, robot, jump, time)
         keep[k] = after.rejected == readings.rejected
+        lengths[k] -= after.slid
         readings = after
-    if keep.all():
-        return run, 0
-    kept = replace(run, time=run.time[keep], unstrained_length=run.unstrained_length[keep])
+    kept = replace(run, time=run.time[keep], unstrained_length=lengths[keep])
     return kept, int((~keep).sum())
 
 

@@ -208,6 +208,50 @@ def test_encoders_that_slip_move_nothing(coupling):
     assert known == pytest.approx(0.0, abs=0.01)
 
 
+@pytest.mark.parametrize("length", [7, 25])
+def test_nonsense_that_ends_is_got_over(length):
+    scene = swaying(2)
+    rng = np.random.default_rng(length)
+
+    def wrong(k: int, measurement: Measurement) -> Measurement:
+        off = rng.uniform(-1.0, 1.0, 4) * (LOST.start <= k < LOST.start + length)
+        return replace(measurement, unstrained_length=measurement.unstrained_length + off)
+
+    found = beliefs(scene, edit=wrong)
+    assert not found[-1].memory.slid.any()
+    assert rms(errors(scene, found)[LOST.stop :, :3]) < 1.5 * position_error(scene, nominal(scene))
+
+
+def test_a_wrong_first_measurement_is_got_over():
+    scene = swaying(2)
+
+    def wrong(k: int, measurement: Measurement) -> Measurement:
+        off = 0.3 * (k == 0)
+        return replace(measurement, unstrained_length=measurement.unstrained_length + off)
+
+    found = beliefs(scene, edit=wrong)
+    assert not found[-1].memory.slid.any()
+    assert rms(errors(scene, found)[200:, :3]) < 3.0 * position_error(scene, nominal(scene))
+
+
+@pytest.mark.parametrize("lost", [110, 125])
+def test_encoders_that_slip_before_the_imu_is_lost_move_nothing_either(lost):
+    """The slip is still in doubt then, and the last lengths that were used are old."""
+    scene = swaying(2)
+
+    def wrong(k: int, measurement: Measurement) -> Measurement:
+        lengths = measurement.unstrained_length + 0.3 * (k >= LOST.start)
+        imu = None if lost <= k < lost + 3 else measurement.imu
+        return replace(measurement, unstrained_length=lengths, imu=imu)
+
+    found = beliefs(scene, edit=wrong)
+    error = np.linalg.norm(errors(scene, found)[:, :3], axis=1)
+    blind = beliefs(scene, edit=lambda k, m: replace(m, imu=None) if lost <= k < lost + 3 else m)
+    usual = np.linalg.norm(errors(scene, blind)[:, :3], axis=1)
+    assert found[-1].memory.slid == pytest.approx(0.3, abs=5e-3)
+    assert error.max() < 2.0 * usual.max() + 0.02
+
+
 def test_lengths_that_never_fit_still_hold_the_state():
     """Centimetres of model error for 3 s, and an IMU whose bias has changed: no drift."""
     scene = swaying(2)

@@ -1,0 +1,95 @@
+"""Lengths that no winch can have wound: outliers, slips, and what only looks like one."""
+
+import numpy as np
+import pytest
+
+import carosac_toolkit as ct
+from baselines.length_readings import Readings
+
+ROBOT = ct.load_robot("carosac")
+PERIOD, JUMP = 0.02, 0.05
+SLIP = np.array([0.3, -0.25, 0.35, 0.03])
+
+
+def wound(k: int, period: float = PERIOD) -> np.ndarray:
+    """Lengths [m] while the winches wind at up to 1 m/s, with encoders that are a bit noisy."""
+    noise = np.random.default_rng(k).normal(scale=3e-4, size=4)
+    return 6.0 + np.array([0.5, -0.4, 0.3, 0.1]) * np.sin(2.0 * k * period) + noise
+
+
+def heard(wrong, count: int = 200, period: float = PERIOD, start: Readings | None = None):
+    """Readings k = 0 ... with what is wrong of each."""
+    found = start or Readings.first(0.0, wound(0, period) + wrong(0))
+    for k in range(1, count):
+        found = found.taken(k * period, wound(k, period) + wrong(k), ROBOT, JUMP, 0.0)
+    return found
+
+
+def between(first: int, last: int, offset):
+    """The same offset from one reading to before another one."""
+    return lambda k: offset if first <= k < last else np.zeros(4)
+
+
+def test_winding_is_believed():
+    found = heard(lambda k: np.zeros(4))
+    assert found.rejected == 0 and not found.slid.any()
+
+
+@pytest.mark.parametrize("period", [0.005, 0.02, 0.05])
+def test_encoders_that_slip_are_noticed_those_that_slip_less_far_too(period):
+    found = heard(lambda k: SLIP * (k >= 50), period=period)
+    slipped = np.abs(SLIP) > (0.02 if period < 0.05 else 0.05)
+    assert found.slid[slipped] == pytest.approx(SLIP[slipped], abs=0.02)
+    assert found.rejected == 4
+
+
+@pytest.mark.parametrize("length", [1, 3, 20, 60])
+def test_a_fault_that_ends_leaves_nothing_behind(length):
+    found = heard(between(50, 50 + length, SLIP))
+    assert found.slid == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("length", [3, 7, 15, 25])
+@pytest.mark.parametrize("cables", [(1, 1, 1, 1), (0, 1, 0, 0)])
+def test_nonsense_that_ends_leaves_nothing_behind(length, cables):
+    rng = np.random.default_rng(length)
+    nonsense = rng.uniform(-1.0, 1.0, (300, 4)) * cables
+    found = heard(lambda k: nonsense[k] if 50 <= k < 50 + length else np.zeros(4))
+    assert found.slid == pytest.approx(0.0, abs=1e-12) and found.outliers is None
+
+
+def test_of_two_jumps_the_second_counts():
+    two, five = between(50, 52, np.full(4, 0.2)), between(52, 57, np.full(4, 0.5))
+    found = heard(lambda k: two(k) + five(k))
+    assert found.slid == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_wrong_first_reading_is_no_slip_of_all_others():
+    found = heard(between(0, 1, np.full(4, 0.3)))
+    assert not found.slid.any() and found.outliers is None
+
+
+def test_a_second_slip_much_later_is_one_of_its_own():
+    found = heard(lambda k: SLIP * (k >= 50) - 0.8 * SLIP * (k >= 180), count=260)
+    assert found.slid[:3] == pytest.approx(0.2 * SLIP[:3], abs=0.01)
+
+
+def test_one_outlier_that_is_heard_again_and_again_is_one():
+    found = heard(lambda k: np.zeros(4), count=50)
+    for _ in range(10):
+        found = found.taken(50 * PERIOD, wound(50) + SLIP, ROBOT, JUMP, 0.0)
+    assert found.rejected == 1 and not found.slid.any()
+
+
+def test_encoders_of_winches_that_rest_may_slip_one_alone_that_stood_still_came_free():
+    still = wound(0)
+    all_rest = Readings.first(0.0, still)
+    one_stuck = Readings.first(0.0, still)
+    for k in range(1, 60):
+        moved = still + SLIP * (k >= 30)
+        all_rest = all_rest.taken(k * PERIOD, moved, ROBOT, JUMP, 0.0)
+        stuck = wound(k)
+        stuck[0] = still[0] + 0.3 * (k >= 30)
+        one_stuck = one_stuck.taken(k * PERIOD, stuck, ROBOT, JUMP, 0.0)
+    assert all_rest.slid == pytest.approx(SLIP, abs=1e-9)
+    assert not one_stuck.slid.any()
