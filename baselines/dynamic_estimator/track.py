@@ -132,13 +132,23 @@ class Tracker:
         return float(when) + self._delay
 
     def _hung_anew(self, track: Track, measurement: Measurement, row: int) -> Track:
-        """Start again at rest; what was counted goes on."""
-        fresh = self.start(measurement, row, self._settings.restart_speed)
+        """Start again at rest; what was counted goes on, and encoders have slipped as before."""
         before = track.readings
-        readings = replace(fresh.readings, rejected=before.rejected, slips=before.slips)
+        slid = np.zeros_like(measurement.unstrained_length)
+        slid[row] = before.slid
+        lengths = measurement.unstrained_length
+        without = replace(measurement, unstrained_length=lengths - slid)
+        fresh = self.start(without, row, self._settings.restart_speed)
+        readings = replace(
+            Readings.first(self._counts(measurement, row), lengths[row]), slid=before.slid,
+            had_slid=before.slid, rejected=before.rejected, slips=before.slips,
+        )  # fmt: skip
+        state = fresh.state
+        if state is not None and before.slid.any():
+            state = state.slipped(before.slid)
         return replace(
-            fresh, readings=readings, stale=track.stale,
-            restarts=track.restarts + int(fresh.state is not None),
+            fresh, state=state, now=state, readings=readings, stale=track.stale,
+            restarts=track.restarts + int(state is not None),
         )  # fmt: skip
 
     def _held(self, track: Track, now: float) -> Track:

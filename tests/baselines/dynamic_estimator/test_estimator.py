@@ -190,6 +190,24 @@ def test_an_encoder_that_slips_moves_nothing(robot):
     assert bias == pytest.approx([0.0, 0.2, 0.0, 0.0], abs=0.01)
 
 
+def test_an_encoder_that_slipped_before_a_gap_has_slipped_after_it(robot):
+    """Hung anew, the platform hangs on the lengths without the slip."""
+    found = swing(robot, "lengths", SensorSettings(encoder_bias=0.0), duration=2.0)
+    slip = np.array([0.0, 0.2, 0.0, 0.0])
+    for k in range(50, len(found)):
+        measurement, truth = found[k]
+        wrong = replace(measurement, unstrained_length=measurement.unstrained_length + slip)
+        found[k] = (wrong, truth)
+    estimator = DynamicEstimator.build(robot)
+    _, beliefs = believe(estimator, found)
+    rest = ct.statics.inverse_kinematics(robot, robot.home_position[None])
+    late = Measurement(time=np.full(1, 100.0), unstrained_length=rest.unstrained_length + slip)
+    command = Command(time=np.zeros(1), unstrained_length=rest.unstrained_length)
+    hung = estimator.update(beliefs[-1], command, late)
+    assert hung.position[0] == pytest.approx(robot.home_position, abs=0.01)
+    assert hung.memory.tracks[0].state.length_bias == pytest.approx(slip, abs=0.01)
+
+
 def test_an_encoder_that_comes_free_is_believed(robot):
     """It stood still exactly, and then jumps to where it should be: that is no slip."""
     found = swing(robot, "lengths", SensorSettings(encoder_bias=0.0), duration=2.5)
