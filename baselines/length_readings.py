@@ -74,13 +74,13 @@ class Readings:
     corrected: int = 0
 
     @classmethod
-    def first(cls, time: float, length: Array) -> Readings:
-        """One reading (n,) [m], from which encoders slip."""
+    def first(cls, time: float, length: Array, slid: Array | None = None) -> Readings:
+        """One reading (n,) [m] of encoders that may have slipped before, by (n,) [m]."""
         nothing = np.zeros(len(length))
+        slid = nothing if slid is None else slid
         return cls(
-            time=np.array([time]), length=length[None], slid=nothing, had_slid=nothing,
-            frozen=nothing,
-        )  # fmt: skip
+            time=np.array([time]), length=length[None], slid=slid, had_slid=slid, frozen=nothing
+        )
 
     def taken(self, time: float, length: Array, robot: Robot, jump: float, keep: float) -> Readings:
         """With one more reading, if it is one, and can be true.

@@ -86,12 +86,20 @@ class Tracker:
         known = robot.length_delay or 0.0
         self._delay = known if settings.delay is None else settings.delay
 
-    def start(self, measurement: Measurement, row: int, speed: float | None = None) -> Track:
-        """Hang the platform on the first lengths, where it may move at a speed [m/s]."""
+    def start(
+        self, measurement: Measurement, row: int, speed: float | None = None,
+        slid: Array | None = None,
+    ) -> Track:  # fmt: skip
+        """Hang the platform on the first lengths, where it may move at a speed [m/s].
+
+        Encoders that have slipped before, by (n,) [m], say so much too much.
+        """
         now = float(measurement.time[row])
         length = measurement.unstrained_length[row]
-        readings = Readings.first(self._counts(measurement, row), length)
-        state = self._rest.state(now, length, speed)
+        readings = Readings.first(self._counts(measurement, row), length, slid)
+        state = self._rest.state(now, length - readings.slid, speed)
+        if state is not None:
+            state = state.slipped(readings.slid)
         return Track(
             state=state, now=state, readings=readings, waiting=np.empty((0, 7)),
             poses=(), tally=Tally(), restarts=0,
@@ -134,21 +142,11 @@ class Tracker:
     def _hung_anew(self, track: Track, measurement: Measurement, row: int) -> Track:
         """Start again at rest; what was counted goes on, and encoders have slipped as before."""
         before = track.readings
-        slid = np.zeros_like(measurement.unstrained_length)
-        slid[row] = before.slid
-        lengths = measurement.unstrained_length
-        without = replace(measurement, unstrained_length=lengths - slid)
-        fresh = self.start(without, row, self._settings.restart_speed)
-        readings = replace(
-            Readings.first(self._counts(measurement, row), lengths[row]), slid=before.slid,
-            had_slid=before.slid, rejected=before.rejected, slips=before.slips,
-        )  # fmt: skip
-        state = fresh.state
-        if state is not None and before.slid.any():
-            state = state.slipped(before.slid)
+        fresh = self.start(measurement, row, self._settings.restart_speed, before.slid)
+        readings = replace(fresh.readings, rejected=before.rejected, slips=before.slips)
         return replace(
-            fresh, state=state, now=state, readings=readings, stale=track.stale,
-            restarts=track.restarts + int(state is not None),
+            fresh, readings=readings, stale=track.stale,
+            restarts=track.restarts + int(fresh.state is not None),
         )  # fmt: skip
 
     def _held(self, track: Track, now: float) -> Track:

@@ -17,9 +17,9 @@ def wound(k: int, period: float = PERIOD) -> np.ndarray:
     return 6.0 + np.array([0.5, -0.4, 0.3, 0.1]) * np.sin(2.0 * k * period) + noise
 
 
-def heard(wrong, count: int = 200, period: float = PERIOD, start: Readings | None = None):
+def heard(wrong, count: int = 200, period: float = PERIOD):
     """Readings k = 0 ... with what is wrong of each."""
-    found = start or Readings.first(0.0, wound(0, period) + wrong(0))
+    found = Readings.first(0.0, wound(0, period) + wrong(0))
     for k in range(1, count):
         found = found.taken(k * period, wound(k, period) + wrong(k), ROBOT, JUMP, 0.0)
     return found
