@@ -273,10 +273,11 @@ class CableEnvironment:
         return Transition(
             robot=self.robot, target=look.target, position_before=before.position,
             position=reached.position, length_before=before.length, length=reached.length,
-            asked=asked, inconsistency=reached.inconsistency,
+            asked=asked, inconsistency=reached.inconsistency, tension=reached.tension,
             velocity=reached.twist[:, :3] - look.target_velocity
             if moving else np.zeros((self.size, 3)),
-            effort=self.actions.effort(applied), failed=reached.failed,
+            effort=self.actions.effort(applied),
+            jerk=self.actions.effort(applied - self._last_action), failed=reached.failed,
         )  # fmt: skip
 
 

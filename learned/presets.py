@@ -161,9 +161,10 @@ _FIT = Td3Settings(
     actor_rate=1e-3, critic_rate=1e-3, rate_end=0.02, hidden=(128, 128), activation="silu",
     critics=1, critic="metric", relabelled=0.8,
 )  # fmt: skip
-_FIT_SAG = replace(_FIT, steps=300_000, random_steps=0, exploration=ExplorationSettings(
+_FIT_SAG = replace(_FIT, steps=600_000, random_steps=0, exploration=ExplorationSettings(
     start=0.02, end=0.002))  # fmt: skip
 _FIT_REWARD = RewardSettings(terms=("fit",))
+_FIT_SAG_REWARD = replace(_FIT_REWARD, slack=2.0, reserve=0.1)
 _DAMP = Td3Settings(
     steps=100_000, environments=64, gradient_steps=8, random_steps=0, discount=0.98,
     actor_rate=5e-4, critic_rate=1e-3, rate_end=0.05, hidden=(128, 128), activation="silu",
@@ -199,14 +200,18 @@ PRESETS = {
             summary="absolute lengths, learned to millimetres: metric critic and hindsight",
             stages={
                 "no_sag": Stage(
-                    environment=EnvironmentSettings(observation=("target",), reward=_FIT_REWARD),
+                    environment=EnvironmentSettings(
+                        observation=("target",),
+                        reward=_FIT_REWARD,
+                        path=PathSettings(kind="scatter"),
+                    ),
                     td3=_FIT,
                 ),
                 "sag": Stage(
                     environment=EnvironmentSettings(
                         world="settle",
                         observation=("target",),
-                        reward=_FIT_REWARD,
+                        reward=_FIT_SAG_REWARD,
                         path=PathSettings(kind="scatter", steps=30),
                     ),
                     td3=_FIT_SAG,
@@ -236,7 +241,7 @@ PRESETS = {
                         reach=1.5,
                         share=0.4,
                         feedforward=True,
-                        reward=RewardSettings(terms=("tracking", "effort"), effort=0.1),
+                        reward=RewardSettings(terms=("tracking", "effort", "jerk"), effort=0.1),
                         moving=MovingSettings(cables="particles"),  # fast modes count, too
                         lost=0.5,
                         path=PathSettings(

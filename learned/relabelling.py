@@ -34,7 +34,6 @@ class RelabellingBuffer(ReplayBuffer):
         target: slice,
         scales: Scales,
         fit_scale: float,
-        consistency: float,
         span: float,
         **kwargs: Any,
     ) -> None:
@@ -46,20 +45,18 @@ class RelabellingBuffer(ReplayBuffer):
             target: Where the target stands in an observation.
             scales: Of the workspace.
             fit_scale: See `learned.rewards.RewardSettings`.
-            consistency: See there.
             span: Largest distance in the workspace [m].
             kwargs: Of stable-baselines3's buffer.
         """
         super().__init__(*args, **kwargs)
         shape = (self.buffer_size, self.n_envs)
         self.positions = np.zeros((*shape, 3), dtype=np.float64)
-        self.inconsistencies = np.zeros(shape, dtype=np.float64)
+        self.lengths_misfits = np.zeros(shape, dtype=np.float64)
         self.failed = np.zeros(shape, dtype=bool)
         self._share = share
         self._target = target
         self._scales = scales
         self._reward = (fit_scale, span)
-        self._consistency = consistency
 
     def add(
         self, obs: Any, next_obs: Any, action: Any, reward: Any, done: Any,
@@ -67,7 +64,7 @@ class RelabellingBuffer(ReplayBuffer):
     ) -> None:  # fmt: skip
         """Keep the step, with the position reached."""
         self.positions[self.pos] = [info["position"] for info in infos]
-        self.inconsistencies[self.pos] = [info["inconsistency"] for info in infos]
+        self.lengths_misfits[self.pos] = [info["lengths_misfit"] for info in infos]
         self.failed[self.pos] = [info["failed"] for info in infos]
         super().add(obs, next_obs, action, reward, done, infos)
 
@@ -82,7 +79,7 @@ class RelabellingBuffer(ReplayBuffer):
         targets = self._targets(self.positions[drawn][chosen])
         observations[chosen, self._target] = self._scales.to_unit(targets)
         distance = np.linalg.norm(self.positions[drawn][chosen] - targets, axis=1)
-        misfit = np.hypot(distance, self._consistency * self.inconsistencies[drawn][chosen])
+        misfit = np.hypot(distance, self.lengths_misfits[drawn][chosen])
         rewards[chosen] = misfit_reward(misfit, *self._reward)
         done = self.dones[drawn] * (1 - self.timeouts[drawn])
         parts = (

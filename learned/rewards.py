@@ -43,8 +43,12 @@ class RewardSettings:
         fit_scale: Misfit at which the reward `fit` turns from linear to logarithmic [m].
         tracking_scale: Misfit at which `tracking` turns from quadratic to logarithmic [m].
         consistency: What a metre of inconsistency costs in `fit`, in metres of distance.
+        slack: What a cable costs in `fit` whose tension is outside its limits by its share of the
+            platform's weight [m].
+        reserve: How far inside its limits a tension must be to cost nothing, over the same share.
         velocity: Time that turns a velocity error into a misfit of `tracking` [s].
         effort: Weight of the squared effort.
+        jerk: Weight of the squared change of a push in a step.
     """
 
     terms: tuple[str, ...] = PAPER_NO_SAG
@@ -52,8 +56,11 @@ class RewardSettings:
     fit_scale: float = 0.04
     tracking_scale: float = 0.1
     consistency: float = 1.0
+    slack: float = 0.0
+    reserve: float = 0.0
     velocity: float = 0.1
     effort: float = 0.02
+    jerk: float = 3.0
 
     def __post_init__(self) -> None:
         """Refuse unknown terms and numbers that make no sense."""
@@ -63,7 +70,7 @@ class RewardSettings:
         check_fields(
             self,
             positive=("goal_radius", "fit_scale", "tracking_scale"),
-            not_negative=("consistency", "velocity", "effort"),
+            not_negative=("consistency", "slack", "reserve", "velocity", "effort", "jerk"),
         )
 
 
@@ -130,10 +137,21 @@ def tracking_reward(misfit: Array, scale: float, span: float) -> Array:
     return found
 
 
-def fit_misfit(transition: Transition, consistency: float) -> Array:
-    """Distance from the target and inconsistency of the lengths in one norm [m], shape (B,)."""
-    square = (transition.inconsistency**2).sum(axis=1)
-    found: Array = np.sqrt(transition.distance**2 + consistency**2 * square)
+def lengths_misfit(transition: Transition, settings: RewardSettings) -> Array:
+    """What is wrong with lengths wherever the target is, in metres of distance, shape (B,).
+
+    Their inconsistency, and tensions outside the limits or closer to them than the reserve.
+    """
+    square: Array = settings.consistency**2 * (transition.inconsistency**2).sum(axis=1)
+    if settings.slack > 0.0 and transition.tension is not None:
+        robot = transition.robot
+        share = robot.weight / robot.n
+        reserve = settings.reserve * share
+        lack = robot.tension_min + reserve - transition.tension
+        excess = transition.tension - (robot.tension_max - reserve)
+        outside = np.maximum(0.0, np.maximum(lack, excess)) / share
+        square = square + settings.slack**2 * (outside**2).sum(axis=1)
+    found: Array = np.sqrt(square)
     return found
 
 
@@ -181,7 +199,7 @@ def _deviation(transition: Transition, reward: Reward) -> Array:
 
 
 def _fit(transition: Transition, reward: Reward) -> Array:
-    misfit = fit_misfit(transition, reward.settings.consistency)
+    misfit = np.hypot(transition.distance, lengths_misfit(transition, reward.settings))
     return misfit_reward(misfit, reward.settings.fit_scale, reward.span)
 
 
@@ -203,4 +221,5 @@ TERMS: dict[str, Callable[[Transition, Reward], Array]] = {
     "fit": _fit,
     "tracking": _tracking,
     "effort": lambda transition, reward: -reward.settings.effort * transition.effort**2,
+    "jerk": lambda transition, reward: -reward.settings.jerk * transition.jerk**2,
 }

@@ -20,7 +20,7 @@ ACTIVATIONS = {"relu": torch.nn.ReLU, "silu": torch.nn.SiLU}
 QUIET = 0.01  # by which the last layer of a quiet start is smaller
 NOISE_CLIP = 2.5  # of the noise on target actions, over its standard deviation
 BUFFER_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-BUFFER_EXTRAS = ("positions", "inconsistencies", "failed")
+BUFFER_EXTRAS = ("positions", "lengths_misfits", "failed")
 
 
 class StagedTd3(TD3):
@@ -113,7 +113,7 @@ def _relabelling(
     return {
         "share": stage.td3.relabelled, "target": target,
         "scales": environment.environment.scales, "fit_scale": reward.fit_scale,
-        "consistency": reward.consistency, "span": span,
+        "span": span,
     }  # fmt: skip
 
 

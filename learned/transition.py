@@ -27,10 +27,12 @@ class Transition:
         inconsistency: What each length lacks to the one that inverse kinematics of the same model
             gives at `position` [m], shape (B, n); zero where the lengths agree with each other,
             NaN where a platform moves and nobody can say.
+        tension: At the platform [N], shape (B, n); None where no forces are known.
         velocity: Of the platform origin less that of its target [m/s], shape (B, 3); zero where
             set-points settle.
         effort: How far the action moves the target off the reference, over its range, shape (B,);
             zero for actions that are lengths.
+        jerk: By how much that changed in the step, shape (B,); zero for actions that are lengths.
         failed: Steps without a solution, in which the platform stays where it was, shape (B,).
     """
 
@@ -42,8 +44,10 @@ class Transition:
     length: Array
     asked: Array
     inconsistency: Array
+    tension: Array | None
     velocity: Array
     effort: Array
+    jerk: Array
     failed: NDArray[np.bool_]
 
     @property

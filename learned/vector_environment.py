@@ -9,13 +9,14 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
 from learned.environment import CableEnvironment
+from learned.rewards import lengths_misfit
 
 
 class CableVecEnv(VecEnv):
     """B environments that advance together; see `learned.environment.CableEnvironment`.
 
-    Infos carry ``position`` and ``inconsistency`` (norm over the cables) of each step, and, at the
-    end of an episode, what stable-baselines3 asks for.
+    Infos carry ``position`` and ``lengths_misfit`` (see `learned.rewards`) of each step, and, at
+    the end of an episode, what stable-baselines3 asks for.
     """
 
     def __init__(self, environment: CableEnvironment) -> None:
@@ -41,11 +42,11 @@ class CableVecEnv(VecEnv):
         self._total += found.reward
         self._length += 1
         done = found.truncated
-        lack = np.linalg.norm(found.transition.inconsistency, axis=1)
+        misfit = lengths_misfit(found.transition, self.environment.settings.reward)
         infos: list[dict[str, Any]] = [
-            {"position": position, "inconsistency": value, "failed": bool(failed)}
+            {"position": position, "lengths_misfit": value, "failed": bool(failed)}
             for position, value, failed in zip(
-                found.transition.position, lack, found.failed, strict=True
+                found.transition.position, misfit, found.failed, strict=True
             )
         ]
         final = found.final_observation.astype(np.float32)

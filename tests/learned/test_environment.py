@@ -106,6 +106,22 @@ def test_a_transition_says_what_was_before_and_what_came_of_it(world):
     np.testing.assert_array_equal(step.straight_target, wanted)
 
 
+def test_jerk_is_what_a_push_changed_by_and_forces_are_known_where_cables_sag():
+    environment = made(REALTIME)
+    environment.reset()
+    push = np.tile([0.3, 0.0, -0.4], (3, 1))
+    first, second, third = (environment.step(a).transition for a in (push, push, 0.5 * push))
+    np.testing.assert_allclose(first.jerk, 0.5)
+    np.testing.assert_allclose(second.jerk, 0.0, atol=1e-15)
+    np.testing.assert_allclose(third.jerk, 0.25)
+    assert first.tension.shape == (3, 4)
+    quiet = made(SETTLE)
+    quiet.reset()
+    step = quiet.step(reaching(quiet))
+    np.testing.assert_array_equal(step.transition.tension, step.reached.tension)
+    np.testing.assert_array_equal(step.transition.jerk, 0.0)
+
+
 @pytest.mark.parametrize("world", ["no_sag", "settle"])
 def test_the_last_step_of_an_episode_is_not_changed_by_the_next_one(world):
     """What was asked for at the end is not the start of the next episode."""

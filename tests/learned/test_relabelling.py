@@ -28,7 +28,7 @@ def filled(share, world="no_sag", steps=40, action=0.3):
     buffer = RelabellingBuffer(
         1000 * SIZE, environment.observation_space, environment.action_space, n_envs=SIZE,
         share=share, target=TARGET, scales=cables.scales, fit_scale=REWARD.fit_scale,
-        consistency=REWARD.consistency, span=cables.reward.span,
+        span=cables.reward.span,
     )  # fmt: skip
     rng = np.random.default_rng(0)
     observation = environment.reset()
@@ -57,7 +57,7 @@ def test_relabelled_rewards_are_those_of_the_relabelled_transitions():
     distances = []
     for seen, value, info, observation, _ in rows(buffer.sample(256), led):
         target = cables.scales.center + cables.scales.half * seen[TARGET].astype(np.float64)
-        lack = [[info["inconsistency"], 0.0, 0.0, 0.0]]
+        lack = [[info["lengths_misfit"] / REWARD.consistency, 0.0, 0.0, 0.0]]
         step = transition(position=[info["position"]] * 2, target=[target] * 2,
                           inconsistency=lack * 2)  # fmt: skip
         assert value == pytest.approx(reward(step)[0], abs=1e-5)

@@ -131,6 +131,39 @@ def test_fit_counts_inconsistency_like_distance_times_its_weight():
     assert terms((), settings=blind, inconsistency=lack)["fit"][0] == 0.0
 
 
+def test_fit_counts_tensions_beyond_their_limits_and_close_to_them():
+    robot = simple_robot()
+    share = robot.weight / robot.n
+    low, high = robot.tension_min[0], robot.tension_max[0]
+    settings = RewardSettings(terms=("fit",), slack=2.0, reserve=0.1)
+
+    def misfit(*tension, **changes):
+        row = np.array([*tension, *[(low + high) / 2] * (4 - len(tension))])
+        step = transition(tension=[row, row], **changes)
+        return rewards.lengths_misfit(step, settings)[0]
+
+    edge = 0.1 * share
+    assert misfit(low + edge, high - edge) == 0.0
+    assert misfit(low) == pytest.approx(0.2, rel=1e-12)  # the reserve itself, times 2 m
+    assert misfit(high) == pytest.approx(0.2, rel=1e-12)
+    assert misfit(low - share) == pytest.approx(2.2, rel=1e-12)
+    assert misfit(low - 0.2 * share, low - 0.3 * share) == pytest.approx(1.0, rel=1e-12)
+    lack = np.full((2, 4), 0.1)  # 0.2 m in the norm
+    assert misfit(low, inconsistency=lack) == pytest.approx(0.2 * 2**0.5, rel=1e-12)
+    slack = [[low, high, high / 2, high / 2]] * 2
+    found = terms((), settings=settings, tension=slack)["fit"]
+    away = terms((), settings=settings, position=[[0.2 * 2**0.5, 0.0, 0.0]] * 2)["fit"]
+    np.testing.assert_allclose(found, away, rtol=1e-12)
+
+
+def test_fit_without_forces_or_without_a_price_of_slack_knows_no_tensions():
+    slack = np.zeros((2, 4))
+    priced = RewardSettings(terms=("fit",), slack=2.0)
+    assert (rewards.lengths_misfit(transition(), priced) == 0.0).all()
+    free = RewardSettings(terms=("fit",), reserve=0.1)
+    assert (rewards.lengths_misfit(transition(tension=slack), free) == 0.0).all()
+
+
 def test_tracking_counts_velocity_over_a_time_like_distance():
     settings = RewardSettings(terms=("tracking",), velocity=0.1, tracking_scale=0.2)
     velocity, away = [[3.0, 4.0, 0.0], [0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]]
@@ -159,6 +192,13 @@ def test_effort_costs_its_square():
     )
 
 
+def test_jerk_costs_its_square():
+    settings = RewardSettings(terms=("jerk",), jerk=3.0)
+    np.testing.assert_allclose(
+        terms((), settings=settings, jerk=[0.1, 0.2])["jerk"], [-0.03, -0.12], rtol=1e-12
+    )
+
+
 def test_a_reward_is_the_sum_of_its_terms():
     step = transition(position=[[0.3, 0.1, 0.0], [0.0, 0.01, 0.02]], asked=STRAIGHT + 0.2)
     reward = Reward(RewardSettings(terms=PAPER_SAG), SPAN)
@@ -175,6 +215,9 @@ def test_a_reward_is_the_sum_of_its_terms():
         ({"fit_scale": float("nan")}, "fit_scale: got nan"),
         ({"tracking_scale": 0.0}, "tracking_scale: got 0.0; allowed: tracking_scale > 0"),
         ({"effort": -1.0}, "effort: got -1.0; allowed: effort >= 0"),
+        ({"jerk": -1.0}, "jerk: got -1.0; allowed: jerk >= 0"),
+        ({"slack": -1.0}, "slack: got -1.0; allowed: slack >= 0"),
+        ({"reserve": float("nan")}, "reserve: got nan"),
     ],
 )
 def test_settings_without_sense_are_refused(changes, message):

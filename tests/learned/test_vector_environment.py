@@ -27,10 +27,10 @@ def test_the_batch_is_the_environment_in_single_precision():
     np.testing.assert_allclose(reward, result.reward, atol=1e-6)
     assert observation.dtype == reward.dtype == np.float32
     assert not done.any()
-    lack = np.linalg.norm(result.transition.inconsistency, axis=1)
+    misfit = np.linalg.norm(result.transition.inconsistency, axis=1)
     for row, info in enumerate(infos):
         np.testing.assert_array_equal(info["position"], result.transition.position[row])
-        assert info["inconsistency"] == lack[row]
+        assert info["lengths_misfit"] == pytest.approx(misfit[row], rel=1e-12)
         assert "episode" not in info
 
 

@@ -20,6 +20,7 @@ def transition(**changes: Any) -> Transition:
     still = Transition(
         robot=simple_robot(), target=ORIGIN, position_before=ORIGIN, position=ORIGIN,
         length_before=STRAIGHT, length=STRAIGHT, asked=STRAIGHT, inconsistency=np.zeros((2, 4)),
-        velocity=np.zeros((2, 3)), effort=np.zeros(2), failed=np.zeros(2, dtype=bool),
+        tension=None, velocity=np.zeros((2, 3)), effort=np.zeros(2), jerk=np.zeros(2),
+        failed=np.zeros(2, dtype=bool),
     )  # fmt: skip
     return replace(still, **{name: np.asarray(value) for name, value in changes.items()})
