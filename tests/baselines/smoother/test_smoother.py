@@ -215,6 +215,19 @@ def test_an_outlier_of_the_lengths_is_left_out(noisy, robot):
     assert data.path.at(time) == pytest.approx(clean.path.at(time), abs=5e-3)
 
 
+@pytest.mark.parametrize("cables", [[1], [0, 1, 2, 3]])
+def test_what_encoders_slipped_by_is_taken_off(noisy, robot, cables):
+    """The first reading after the slip is in doubt; the next ones say that it lasts."""
+    recording = noisy[0]
+    lengths = recording.unstrained_length.copy()
+    lengths[15:, cables] += 0.3
+    data = arrange(replace(recording, unstrained_length=lengths), robot, settings())
+    clean = arrange(recording, robot, settings())
+    assert 1 <= data.outliers <= 5
+    time = recording.time
+    assert data.path.at(time) == pytest.approx(clean.path.at(time), abs=5e-3)
+
+
 def test_lengths_count_late_by_the_delay(noisy, robot):
     late = replace(robot, length_delay=0.03)
     data = arrange(noisy[0], late, settings())
