@@ -32,7 +32,7 @@ TRAINED_FOR = (
 TRAINED_IN_MOTION = (
     "winch_lag", "speed_max", "acceleration_max", "axial_damping", "drag", "angular_drag"
 )  # fmt: skip
-DEFAULTS = {"carosac": "carosac-residual"}  # bundled policies by robot
+DEFAULTS = {"carosac": "carosac-residual", "scampi": "scampi-residual"}  # bundled policies by robot
 
 
 @dataclass(frozen=True, kw_only=True)
