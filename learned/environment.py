@@ -72,6 +72,9 @@ class EnvironmentSettings:
         if self.world == "realtime" and "fit" in self.reward.terms:
             allowed = "terms without 'fit', whose inconsistency nobody knows in real time"
             raise InvalidField("reward.terms", self.reward.terms, allowed)
+        if self.reward.slack > 0.0 and self.world != "settle":
+            allowed = "0, but in world 'settle', whose lengths decide what cables pull with"
+            raise InvalidField("reward.slack", self.reward.slack, allowed)
         for k, step in enumerate(self.preview):
             check_whole(f"preview[{k}]", step, 1)
         if ("preview" in self.observation) != bool(self.preview):

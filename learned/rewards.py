@@ -43,12 +43,12 @@ class RewardSettings:
         fit_scale: Misfit at which the reward `fit` turns from linear to logarithmic [m].
         tracking_scale: Misfit at which `tracking` turns from quadratic to logarithmic [m].
         consistency: What a metre of inconsistency costs in `fit`, in metres of distance.
-        slack: What a cable costs in `fit` whose tension is outside its limits by its share of the
-            platform's weight [m].
-        reserve: How far inside its limits a tension must be to cost nothing, over the same share.
+        slack: What a cable costs in `fit` whose tension is below its lower limit by its share of
+            the platform's weight, weight / n [m].
+        reserve: How far above the limit a tension must be to cost nothing, over the same share [-].
         velocity: Time that turns a velocity error into a misfit of `tracking` [s].
         effort: Weight of the squared effort.
-        jerk: Weight of the squared change of a push in a step.
+        jerk: Weight of the squared jerk.
     """
 
     terms: tuple[str, ...] = PAPER_NO_SAG
@@ -72,6 +72,8 @@ class RewardSettings:
             positive=("goal_radius", "fit_scale", "tracking_scale"),
             not_negative=("consistency", "slack", "reserve", "velocity", "effort", "jerk"),
         )
+        if self.reserve > 0.0 and self.slack == 0.0:
+            raise InvalidField("reserve", self.reserve, "0 where `slack` is 0 and costs nothing")
 
 
 def step_reward(distance: Array) -> Array:
@@ -107,17 +109,18 @@ def deviation_reward(difference: Array) -> Array:
 def misfit_reward(misfit: Array, scale: float, span: float) -> Array:
     r"""A reward that asks for the last millimetre as well as for the first metre.
 
-    .. math:: r = -\ln(1 + m / s) / \ln(1 + D / s)
+    .. math:: r = -\ln(1 + \min(m, D) / s) / \ln(1 + D / s)
 
-    Its slope over relative changes of the misfit is the same at all distances above `scale`, where
-    tanh is flat far away and a square is flat close by.
+    It is never below -1, which is what a step without a solution is worth. Its slope over relative
+    changes of the misfit is the same at all distances above `scale`, where tanh is flat far away
+    and a square is flat close by.
 
     Args:
         misfit: [m], shape (B,).
         scale: s [m].
-        span: D, the largest distance in the workspace [m], where the reward is -1.
+        span: D, the largest distance in the workspace [m], from which on the reward is -1.
     """
-    found: Array = -np.log1p(misfit / scale) / np.log1p(span / scale)
+    found: Array = -np.log1p(np.minimum(misfit, span) / scale) / np.log1p(span / scale)
     return found
 
 
@@ -138,19 +141,21 @@ def tracking_reward(misfit: Array, scale: float, span: float) -> Array:
 
 
 def lengths_misfit(transition: Transition, settings: RewardSettings) -> Array:
-    """What is wrong with lengths wherever the target is, in metres of distance, shape (B,).
+    r"""What is wrong with lengths wherever the target is, in metres of distance, shape (B,).
 
-    Their inconsistency, and tensions outside the limits or closer to them than the reserve.
+    .. math:: m_L^2 = (c |\Delta L|)^2 + \sum_i (k o_i)^2, \qquad
+              o_i = \max(0, t_{min,i} + \rho w - t_i) / w, \qquad w = m g / n
+
+    with inconsistency :math:`\Delta L`, tensions t, and the settings c: `consistency`, k: `slack`
+    and :math:`\rho`: `reserve`. Without forces the sum is left out.
     """
     square: Array = settings.consistency**2 * (transition.inconsistency**2).sum(axis=1)
     if settings.slack > 0.0 and transition.tension is not None:
         robot = transition.robot
         share = robot.weight / robot.n
-        reserve = settings.reserve * share
-        lack = robot.tension_min + reserve - transition.tension
-        excess = transition.tension - (robot.tension_max - reserve)
-        outside = np.maximum(0.0, np.maximum(lack, excess)) / share
-        square = square + settings.slack**2 * (outside**2).sum(axis=1)
+        taut = robot.tension_min + settings.reserve * share
+        lack = np.maximum(0.0, taut - transition.tension) / share
+        square = square + settings.slack**2 * (lack**2).sum(axis=1)
     found: Array = np.sqrt(square)
     return found
 

@@ -14,6 +14,7 @@ import numpy as np
 from carosac_toolkit.errors import InvalidField, MissingFile
 from carosac_toolkit.output_files import replacing
 from learned.observation import Units
+from learned.rewards import RewardSettings
 
 SETTINGS = "settings.json"
 UNKNOWN = "unknown"  # commit of code that is not under git
@@ -102,9 +103,12 @@ def check_settings(settings: dict[str, Any], folder: Path) -> TrainingRecord | N
         InvalidField: They differ.
     """
     known = read_record(folder)
-    if known is not None and known.settings != settings:
-        both = settings | known.settings
-        names = [name for name in both if settings.get(name) != known.settings.get(name)]
+    if known is None:
+        return None
+    before = _with_defaults(known.settings)
+    if before != settings:
+        both = settings | before
+        names = [name for name in both if settings.get(name) != before.get(name)]
         allowed = f"a folder of the same settings; {', '.join(names)} differ"
         raise InvalidField("output", f"'{folder}'", allowed)
     return known
@@ -142,6 +146,15 @@ def digest(values: Iterable[Any]) -> str:
     """What stands for all of some numbers and texts."""
     parts = [x.tobytes() if isinstance(x, np.ndarray) else repr(x).encode() for x in values]
     return hashlib.sha256(b"|".join(parts)).hexdigest()[:16]
+
+
+def _with_defaults(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings whose reward has the fields, too, that came later and change nothing."""
+    environment = settings.get("environment", {})
+    if "reward" not in environment:
+        return settings
+    reward = json.loads(json.dumps(asdict(RewardSettings()))) | environment["reward"]
+    return settings | {"environment": environment | {"reward": reward}}
 
 
 def _at(settings: dict[str, Any], keys: Iterable[str]) -> Any:

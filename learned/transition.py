@@ -32,7 +32,8 @@ class Transition:
             set-points settle.
         effort: How far the action moves the target off the reference, over its range, shape (B,);
             zero for actions that are lengths.
-        jerk: By how much that changed in the step, shape (B,); zero for actions that are lengths.
+        jerk: Of the push that was applied: norm of its change in this step, over its range [-],
+            without the feedforward, shape (B,); zero for actions that are lengths.
         failed: Steps without a solution, in which the platform stays where it was, shape (B,).
     """
 

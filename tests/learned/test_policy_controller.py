@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from learned.policy_controller import (
     policy_of,
 )
 from learned.policy_file import Policy, PolicyDescription, write_policy
+from learned.presets import find_preset
 from learned.rewards import RewardSettings
 
 REALTIME = EnvironmentSettings(
@@ -185,6 +187,15 @@ def test_what_the_belief_lacks_is_said(tmp_path):
     window = trajectories.build("line", robot, 0).window(0.0, controller.horizon, controller.period)
     with pytest.raises(InvalidField, match=r"belief\.twist: got None; allowed: an estimator with"):
         controller.command(belief, window)
+
+
+@pytest.mark.parametrize("name", list_policies())
+def test_bundled_policies_are_those_of_the_presets(name):
+    about = Policy.load(find_policy(name)).description
+    stages = find_preset(about.preset).stages.values()
+    settings = {key: about.settings[key] for key in ("environment", "td3")}
+    assert settings in [json.loads(json.dumps(asdict(stage))) for stage in stages]
+    assert about.steps >= settings["td3"]["steps"]
 
 
 def test_policies_go_by_name_or_path(tmp_path):

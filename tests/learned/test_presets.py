@@ -33,6 +33,14 @@ def test_our_absolute_lengths_are_learned_without_inverse_kinematics():
         assert set(stage.environment.observation) <= {"length", "position", "target"}
 
 
+def test_our_policies_are_rewarded_for_taut_cables_and_smooth_pushes():
+    ours = find_preset("carosac")
+    sag = ours.stage("sag").environment
+    assert sag.reward.slack > 0.0 and sag.reward.reserve > 0.0
+    assert {stage.environment.path.kind for stage in ours.stages.values()} == {"scatter"}
+    assert "jerk" in find_preset("residual").stage("realtime").environment.reward.terms
+
+
 @pytest.mark.parametrize("name", list(PRESETS))
 def test_stages_of_a_preset_hand_their_networks_on(name):
     """The next stage starts from the networks before it, so these must fit."""

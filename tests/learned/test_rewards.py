@@ -6,6 +6,7 @@ import pytest
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics import straight_line
 from learned import rewards
+from learned.environment import FAILURE
 from learned.rewards import PAPER_NO_SAG, PAPER_SAG, Reward, RewardSettings
 from tests.learned.transitions import STRAIGHT, transition
 from tests.robots import simple_robot
@@ -115,6 +116,11 @@ def test_the_fit_falls_from_zero_at_the_target_to_minus_one_across_the_workspace
     assert (np.diff(found) < 0.0).all()
 
 
+def test_no_misfit_is_worse_than_a_step_without_a_solution():
+    far = rewards.misfit_reward(np.array([SPAN, 2.0 * SPAN, 1e9]), 0.04, SPAN)
+    np.testing.assert_allclose(far, FAILURE, rtol=1e-15)
+
+
 def test_relative_changes_of_the_misfit_count_alike_far_above_the_scale():
     far = rewards.misfit_reward(np.array([1.0, 2.0, 4.0]), 1e-5, SPAN)
     assert far[0] - far[1] == pytest.approx(far[1] - far[2], rel=1e-4)
@@ -131,7 +137,7 @@ def test_fit_counts_inconsistency_like_distance_times_its_weight():
     assert terms((), settings=blind, inconsistency=lack)["fit"][0] == 0.0
 
 
-def test_fit_counts_tensions_beyond_their_limits_and_close_to_them():
+def test_fit_counts_tensions_below_their_limit_and_close_to_it():
     robot = simple_robot()
     share = robot.weight / robot.n
     low, high = robot.tension_min[0], robot.tension_max[0]
@@ -143,14 +149,13 @@ def test_fit_counts_tensions_beyond_their_limits_and_close_to_them():
         return rewards.lengths_misfit(step, settings)[0]
 
     edge = 0.1 * share
-    assert misfit(low + edge, high - edge) == 0.0
+    assert misfit(low + edge) == 0.0
     assert misfit(low) == pytest.approx(0.2, rel=1e-12)  # the reserve itself, times 2 m
-    assert misfit(high) == pytest.approx(0.2, rel=1e-12)
     assert misfit(low - share) == pytest.approx(2.2, rel=1e-12)
     assert misfit(low - 0.2 * share, low - 0.3 * share) == pytest.approx(1.0, rel=1e-12)
     lack = np.full((2, 4), 0.1)  # 0.2 m in the norm
     assert misfit(low, inconsistency=lack) == pytest.approx(0.2 * 2**0.5, rel=1e-12)
-    slack = [[low, high, high / 2, high / 2]] * 2
+    slack = [[low, low, high / 2, high / 2]] * 2
     found = terms((), settings=settings, tension=slack)["fit"]
     away = terms((), settings=settings, position=[[0.2 * 2**0.5, 0.0, 0.0]] * 2)["fit"]
     np.testing.assert_allclose(found, away, rtol=1e-12)
@@ -160,7 +165,7 @@ def test_fit_without_forces_or_without_a_price_of_slack_knows_no_tensions():
     slack = np.zeros((2, 4))
     priced = RewardSettings(terms=("fit",), slack=2.0)
     assert (rewards.lengths_misfit(transition(), priced) == 0.0).all()
-    free = RewardSettings(terms=("fit",), reserve=0.1)
+    free = RewardSettings(terms=("fit",))
     assert (rewards.lengths_misfit(transition(tension=slack), free) == 0.0).all()
 
 
@@ -218,6 +223,7 @@ def test_a_reward_is_the_sum_of_its_terms():
         ({"jerk": -1.0}, "jerk: got -1.0; allowed: jerk >= 0"),
         ({"slack": -1.0}, "slack: got -1.0; allowed: slack >= 0"),
         ({"reserve": float("nan")}, "reserve: got nan"),
+        ({"reserve": 0.1}, "reserve: got 0.1; allowed: 0 where `slack` is 0"),
     ],
 )
 def test_settings_without_sense_are_refused(changes, message):

@@ -1,9 +1,11 @@
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 
 from carosac_toolkit.errors import InvalidField
+from learned.rewards import RewardSettings
 from learned.training_record import (
     SETTINGS,
     TrainingRecord,
@@ -48,6 +50,19 @@ def test_the_history_of_a_training_is_none_of_its_settings(tmp_path):
     less = {name: value for name, value in ASKED.items() if name != "td3"}
     with pytest.raises(InvalidField, match=r"output: .*; td3 differ"):
         check_settings(less, tmp_path)
+
+
+def test_fields_of_the_reward_that_came_later_make_no_other_training(tmp_path):
+    asked = ASKED | {"environment": {"world": "no_sag", "reward": asdict(RewardSettings())}}
+    asked = json.loads(json.dumps(asked))
+    older = json.loads(json.dumps(asked))
+    for name in ("slack", "reserve", "jerk"):
+        del older["environment"]["reward"][name]
+    TrainingRecord(settings=older, commits=("aaa",)).write(tmp_path)
+    assert check_settings(asked, tmp_path) is not None
+    asked["environment"]["reward"]["slack"] = 1.0
+    with pytest.raises(InvalidField, match=r"output: .*; environment differ"):
+        check_settings(asked, tmp_path)
 
 
 def test_a_digest_changes_with_every_number():

@@ -28,6 +28,7 @@ def test_the_batch_is_the_environment_in_single_precision():
     assert observation.dtype == reward.dtype == np.float32
     assert not done.any()
     misfit = np.linalg.norm(result.transition.inconsistency, axis=1)
+    assert (misfit > 0.0).all()
     for row, info in enumerate(infos):
         np.testing.assert_array_equal(info["position"], result.transition.position[row])
         assert info["lengths_misfit"] == pytest.approx(misfit[row], rel=1e-12)
