@@ -3,6 +3,7 @@
 Run by hand, from the project's root, each part a section of ``benchmarks/RESULTS.md``:
 
 ``python -m benchmarks.learning --parts throughput``: part of ``make bench``.
+``python -m benchmarks.learning --parts inference``: on an idle machine.
 ``python -m benchmarks.learning --parts curves bars --runs DIR``: of trainings that ``carosac train
 --output DIR/NAME-SEED`` left behind.
 ``python -m benchmarks.learning --parts drive --policies FILE ... --seeds N``: policies, model
@@ -27,6 +28,13 @@ def throughput_part(_: argparse.Namespace) -> tuple[str, str]:
     from benchmarks import learning_throughput as part
 
     return part.TITLE, part.throughput()
+
+
+def inference_part(_: argparse.Namespace) -> tuple[str, str]:
+    """Title and text."""
+    from benchmarks import learning_inference as part
+
+    return part.TITLE, part.inference()
 
 
 def curves_part(asked: argparse.Namespace) -> tuple[str, str]:
@@ -60,6 +68,7 @@ def recording_part(asked: argparse.Namespace) -> tuple[str, str]:
 Part = Callable[[argparse.Namespace], tuple[str, str]]
 PARTS: dict[str, tuple[Part, tuple[str, ...]]] = {  # with the options that it needs
     "throughput": (throughput_part, ()),
+    "inference": (inference_part, ()),
     "curves": (curves_part, ("runs",)),
     "bars": (bars_part, ("runs",)),
     "drive": (drive_part, ()),
