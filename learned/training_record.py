@@ -19,6 +19,7 @@ from learned.rewards import RewardSettings
 SETTINGS = "settings.json"
 UNKNOWN = "unknown"  # commit of code that is not under git
 HISTORY = ("commit", "commits", "started_from")  # beside the settings; the first in older files
+GREW: dict[str, Any] = {"reward": RewardSettings, "units": Units}  # by fields, since the first one
 SHARED = (  # with the stage that a later one starts from
     ("preset",), ("robot_digest",), ("seed",),
     ("environment", "observation"), ("environment", "preview"), ("environment", "units"),
@@ -81,7 +82,10 @@ class TrainingRecord:
 
 
 def read_record(folder: Path) -> TrainingRecord | None:
-    """The record of a training; None where there is none."""
+    """The record of a training; None where there is none.
+
+    Settings that came later than the training change nothing in it, and are there by default.
+    """
     path = folder / SETTINGS
     if not path.is_file():
         return None
@@ -89,7 +93,9 @@ def read_record(folder: Path) -> TrainingRecord | None:
     history = {name: found.pop(name, None) for name in HISTORY}
     commits = history["commits"] or [history["commit"] or UNKNOWN]
     return TrainingRecord(
-        settings=found, commits=tuple(commits), started_from=history["started_from"]
+        settings=_with_defaults(found),
+        commits=tuple(commits),
+        started_from=history["started_from"],
     )
 
 
@@ -105,10 +111,9 @@ def check_settings(settings: dict[str, Any], folder: Path) -> TrainingRecord | N
     known = read_record(folder)
     if known is None:
         return None
-    before = _with_defaults(known.settings)
-    if before != settings:
-        both = settings | before
-        names = [name for name in both if settings.get(name) != before.get(name)]
+    if known.settings != settings:
+        both = settings | known.settings
+        names = [name for name in both if settings.get(name) != known.settings.get(name)]
         allowed = f"a folder of the same settings; {', '.join(names)} differ"
         raise InvalidField("output", f"'{folder}'", allowed)
     return known
@@ -149,19 +154,19 @@ def digest(values: Iterable[Any]) -> str:
 
 
 def _with_defaults(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings whose reward has the fields, too, that came later and change nothing."""
+    """Settings with the fields of reward and units that they lack."""
     environment = settings.get("environment", {})
-    if "reward" not in environment:
-        return settings
-    reward = json.loads(json.dumps(asdict(RewardSettings()))) | environment["reward"]
-    return settings | {"environment": environment | {"reward": reward}}
+    filled = {
+        name: json.loads(json.dumps(asdict(kind()))) | environment[name]
+        for name, kind in GREW.items()
+        if name in environment
+    }
+    return settings | {"environment": environment | filled} if filled else settings
 
 
 def _at(settings: dict[str, Any], keys: Iterable[str]) -> Any:
-    """A nested setting; None where there is none, but for units, which have defaults."""
+    """A nested setting; None where there is none."""
     found: Any = settings
     for key in keys:
         found = found.get(key) if isinstance(found, dict) else None
-        if key == "units" and isinstance(found, dict):
-            found = asdict(Units()) | found  # a unit that came later changes nothing
     return found

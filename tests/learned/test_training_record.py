@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.errors import InvalidField
+from learned.observation import Units
 from learned.rewards import RewardSettings
 from learned.training_record import (
     SETTINGS,
@@ -52,12 +53,14 @@ def test_the_history_of_a_training_is_none_of_its_settings(tmp_path):
         check_settings(less, tmp_path)
 
 
-def test_fields_of_the_reward_that_came_later_make_no_other_training(tmp_path):
-    asked = ASKED | {"environment": {"world": "no_sag", "reward": asdict(RewardSettings())}}
+def test_fields_that_came_later_make_no_other_training(tmp_path):
+    reward, units = asdict(RewardSettings()), asdict(Units())
+    asked = ASKED | {"environment": {"world": "no_sag", "reward": reward, "units": units}}
     asked = json.loads(json.dumps(asked))
     older = json.loads(json.dumps(asked))
     for name in ("slack", "reserve", "jerk"):
         del older["environment"]["reward"][name]
+    del older["environment"]["units"]["turn"]
     TrainingRecord(settings=older, commits=("aaa",)).write(tmp_path)
     assert check_settings(asked, tmp_path) is not None
     asked["environment"]["reward"]["slack"] = 1.0
