@@ -158,7 +158,7 @@ _PAPER_SAG = replace(_PAPER, steps=30_000, random_steps=3_000)
 
 _FIT = Td3Settings(
     steps=600_000, environments=64, gradient_steps=8, random_steps=20_000, discount=0.0,
-    actor_rate=1e-3, critic_rate=1e-3, rate_end=0.02, hidden=(128, 128), activation="silu",
+    actor_rate=1e-3, critic_rate=1e-3, rate_end=0.02, hidden=(128, 128, 128), activation="silu",
     critics=1, critic="metric", relabelled=0.8,
 )  # fmt: skip
 _FIT_SAG = replace(_FIT, steps=600_000, random_steps=0, exploration=ExplorationSettings(
