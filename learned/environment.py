@@ -16,7 +16,7 @@ from carosac_toolkit.robot import Robot
 from learned.actions import Absolute, ActionMap, Push
 from learned.episodes import Path, PathPool, PathSettings
 from learned.moving_worlds import MovingSettings, MovingWorlds
-from learned.observation import Look, Scales, Units, check_parts, observe
+from learned.observation import Look, Scales, Units, check_parts, fading, observe
 from learned.rewards import Reward, RewardSettings
 from learned.transition import Transition
 from learned.worlds import NoSagWorlds, Reached, SettledWorlds, Worlds
@@ -43,6 +43,7 @@ class EnvironmentSettings:
         path: How targets move.
         moving: Plants, winches and sensors of ``realtime``.
         units: What counts as 1 in an observation.
+        memory: Time over which `mean_error` of the observation fades [s].
         lost: Distance from the target beyond which an episode is cut short [m]; None: never.
     """
 
@@ -57,11 +58,12 @@ class EnvironmentSettings:
     path: PathSettings = field(default_factory=PathSettings)
     moving: MovingSettings = field(default_factory=MovingSettings)
     units: Units = field(default_factory=Units)
+    memory: float = 1.0
     lost: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together."""
-        check_parts(self.observation)
+        self._check_observation()
         if self.world not in ("no_sag", "settle", "realtime"):
             raise InvalidField("world", repr(self.world), "'no_sag', 'settle' or 'realtime'")
         if self.action not in ("absolute", "push"):
@@ -75,16 +77,24 @@ class EnvironmentSettings:
         if self.reward.slack > 0.0 and self.world != "settle":
             allowed = "0, but in world 'settle', whose lengths decide what cables pull with"
             raise InvalidField("reward.slack", self.reward.slack, allowed)
-        for k, step in enumerate(self.preview):
-            check_whole(f"preview[{k}]", step, 1)
-        if ("preview" in self.observation) != bool(self.preview):
-            allowed = "steps where the observation has the part 'preview', and only there"
-            raise InvalidField("preview", self.preview, allowed)
+        check_positive("memory", self.memory, "s")
         check_positive("reach", self.reach, "m/s^2")
         if not 0.0 < self.share <= 1.0:
             raise InvalidField("share", self.share, "0 < share <= 1")
         if self.lost is not None:
             check_positive("lost", self.lost, "m")
+
+    def _check_observation(self) -> None:
+        """Refuse parts that are not there."""
+        check_parts(self.observation)
+        for k, step in enumerate(self.preview):
+            check_whole(f"preview[{k}]", step, 1)
+        if ("preview" in self.observation) != bool(self.preview):
+            allowed = "steps where the observation has the part 'preview', and only there"
+            raise InvalidField("preview", self.preview, allowed)
+        if "mean_error" in self.observation and self.world != "realtime":
+            allowed = "parts without 'mean_error' where set-points settle"
+            raise InvalidField("observation", self.observation, allowed)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -138,6 +148,7 @@ class CableEnvironment:
         self._paths: list[Path] = []
         self._step = np.zeros(size, dtype=np.int64)
         self._last_action = np.zeros((size, self.actions.size))
+        self._mean_error = np.zeros((size, 3))
         self._asked = np.zeros((size, robot.n))
         self._reached: Reached | None = None
         shapes = empty_look(robot, len(settings.preview), self.actions.size)
@@ -190,6 +201,7 @@ class CableEnvironment:
         self._last_action = np.array(applied)
         self._asked = np.array(asked)
         self._reached = reached
+        self._remember(np.arange(self.size))
         final = self._observe()
         over = (self._step >= self.settings.path.steps) | self._is_lost(transition)
         truncated = over | reached.failed
@@ -215,7 +227,8 @@ class CableEnvironment:
         """Everything that changes; `restore` goes on from there, bit by bit."""
         return {
             "worlds": self.worlds.state(), "paths": list(self._paths), "step": self._step.copy(),
-            "last_action": self._last_action.copy(), "asked": self._asked.copy(),
+            "last_action": self._last_action.copy(), "mean_error": self._mean_error.copy(),
+            "asked": self._asked.copy(),
             "reached": self._reached, "rng": self._rng.bit_generator.state,
         }  # fmt: skip
 
@@ -225,6 +238,8 @@ class CableEnvironment:
         self._paths = list(state["paths"])
         self._step = state["step"].copy()
         self._last_action = state["last_action"].copy()
+        if "mean_error" in state:  # older checkpoints lack what their policies do not see
+            self._mean_error = state["mean_error"].copy()
         self._asked = state["asked"].copy()
         self._reached = state["reached"]
         self._rng.bit_generator.state = state["rng"]
@@ -245,7 +260,19 @@ class CableEnvironment:
         self._step[rows] = 0
         self._last_action[rows] = 0.0
         self._asked[rows] = self._reached.length[rows]
+        self._mean_error[rows] = 0.0
+        self._remember(rows)
         return self._observe()
+
+    def _remember(self, rows: NDArray[Any]) -> None:
+        """Take the error that is seen next into its mean."""
+        period = self.settings.path.period
+        if period is None or "mean_error" not in self.settings.observation:
+            return
+        assert self._reached is not None
+        look = self._look(self._reached)
+        error = (look.position - look.target)[rows]
+        self._mean_error[rows] = fading(self._mean_error[rows], error, period, self.settings.memory)
 
     def _observe(self) -> Array:
         assert self._reached is not None
@@ -261,7 +288,7 @@ class CableEnvironment:
             target_acceleration=ahead[0][2],
             preview=np.stack([rows[0] for rows in ahead[1:]], axis=1)
             if len(ahead) > 1 else np.zeros((self.size, 0, 3)),
-            last_action=self._last_action,
+            last_action=self._last_action, mean_error=self._mean_error,
         )  # fmt: skip
 
     def _path_rows(self, ahead: int) -> Array:
@@ -292,7 +319,7 @@ def empty_look(robot: Robot, previews: int, actions: int) -> Look:
         length=straight_line.inverse_kinematics(robot, home), target=home,
         target_velocity=np.zeros((1, 3)), target_acceleration=np.zeros((1, 3)),
         preview=np.repeat(home[:, None], previews, axis=1),
-        last_action=np.zeros((1, actions)),
+        last_action=np.zeros((1, actions)), mean_error=np.zeros((1, 3)),
     )  # fmt: skip
 
 

@@ -63,6 +63,7 @@ class Look:
         target_acceleration: [m/s^2], shape (B, 3).
         preview: Where it shall be later, in W [m], shape (B, K, 3).
         last_action: What was applied last, in [-1, 1], shape (B, a).
+        mean_error: Mean of position less target so far, late looks first (`fading`) [m], (B, 3).
     """
 
     position: Array
@@ -74,6 +75,7 @@ class Look:
     target_acceleration: Array
     preview: Array
     last_action: Array
+    mean_error: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,12 +148,21 @@ PARTS: dict[str, Callable[[Look, Scales], Array]] = {
         (look.preview - look.target[:, None]).reshape(len(look.target), -1) / scales.units.ahead
     ),
     "last_action": lambda look, scales: look.last_action,
+    "mean_error": lambda look, scales: look.mean_error / scales.units.error,
 }
 
 
 OF_TWIST = {"velocity", "velocity_error", "turn"}  # parts that need a twist
 # Parts that `Units` scale.
-IN_UNITS = {*OF_TWIST, "error", "tilt", "target_velocity", "target_acceleration", "preview"}
+IN_UNITS = {
+    *OF_TWIST,
+    "error",
+    "mean_error",
+    "tilt",
+    "target_velocity",
+    "target_acceleration",
+    "preview",
+}
 
 
 def check_parts(parts: Sequence[str]) -> None:
@@ -169,6 +180,19 @@ def observe(parts: Sequence[str], look: Look, scales: Scales) -> Array:
     return np.concatenate([PARTS[name](look, scales) for name in parts], axis=1)
 
 
+def fading(mean: Array, error: Array, period: float, memory: float) -> Array:
+    """A mean error with one more look in it, shape (B, 3).
+
+    Args:
+        mean: Before it [m], shape (B, 3).
+        error: Of the look [m], shape (B, 3).
+        period: Between two looks [s].
+        memory: Time after which a look counts by 1 / e of what it counted [s].
+    """
+    found: Array = mean + (1.0 - np.exp(-period / memory)) * (error - mean)
+    return found
+
+
 def slices(parts: Sequence[str], n: int, previews: int, actions: int) -> dict[str, slice]:
     """Where each part stands in the observation.
 
@@ -181,7 +205,7 @@ def slices(parts: Sequence[str], n: int, previews: int, actions: int) -> dict[st
     sizes = {
         "length": n, "position": 3, "target": 3, "error": 3, "velocity_error": 3, "velocity": 3,
         "tilt": 2, "turn": 3, "target_velocity": 3, "target_acceleration": 3,
-        "preview": 3 * previews, "last_action": actions,
+        "preview": 3 * previews, "last_action": actions, "mean_error": 3,
     }  # fmt: skip
     ends = np.cumsum([0, *(sizes[name] for name in parts)])
     return {name: slice(int(ends[k]), int(ends[k + 1])) for k, name in enumerate(parts)}

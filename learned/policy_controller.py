@@ -16,7 +16,7 @@ from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_differences import same
 from carosac_toolkit.values import Belief, Command, Reference
 from learned.environment import EnvironmentSettings, empty_look, make_actions
-from learned.observation import OF_TWIST, Look, Scales, observe
+from learned.observation import OF_TWIST, Look, Scales, fading, observe
 from learned.policy_file import Policy
 from learned.settings_data import environment_settings
 
@@ -84,6 +84,7 @@ class PolicyController:
         self.horizon = self.period * float(self._row.max() + 1)
         self._length: Array | None = None
         self._last_action = np.zeros((1, self._actions.size))
+        self._mean_error = np.zeros((1, 3))
 
     @classmethod
     def build(
@@ -99,11 +100,12 @@ class PolicyController:
         return cls(robot, Policy.load(find_policy(name)), chosen)
 
     def reset(self, belief: Belief) -> None:
-        """Forget the last action."""
+        """Forget the last action, and past errors."""
         from carosac_toolkit.physics.straight_line import straight_length
 
         self._length = straight_length(self._robot, belief.position, belief.rotation).length
         self._last_action = np.zeros((len(belief.position), self._actions.size))
+        self._mean_error = np.zeros((len(belief.position), 3))
 
     def command(self, belief: Belief, reference: Reference) -> Command:
         """The lengths that the policy asks for.
@@ -130,12 +132,16 @@ class PolicyController:
         velocity = self._between(reference.velocity, size, 1)[:, 0]
         acceleration = self._between(reference.acceleration, size, 1)[:, 0]
         assert self._length is not None
+        self._mean_error = fading(
+            self._mean_error, belief.position - position[:, 0], self.period,
+            self._environment.memory,
+        )  # fmt: skip
         return Look(
             position=belief.position, rotation=belief.rotation,
             twist=np.zeros((size, 6)) if belief.twist is None else belief.twist,
             length=self._length, target=position[:, 0], target_velocity=velocity,
             target_acceleration=acceleration, preview=position[:, 1:],
-            last_action=self._last_action,
+            last_action=self._last_action, mean_error=self._mean_error,
         )  # fmt: skip
 
     def _between(self, rows: Array, size: int, count: int | None = None) -> Array:

@@ -35,6 +35,7 @@ class Td3Settings:
         critic: ``value``: a network of observation and action; ``metric``: a learned distance, for
             the reward ``fit`` and a discount of 0 (`learned.metric_policy`).
         relabelled: Share of replayed steps with another target; needs the same.
+        target_rate: Share of the way to the networks that the target networks go in an update.
         target_noise: Standard deviation of the noise on target actions, cut at 2.5 times that.
         exploration: Noise of the actions.
         critic_first: Updates of the critics before the first one of the actor.
@@ -57,6 +58,7 @@ class Td3Settings:
     critics: int = 2
     critic: Literal["value", "metric"] = "value"
     relabelled: float = 0.0
+    target_rate: float = 0.005
     target_noise: float = 0.2
     exploration: ExplorationSettings = field(default_factory=ExplorationSettings)
     critic_first: int = 0
@@ -70,7 +72,7 @@ class Td3Settings:
         check_whole("random_steps", self.random_steps, 0, self.steps - 1)
         check_whole("critic_first", self.critic_first, 0)
         check_fields(self, positive=("actor_rate", "critic_rate"), not_negative=("target_noise",))
-        for name in ("discount", "rate_end", "relabelled"):
+        for name in ("discount", "rate_end", "relabelled", "target_rate"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise InvalidField(name, getattr(self, name), "0 to 1")
         choices = {"activation": ("relu", "silu"), "critic": ("value", "metric")}
@@ -166,10 +168,10 @@ _FIT_SAG = replace(_FIT, steps=600_000, random_steps=0, exploration=ExplorationS
 _FIT_REWARD = RewardSettings(terms=("fit",))
 _FIT_SAG_REWARD = replace(_FIT_REWARD, slack=2.0, reserve=0.1)
 _DAMP = Td3Settings(
-    steps=100_000, environments=64, gradient_steps=8, random_steps=0, discount=0.98,
+    steps=400_000, environments=256, gradient_steps=24, random_steps=0, discount=0.98,
     actor_rate=5e-4, critic_rate=1e-3, rate_end=0.05, hidden=(128, 128), activation="silu",
-    target_noise=0.05, exploration=ExplorationSettings(start=0.1, end=0.02), critic_first=1000,
-    quiet_start=True,
+    critics=1, target_rate=0.02, target_noise=0.05,
+    exploration=ExplorationSettings(start=0.4, end=0.1), critic_first=1000, quiet_start=True,
 )  # fmt: skip
 
 PRESETS = {
@@ -230,13 +232,9 @@ PRESETS = {
                             "velocity_error",
                             "tilt",
                             "turn",
-                            "position",
-                            "target_velocity",
-                            "target_acceleration",
-                            "preview",
                             "last_action",
+                            "mean_error",
                         ),
-                        preview=(8, 16, 32),
                         action="push",
                         reach=1.5,
                         share=0.4,

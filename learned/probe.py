@@ -94,6 +94,7 @@ def _looks(robot: Robot, previews: int, actions: int, rng: np.random.Generator) 
         target_acceleration=inside() - center,
         preview=inside(previews),
         last_action=rng.uniform(-1.0, 1.0, (count, actions)),
+        mean_error=0.1 * rng.standard_normal((count, 3)),
     )
     rest = empty_look(robot, previews, actions)
     both = {

@@ -13,13 +13,20 @@ import numpy as np
 
 from carosac_toolkit.errors import InvalidField, MissingFile
 from carosac_toolkit.output_files import replacing
+from learned.environment import EnvironmentSettings
 from learned.observation import Units
+from learned.presets import Td3Settings
 from learned.rewards import RewardSettings
 
 SETTINGS = "settings.json"
 UNKNOWN = "unknown"  # commit of code that is not under git
 HISTORY = ("commit", "commits", "started_from")  # beside the settings; the first in older files
-GREW: dict[str, Any] = {"reward": RewardSettings, "units": Units}  # by fields, since the first one
+GREW: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (  # fields that came later
+    (("environment",), {"memory": EnvironmentSettings().memory}),
+    (("environment", "reward"), asdict(RewardSettings())),
+    (("environment", "units"), asdict(Units())),
+    (("td3",), {"target_rate": Td3Settings().target_rate}),
+)
 SHARED = (  # with the stage that a later one starts from
     ("preset",), ("robot_digest",), ("seed",),
     ("environment", "observation"), ("environment", "preview"), ("environment", "units"),
@@ -154,14 +161,13 @@ def digest(values: Iterable[Any]) -> str:
 
 
 def _with_defaults(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings with the fields of reward and units that they lack."""
-    environment = settings.get("environment", {})
-    filled = {
-        name: json.loads(json.dumps(asdict(kind()))) | environment[name]
-        for name, kind in GREW.items()
-        if name in environment
-    }
-    return settings | {"environment": environment | filled} if filled else settings
+    """Settings with the later fields that they lack."""
+    filled: dict[str, Any] = json.loads(json.dumps(settings))
+    for keys, fields in GREW:
+        part = _at(filled, keys)
+        if isinstance(part, dict):
+            part |= json.loads(json.dumps(fields)) | part
+    return filled
 
 
 def _at(settings: dict[str, Any], keys: Iterable[str]) -> Any:
