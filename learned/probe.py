@@ -78,6 +78,7 @@ def _looks(robot: Robot, previews: int, actions: int, rng: np.random.Generator) 
     center = (robot.workspace_min + robot.workspace_max) / 2
     half = INNER * (robot.workspace_max - robot.workspace_min) / 2
     count = LOOKS - 1
+    later = np.random.default_rng([SEED, 1])  # of parts that came later; older probes stay as is
 
     def inside(*shape: int) -> Array:
         return center + half * rng.uniform(-1.0, 1.0, (count, *shape, 3))
@@ -94,7 +95,7 @@ def _looks(robot: Robot, previews: int, actions: int, rng: np.random.Generator) 
         target_acceleration=inside() - center,
         preview=inside(previews),
         last_action=rng.uniform(-1.0, 1.0, (count, actions)),
-        mean_error=0.1 * rng.standard_normal((count, 3)),
+        mean_error=0.1 * later.standard_normal((count, 3)),
     )
     rest = empty_look(robot, previews, actions)
     both = {

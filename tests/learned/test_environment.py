@@ -19,7 +19,8 @@ NO_SAG = EnvironmentSettings(path=SHORT)
 SETTLE = EnvironmentSettings(world="settle", path=SHORT, reward=RewardSettings(terms=PAPER_SAG))
 REALTIME = EnvironmentSettings(
     world="realtime", action="push", path=PathSettings(steps=4, period=0.05),
-    observation=("error", "velocity", "tilt", "target_velocity", "preview", "last_action"),
+    observation=("error", "velocity", "tilt", "target_velocity", "preview", "last_action",
+                 "mean_error"),
     preview=(2, 5), reward=RewardSettings(terms=("tracking", "effort")),
 )  # fmt: skip
 WORLDS = {"no_sag": NO_SAG, "settle": SETTLE, "realtime": REALTIME}
@@ -189,6 +190,21 @@ def test_previews_are_later_targets_and_the_end_counts_on():
     np.testing.assert_allclose(observation[:, where], expected, atol=1e-12)
 
 
+def test_past_errors_are_seen_and_fade():
+    memory = 0.2
+    environment = made(replace(REALTIME, memory=memory), size=2, seed=3)
+    where = slices(REALTIME.observation, 4, 2, 3)
+    seen = [environment.reset()]
+    for _ in range(7):  # beyond the end of an episode of 4 steps
+        seen.append(environment.step(np.zeros((2, 3))).observation)
+    errors, means = ([one[:, where[name]] for one in seen] for name in ("error", "mean_error"))
+    for first, last in ((0, 3), (4, 7)):
+        age = 0.05 * (last - np.arange(first, last + 1)) / memory
+        weight = (1.0 - np.exp(-0.05 / memory)) * np.exp(-age)
+        expected = np.einsum("k,kbi->bi", weight, np.array(errors[first : last + 1]))
+        np.testing.assert_allclose(means[last], expected, atol=1e-12)
+
+
 def test_a_biased_belief_is_seen_and_the_truth_is_rewarded():
     moving = MovingSettings(position_bias=0.05, perturbation="none", start_speed=0.0)
     environment = made(replace(REALTIME, moving=moving))
@@ -274,6 +290,8 @@ def test_a_step_before_the_reset_is_refused():
         ({"preview": (2,)}, r"preview: got \(2,\)"),
         ({"observation": ("target", "preview")}, r"preview: got \(\)"),
         ({"observation": ("preview",), "preview": (0,)}, r"preview\[0\]: got 0"),
+        ({"observation": ("target", "mean_error")}, "parts without 'mean_error' where"),
+        ({"memory": 0.0}, "memory: got 0.0 s"),
         ({"reach": 0.0}, "reach: got 0.0 m/s"),
     ],
 )

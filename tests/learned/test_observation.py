@@ -46,7 +46,7 @@ def test_each_part_says_what_its_name_says():
         empty_look(robot, 2, 4), rotation=turned, twist=np.array([[0.1, 0.2, 0.3, 4.0, 5.0, 6.0]]),
         target=robot.home_position[None] + [[0.2, 0.0, -0.1]], target_velocity=np.full((1, 3), 0.5),
         target_acceleration=np.array([[1.0, -2.0, 3.0]]),
-        last_action=np.array([[0.1, -0.2, 0.3, -0.4]]),
+        last_action=np.array([[0.1, -0.2, 0.3, -0.4]]), mean_error=np.array([[0.02, 0.0, -0.1]]),
     )  # fmt: skip
     found = {name: part(look, scales)[0] for name, part in PARTS.items()}
     np.testing.assert_allclose(found["error"], [-2.0, 0.0, 1.0], atol=1e-12)
@@ -63,6 +63,7 @@ def test_each_part_says_what_its_name_says():
     np.testing.assert_allclose(found["target_acceleration"], [1.0, -2.0, 3.0])
     np.testing.assert_allclose(found["target"], scales.to_unit(look.target)[0])
     np.testing.assert_allclose(found["last_action"], [0.1, -0.2, 0.3, -0.4])
+    np.testing.assert_allclose(found["mean_error"], [0.2, 0.0, -1.0])
 
 
 def test_units_say_what_counts_as_one():

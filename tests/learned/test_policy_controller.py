@@ -28,7 +28,16 @@ from learned.rewards import RewardSettings
 
 REALTIME = EnvironmentSettings(
     world="realtime",
-    observation=("error", "velocity", "tilt", "turn", "target_velocity", "preview", "last_action"),
+    observation=(
+        "error",
+        "velocity",
+        "tilt",
+        "turn",
+        "target_velocity",
+        "preview",
+        "last_action",
+        "mean_error",
+    ),
     preview=(2, 5),
     action="push",
     reward=RewardSettings(terms=("tracking",)),

@@ -15,7 +15,7 @@ from learned.training_record import (
     read_record,
 )
 
-ASKED = {"preset": "tiny", "seed": 0, "td3": {"steps": 100, "hidden": [8, 8]}}
+ASKED = {"preset": "tiny", "seed": 0, "td3": {"steps": 100, "hidden": [8, 8], "target_rate": 0.005}}
 
 
 def test_a_record_is_read_as_it_was_written(tmp_path):
@@ -55,12 +55,14 @@ def test_the_history_of_a_training_is_none_of_its_settings(tmp_path):
 
 def test_fields_that_came_later_make_no_other_training(tmp_path):
     reward, units = asdict(RewardSettings()), asdict(Units())
-    asked = ASKED | {"environment": {"world": "no_sag", "reward": reward, "units": units}}
+    environment = {"world": "no_sag", "reward": reward, "units": units, "memory": 1.0}
+    asked = ASKED | {"environment": environment}
     asked = json.loads(json.dumps(asked))
     older = json.loads(json.dumps(asked))
     for name in ("slack", "reserve", "jerk"):
         del older["environment"]["reward"][name]
-    del older["environment"]["units"]["turn"]
+    del older["environment"]["units"]["turn"], older["environment"]["memory"]
+    del older["td3"]["target_rate"]
     TrainingRecord(settings=older, commits=("aaa",)).write(tmp_path)
     assert check_settings(asked, tmp_path) is not None
     asked["environment"]["reward"]["slack"] = 1.0
