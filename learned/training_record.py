@@ -100,7 +100,7 @@ def read_record(folder: Path) -> TrainingRecord | None:
     history = {name: found.pop(name, None) for name in HISTORY}
     commits = history["commits"] or [history["commit"] or UNKNOWN]
     return TrainingRecord(
-        settings=_with_defaults(found),
+        settings=with_later_fields(found),
         commits=tuple(commits),
         started_from=history["started_from"],
     )
@@ -154,20 +154,20 @@ def check_start(settings: dict[str, Any], checkpoint: Path) -> TrainingRecord:
     return earlier
 
 
-def digest(values: Iterable[Any]) -> str:
-    """What stands for all of some numbers and texts."""
-    parts = [x.tobytes() if isinstance(x, np.ndarray) else repr(x).encode() for x in values]
-    return hashlib.sha256(b"|".join(parts)).hexdigest()[:16]
-
-
-def _with_defaults(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings with the later fields that they lack."""
+def with_later_fields(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings of a training with the fields that they lack because these came later."""
     filled: dict[str, Any] = json.loads(json.dumps(settings))
     for keys, fields in GREW:
         part = _at(filled, keys)
         if isinstance(part, dict):
             part |= json.loads(json.dumps(fields)) | part
     return filled
+
+
+def digest(values: Iterable[Any]) -> str:
+    """What stands for all of some numbers and texts."""
+    parts = [x.tobytes() if isinstance(x, np.ndarray) else repr(x).encode() for x in values]
+    return hashlib.sha256(b"|".join(parts)).hexdigest()[:16]
 
 
 def _at(settings: dict[str, Any], keys: Iterable[str]) -> Any:

@@ -25,6 +25,7 @@ from learned.policy_controller import (
 from learned.policy_file import Policy, PolicyDescription, write_policy
 from learned.presets import find_preset
 from learned.rewards import RewardSettings
+from learned.training_record import with_later_fields
 
 REALTIME = EnvironmentSettings(
     world="realtime",
@@ -202,7 +203,8 @@ def test_what_the_belief_lacks_is_said(tmp_path):
 def test_bundled_policies_are_those_of_the_presets(name):
     about = Policy.load(find_policy(name)).description
     stages = find_preset(about.preset).stages.values()
-    settings = {key: about.settings[key] for key in ("environment", "td3")}
+    filled = with_later_fields(about.settings)
+    settings = {key: filled[key] for key in ("environment", "td3")}
     assert settings in [json.loads(json.dumps(asdict(stage))) for stage in stages]
     assert about.steps >= settings["td3"]["steps"]
 
