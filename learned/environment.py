@@ -43,7 +43,7 @@ class EnvironmentSettings:
         path: How targets move.
         moving: Plants, winches and sensors of ``realtime``.
         units: What counts as 1 in an observation.
-        memory: Time over which `mean_error` of the observation fades [s].
+        memory: Time in which what `mean_error` of the observation remembers fades to 1 / e [s].
         lost: Distance from the target beyond which an episode is cut short [m]; None: never.
     """
 
@@ -266,10 +266,10 @@ class CableEnvironment:
 
     def _remember(self, rows: NDArray[Any]) -> None:
         """Take the error that is seen next into its mean."""
-        period = self.settings.path.period
-        if period is None or "mean_error" not in self.settings.observation:
+        if "mean_error" not in self.settings.observation:
             return
-        assert self._reached is not None
+        period = self.settings.path.period
+        assert self._reached is not None and period is not None
         look = self._look(self._reached)
         error = (look.position - look.target)[rows]
         self._mean_error[rows] = fading(self._mean_error[rows], error, period, self.settings.memory)

@@ -63,7 +63,7 @@ class Look:
         target_acceleration: [m/s^2], shape (B, 3).
         preview: Where it shall be later, in W [m], shape (B, K, 3).
         last_action: What was applied last, in [-1, 1], shape (B, a).
-        mean_error: Mean of position less target so far, late looks first (`fading`) [m], (B, 3).
+        mean_error: Fading mean of position less target since the start, see `fading` [m], (B, 3).
     """
 
     position: Array
@@ -181,7 +181,9 @@ def observe(parts: Sequence[str], look: Look, scales: Scales) -> Array:
 
 
 def fading(mean: Array, error: Array, period: float, memory: float) -> Array:
-    """A mean error with one more look in it, shape (B, 3).
+    """A fading mean with one more look in it, shape (B, 3).
+
+    It starts at zero, so a constant error is seen in full after a few times the memory only.
 
     Args:
         mean: Before it [m], shape (B, 3).

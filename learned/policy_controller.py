@@ -116,6 +116,7 @@ class PolicyController:
         """
         look = self._look(belief, reference)
         check_targets(self._robot, look.target)
+        self._mean_error = look.mean_error
         action = self._policy.act(observe(self._environment.observation, look, self._scales))
         self._last_action = self._actions.applied(action, look)
         self._length = self._actions.lengths(self._last_action, look)
@@ -132,16 +133,14 @@ class PolicyController:
         velocity = self._between(reference.velocity, size, 1)[:, 0]
         acceleration = self._between(reference.acceleration, size, 1)[:, 0]
         assert self._length is not None
-        self._mean_error = fading(
-            self._mean_error, belief.position - position[:, 0], self.period,
-            self._environment.memory,
-        )  # fmt: skip
+        error = belief.position - position[:, 0]
         return Look(
             position=belief.position, rotation=belief.rotation,
             twist=np.zeros((size, 6)) if belief.twist is None else belief.twist,
             length=self._length, target=position[:, 0], target_velocity=velocity,
             target_acceleration=acceleration, preview=position[:, 1:],
-            last_action=self._last_action, mean_error=self._mean_error,
+            last_action=self._last_action,
+            mean_error=fading(self._mean_error, error, self.period, self._environment.memory),
         )  # fmt: skip
 
     def _between(self, rows: Array, size: int, count: int | None = None) -> Array:

@@ -72,9 +72,11 @@ class Td3Settings:
         check_whole("random_steps", self.random_steps, 0, self.steps - 1)
         check_whole("critic_first", self.critic_first, 0)
         check_fields(self, positive=("actor_rate", "critic_rate"), not_negative=("target_noise",))
-        for name in ("discount", "rate_end", "relabelled", "target_rate"):
+        for name in ("discount", "rate_end", "relabelled"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise InvalidField(name, getattr(self, name), "0 to 1")
+        if not 0.0 < self.target_rate <= 1.0:
+            raise InvalidField("target_rate", self.target_rate, "0 < target_rate <= 1")
         choices = {"activation": ("relu", "silu"), "critic": ("value", "metric")}
         for name, allowed in choices.items():
             if getattr(self, name) not in allowed:

@@ -13,24 +13,21 @@ import numpy as np
 
 from carosac_toolkit.errors import InvalidField, MissingFile
 from carosac_toolkit.output_files import replacing
-from learned.environment import EnvironmentSettings
-from learned.observation import Units
-from learned.presets import Td3Settings
-from learned.rewards import RewardSettings
 
 SETTINGS = "settings.json"
 UNKNOWN = "unknown"  # commit of code that is not under git
 HISTORY = ("commit", "commits", "started_from")  # beside the settings; the first in older files
-GREW: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (  # fields that came later
-    (("environment",), {"memory": EnvironmentSettings().memory}),
-    (("environment", "reward"), asdict(RewardSettings())),
-    (("environment", "units"), asdict(Units())),
-    (("td3",), {"target_rate": Td3Settings().target_rate}),
+# Fields that came later, with what trainings did before.
+LATER: tuple[tuple[tuple[str, ...], dict[str, float]], ...] = (
+    (("environment",), {"memory": 1.0}),
+    (("environment", "reward"), {"slack": 0.0, "reserve": 0.0, "jerk": 3.0}),
+    (("environment", "units"), {"turn": 1.0}),
+    (("td3",), {"target_rate": 0.005}),
 )
 SHARED = (  # with the stage that a later one starts from
     ("preset",), ("robot_digest",), ("seed",),
     ("environment", "observation"), ("environment", "preview"), ("environment", "units"),
-    ("environment", "action"),
+    ("environment", "action"), ("environment", "memory"),
     ("td3", "hidden"), ("td3", "activation"), ("td3", "critic"), ("td3", "critics"),
 )  # fmt: skip
 
@@ -157,10 +154,10 @@ def check_start(settings: dict[str, Any], checkpoint: Path) -> TrainingRecord:
 def with_later_fields(settings: dict[str, Any]) -> dict[str, Any]:
     """Settings of a training with the fields that they lack because these came later."""
     filled: dict[str, Any] = json.loads(json.dumps(settings))
-    for keys, fields in GREW:
+    for keys, fields in LATER:
         part = _at(filled, keys)
         if isinstance(part, dict):
-            part |= json.loads(json.dumps(fields)) | part
+            part |= fields | part
     return filled
 
 

@@ -205,6 +205,29 @@ def test_past_errors_are_seen_and_fade():
         np.testing.assert_allclose(means[last], expected, atol=1e-12)
 
 
+def test_an_episode_that_begins_anew_forgets_and_the_others_do_not():
+    memory, long = 0.2, PathSettings(steps=40, period=0.05)
+    environment = made(replace(REALTIME, lost=0.1, memory=memory, path=long), size=6)
+    where = slices(REALTIME.observation, 4, 2, 3)
+    share = 1.0 - np.exp(-0.05 / memory)
+    seen = environment.reset()
+    mixed = 0
+    for _ in range(20):
+        result = environment.step(np.ones((6, 3)))
+        before, error = (
+            x[:, where[y]] for x, y in ((seen, "mean_error"), (result.final_observation, "error"))
+        )
+        expected = before + share * (error - before)
+        np.testing.assert_allclose(
+            result.final_observation[:, where["mean_error"]], expected, atol=1e-12
+        )
+        seen, ended = result.observation, result.truncated
+        expected[ended] = share * seen[ended][:, where["error"]]
+        np.testing.assert_allclose(seen[:, where["mean_error"]], expected, atol=1e-12)
+        mixed += 0 < ended.sum() < 6
+    assert mixed > 0
+
+
 def test_a_biased_belief_is_seen_and_the_truth_is_rewarded():
     moving = MovingSettings(position_bias=0.05, perturbation="none", start_speed=0.0)
     environment = made(replace(REALTIME, moving=moving))
