@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,8 @@ HISTORY = ("commit", "commits", "started_from")  # beside the settings; the firs
 # Fields that came later, with what trainings did before.
 LATER: tuple[tuple[tuple[str, ...], dict[str, float]], ...] = (
     (("environment",), {"memory": 1.0}),
-    (("environment", "reward"), {"slack": 0.0, "reserve": 0.0, "jerk": 3.0}),
-    (("environment", "units"), {"turn": 1.0}),
+    (("environment", "reward"), {"tracking_scale": 0.1, "slack": 0.0, "reserve": 0.0, "jerk": 3.0}),
+    (("environment", "units"), {"acceleration": 1.0}),
     (("td3",), {"target_rate": 0.005}),
 )
 SHARED = (  # with the stage that a later one starts from

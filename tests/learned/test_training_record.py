@@ -59,9 +59,9 @@ def test_fields_that_came_later_make_no_other_training(tmp_path):
     asked = ASKED | {"environment": environment}
     asked = json.loads(json.dumps(asked))
     older = json.loads(json.dumps(asked))
-    for name in ("slack", "reserve", "jerk"):
+    for name in ("tracking_scale", "slack", "reserve", "jerk"):
         del older["environment"]["reward"][name]
-    del older["environment"]["units"]["turn"], older["environment"]["memory"]
+    del older["environment"]["units"]["acceleration"], older["environment"]["memory"]
     del older["td3"]["target_rate"]
     TrainingRecord(settings=older, commits=("aaa",)).write(tmp_path)
     assert check_settings(asked, tmp_path) is not None
