@@ -10,7 +10,7 @@ import numpy as np
 
 import carosac_toolkit as ct
 from benchmarks.controllers import SMOOTH, Task, path_of
-from benchmarks.learning_drive import LIMIT_LATENCY
+from benchmarks.learning_drive import LIMIT_LATENCY, MS, td3
 from benchmarks.results import table
 from carosac_toolkit import registry
 from carosac_toolkit.robot import Robot
@@ -23,7 +23,6 @@ BASELINE = "kinematic_solver"
 WARM, PACED = 2000, 200  # calls of each kind
 UNTIMED = 20  # calls before them
 OFF = 0.01  # [m] of the belief from the reference
-MS = 1e3
 
 Cycle = tuple[Belief, Reference]
 
@@ -34,7 +33,7 @@ def inference() -> str:
     for name in list_policies():
         policy = Policy.load(find_policy(name))
         robot = policy.description.robot
-        rows.append(_row(robot, f"`{name}`", _controller(robot, "td3", policy=name), policy))
+        rows.append(_row(robot, f"`{name}`", _controller(robot, td3(), policy=name), policy))
     for name in DEFAULTS:
         robot = ct.load_robot(name)
         rows.append(_row(robot, BASELINE, _controller(robot, BASELINE), None))

@@ -201,8 +201,7 @@ class CableEnvironment:
         self._last_action = np.array(applied)
         self._asked = np.array(asked)
         self._reached = reached
-        self._remember(np.arange(self.size))
-        final = self._observe()
+        final = self._observe(np.arange(self.size))
         over = (self._step >= self.settings.path.steps) | self._is_lost(transition)
         truncated = over | reached.failed
         ended = np.flatnonzero(truncated)
@@ -261,22 +260,19 @@ class CableEnvironment:
         self._last_action[rows] = 0.0
         self._asked[rows] = self._reached.length[rows]
         self._mean_error[rows] = 0.0
-        self._remember(rows)
-        return self._observe()
+        return self._observe(rows)
 
-    def _remember(self, rows: NDArray[Any]) -> None:
-        """Take the error that is seen next into its mean."""
-        if "mean_error" not in self.settings.observation:
-            return
-        period = self.settings.path.period
-        assert self._reached is not None and period is not None
-        look = self._look(self._reached)
-        error = (look.position - look.target)[rows]
-        self._mean_error[rows] = fading(self._mean_error[rows], error, period, self.settings.memory)
-
-    def _observe(self) -> Array:
+    def _observe(self, rows: NDArray[Any]) -> Array:
+        """What is seen before the next step; the errors of some rows go into their mean first."""
         assert self._reached is not None
-        return observe(self.settings.observation, self._look(self._reached), self.scales)
+        look = self._look(self._reached)
+        if "mean_error" in self.settings.observation:
+            period = self.settings.path.period
+            assert period is not None
+            error = look.position - look.target
+            mean = fading(self._mean_error, error, period, self.settings.memory)
+            self._mean_error[rows] = mean[rows]  # the look shows this array
+        return observe(self.settings.observation, look, self.scales)
 
     def _look(self, reached: Reached) -> Look:
         """What there is to see before the next step."""

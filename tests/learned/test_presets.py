@@ -68,6 +68,7 @@ def test_unknown_names_are_refused_with_those_that_are_known():
         ({"actor_rate": 0.0}, "actor_rate: got 0.0"),
         ({"discount": 1.5}, "discount: got 1.5; allowed: 0 to 1"),
         ({"rate_end": -0.1}, "rate_end: got -0.1"),
+        ({"target_rate": 0.0}, "target_rate: got 0.0; allowed: 0 < target_rate <= 1"),
         ({"activation": "tanh"}, "activation: got 'tanh'"),
         ({"critic": "none"}, "critic: got 'none'"),
         ({"critic": "metric"}, "discount: got 0.99; allowed: 0 with a metric critic"),
