@@ -114,7 +114,7 @@ class Written:
     @property
     def synopsis(self) -> bool:
         """Whether it says what may be written, with brackets and placeholders, and is none."""
-        return "[" in self.text or re.search(r" [A-Z]{3,}\b| X Y Z", self.text) is not None
+        return " [" in self.text or re.search(r" [A-Z]{3,}\b| X Y Z", self.text) is not None
 
 
 def written() -> list[Written]:

@@ -45,7 +45,7 @@ def chosen_settings(
         if kind != "driver":
             name = _name(text, kind, rest, controllers if kind == "controller" else estimators)
             into, fields = into.setdefault(name, {}), rest[len(name) + 1 :]
-        _put(text, into, fields.split("."), _value(text, value))
+        _put(text, into, fields.split("."), value_of(OPTION, text, value))
     return chosen
 
 
@@ -72,11 +72,20 @@ def _put(text: str, into: dict[str, Any], fields: Sequence[str], value: Any) -> 
     into[last] = value
 
 
-def _value(whole: str, text: str) -> Any:
-    """JSON, or the text itself."""
+def value_of(option: str, whole: str, text: str) -> Any:
+    """What stands behind the equals sign: JSON, or the text itself.
+
+    Args:
+        option: For messages.
+        whole: All of the setting, for messages.
+        text: The value.
+
+    Raises:
+        InvalidField: A number that is not finite.
+    """
 
     def refuse(constant: str) -> None:
-        raise InvalidField(OPTION, repr(whole), f"finite numbers, not {constant}")
+        raise InvalidField(option, repr(whole), f"finite numbers, not {constant}")
 
     try:
         return json.loads(text, parse_constant=refuse)

@@ -39,6 +39,8 @@ def run_cases(
     attempts: int = 3,
     retry: Collection[str] = (),
     batching: Batching | None = None,
+    own_files: bool = False,
+    share: Callable[[], float] | None = None,
     progress: bool = True,
 ) -> list[Row]:
     """Run each case once and return one row per case, in the order of the cases.
@@ -65,6 +67,10 @@ def run_cases(
             ``"timed_out"``.
         batching: How cases run together; None: each alone. Where one of a batch fails, or its
             process dies, all of it run alone.
+        own_files: Whether the case function takes the study's folder as a second argument, for
+            files of its own. Workers of a scheduler must see the same folder then.
+        share: Tells how much of the work is done, 0 to 1, where cases are few and long; without
+            it the finished cases tell.
         progress: Whether to tell on standard error how far the study is.
 
     Raises:
@@ -76,6 +82,8 @@ def run_cases(
         InvalidFile: A file in the folder is broken.
     """
     _check(cases, function, scheduler, workers, attempts)
+    if own_files and batching is not None:
+        raise InvalidField("batching", repr(batching), "None with own_files")
     check_statuses(retry)
     limits = [_limit(case, timeout) for case in cases]
     path = Path(folder)
@@ -83,7 +91,7 @@ def run_cases(
         store.merge()
         store.forget(retry)
         done = store.finished()
-        bar = Progress(len(cases), done.values(), quiet=not progress)
+        bar = Progress(len(cases), done.values(), quiet=not progress, share=share)
         todo = [
             (x, limit) for x, limit in zip(cases, limits, strict=True) if x.identity not in done
         ]
@@ -93,7 +101,8 @@ def run_cases(
             with ExitStack() as stack:
                 here = scheduler is None and count == 0
                 notes = "" if here else stack.enter_context(notes_folder(path))
-                tasks = _tasks(todo, function, attempts, notes, batching)
+                own = str(path.resolve()) if own_files else ""
+                tasks = _tasks(todo, function, attempts, notes, own, batching)
                 if here:
                     batches = (rows_of(task) for task in tasks)
                 else:
@@ -108,6 +117,7 @@ def _tasks(
     function: str,
     attempts: int,
     notes: str,
+    own_folder: str,
     batching: Batching | None,
 ) -> list[Task]:
     """What workers are sent."""
@@ -122,6 +132,7 @@ def _tasks(
             timeout=limits[part[0].identity],
             attempts=attempts,
             notes=notes,
+            own_folder=own_folder,
         )
         for part in parts
     ]

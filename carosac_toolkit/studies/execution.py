@@ -38,6 +38,8 @@ class Task:
         timeout: How long each case may run [s].
         attempts: How many times the process of one case may die.
         notes: Folder of the notes, on a file system that sender and worker may or may not share.
+        own_folder: Folder for the function's own files, which it takes as its second argument;
+            empty: it takes none.
     """
 
     cases: tuple[dict[str, Any], ...]
@@ -47,6 +49,7 @@ class Task:
     timeout: float
     attempts: int
     notes: str
+    own_folder: str = ""
 
     @property
     def identity(self) -> str:
@@ -97,8 +100,8 @@ def find_function(name: str) -> CaseFunction:
     return function  # type: ignore[no-any-return]
 
 
-def run_attempt(case: Case, function: str, timeout: float) -> Row:
-    """Run a case in this thread.
+def run_attempt(case: Case, task: Task) -> Row:
+    """Run a case of a task in this thread.
 
     Returns:
         Its row. Whatever the case raises becomes a row with the reason; only what is meant for the
@@ -107,14 +110,14 @@ def run_attempt(case: Case, function: str, timeout: float) -> Row:
     Raises:
         UnfitWorker: The function cannot be imported here.
     """
-    found = _found_here(function)
+    found = _found_here(task.function)
     start = time.perf_counter()
     try:
-        with TimeLimit(timeout):
-            values = checked_values(found(case))
+        with TimeLimit(task.timeout):
+            values = checked_values(found(case, *_own_folder(task)))
         return make_row(case, "ok", values=values, wall_time=time.perf_counter() - start)
     except CaseTimeout:
-        reason = f"stopped after {timeout:g} s"
+        reason = f"stopped after {task.timeout:g} s"
         return make_row(case, "timed_out", reason=reason, wall_time=time.perf_counter() - start)
     except (Exception, SystemExit) as error:  # a study outlives any case; the reason is in the row
         reason = f"{type(error).__name__}: {error}"
@@ -150,7 +153,7 @@ def rows_of(task: Task) -> list[Row]:
     rows = []
     if len(cases) > 1:
         rows = run_attempt_together(cases, task.together, task.timeout * len(cases))
-    return rows or [run_attempt(case, task.function, task.timeout) for case in cases]
+    return rows or [run_attempt(case, task) for case in cases]
 
 
 def run_task(task: Task) -> Done:
@@ -171,14 +174,14 @@ def run_task(task: Task) -> Done:
 def _row_of_task(case: Case, task: Task) -> Row:
     """Run a case, unless it has cost too many processes."""
     if not Path(task.notes).is_dir():  # a file system of its own: the scheduler counts deaths
-        return run_attempt(case, task.function, task.timeout)
+        return run_attempt(case, task)
     note = Path(task.notes) / task.identity
     death = read_death(note)
     if death is not None and (death.timed_out or death.attempts >= task.attempts):
         note.unlink(missing_ok=True)
         return _row_of_death(case, death, task.timeout)
     with noted(note, task.timeout + min(GRACE, task.timeout)):
-        return run_attempt(case, task.function, task.timeout)
+        return run_attempt(case, task)
 
 
 def _batch_of_task(cases: Sequence[Case], task: Task) -> list[Row]:
@@ -200,6 +203,16 @@ def crashed_row(case: Case, deaths: int, cause: str = "", wall_time: float = 0.0
     cause = cause or "without a word: killed, out of memory, or left by os._exit"
     reason = f"its process died {times}: {cause}"
     return make_row(case, "crashed", reason=reason, wall_time=wall_time)
+
+
+def _own_folder(task: Task) -> tuple[Path, ...]:
+    """The folder that the function takes, if it does, as this machine has it."""
+    if not task.own_folder:
+        return ()
+    folder = Path(task.own_folder)
+    if not folder.is_dir():
+        raise CarosacError(f"{folder} is not on this machine; workers must share it")
+    return (folder,)
 
 
 @cache

@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +126,21 @@ def read_rows(folder: str | Path) -> list[Row]:
     order = [entry[0] for entry in _read_manifest(Path(folder))["cases"]]
     found = read_parts(Path(folder))
     return in_common_columns(found[name] for name in order if name in found)
+
+
+def free_folder(base: Path, cases: Sequence[Case]) -> Path:
+    """Choose a folder that holds none but some of these cases: `base`, `base`-2, `base`-3, ..."""
+    asked = {case.identity for case in cases}
+    for number in count(1):
+        folder = base if number == 1 else base.with_name(f"{base.name}-{number}")
+        if not (folder / MANIFEST).exists():
+            return folder
+        try:
+            if {case.identity for case in read_cases(folder)} <= asked:
+                return folder
+        except CarosacError:  # broken, or of another version: not ours to touch
+            continue
+    raise AssertionError("count() ends nowhere")
 
 
 def check_statuses(retry: Collection[str]) -> None:

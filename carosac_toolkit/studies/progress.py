@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TextIO
 
 from carosac_toolkit.studies.rows import STATUSES, Row
@@ -21,10 +21,17 @@ class Progress:
         done: Rows that are there already.
         quiet: Whether to say nothing.
         stream: Where to write; standard error by default.
+        share: Tells how much of the work is done, 0 to 1; None: as many as cases are finished.
     """
 
     def __init__(
-        self, total: int, done: Iterable[Row], *, quiet: bool, stream: TextIO | None = None
+        self,
+        total: int,
+        done: Iterable[Row],
+        *,
+        quiet: bool,
+        stream: TextIO | None = None,
+        share: Callable[[], float] | None = None,
     ) -> None:
         self._stream = stream or sys.stderr
         self._quiet = quiet
@@ -35,6 +42,8 @@ class Progress:
         self._count(done)
         self._before = self._told = self.finished
         self._start = self._shown = time.monotonic()
+        self._share = share
+        self._share_before = share() if share else 0.0
         if self._before and not quiet:
             self._write(f"study: {self._before} of {total} cases are there already\n")
 
@@ -64,9 +73,14 @@ class Progress:
     def line(self) -> str:
         """What is told now."""
         elapsed = time.monotonic() - self._start
-        new, left = self.finished - self._before, self._total - self.finished
         text = f"study: {self.finished}/{self._total} cases, {_clock(elapsed)}"
-        if left and new:
+        new = float(self.finished - self._before)
+        left = float(self._total - self.finished)
+        if self._share:
+            share = self._share()
+            new, left = share - self._share_before, 1.0 - share
+            text += f", {100.0 * share:.0f} %"
+        if left > 0.0 and new > 0.0:
             text += f", {_clock(elapsed / new * left)} to go"
         bad = [f"{self._counts[name]} {name.replace('_', ' ')}" for name in STATUSES[1:]
                if self._counts[name]]  # fmt: skip

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from itertools import count
 from pathlib import Path
 from typing import Any
 
 from carosac_toolkit import trajectories
-from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.studies.batching import Batching
 from carosac_toolkit.studies.case import Case, product
 from carosac_toolkit.studies.checks import RECORDED, check_study
 from carosac_toolkit.studies.cluster import remote_client, usable_cores
 from carosac_toolkit.studies.engine import TIMEOUT, run_cases
-from carosac_toolkit.studies.folder import MANIFEST, read_cases
+from carosac_toolkit.studies.folder import free_folder
 from carosac_toolkit.studies.results import StudyResults
 from carosac_toolkit.studies.run_case import DRIVER, robot_digest
 
@@ -132,7 +131,7 @@ class Study:
 
     def folder(self) -> Path:
         """Where the results go."""
-        return Path(self.output) if self.output is not None else _free_folder(FOLDER, self.cases())
+        return Path(self.output) if self.output is not None else free_folder(FOLDER, self.cases())
 
     def run(self, *, progress: bool = True) -> StudyResults:
         """Check everything, run what is missing in the folder, and score.
@@ -192,18 +191,3 @@ class Study:
 
 
 AXES = ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations")
-
-
-def _free_folder(base: Path, cases: Sequence[Case]) -> Path:
-    """Choose a folder that holds none but some of these cases: `base`, `base`-2, `base`-3, ..."""
-    asked = {case.identity for case in cases}
-    for number in count(1):
-        folder = base if number == 1 else base.with_name(f"{base.name}-{number}")
-        if not (folder / MANIFEST).exists():
-            return folder
-        try:
-            if {case.identity for case in read_cases(folder)} <= asked:
-                return folder
-        except CarosacError:  # broken, or of another version: not ours to touch
-            continue
-    raise AssertionError("count() ends nowhere")

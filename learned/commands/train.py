@@ -4,13 +4,16 @@ Each stage goes to a folder of its own, with settings, learning curve, episodes,
 policy as an ONNX file. Interrupted or killed, the same command goes on from the last checkpoint as
 if nothing had happened. TensorBoard shows the folder while it grows.
 
+With --seeds or --vary it is a study: several trainings at once, on all cores or a dask cluster,
+with one table and pictures of all of them. Exit status 1 means that some of them failed.
+
 The policy runs on any driver as the controller td3: carosac compare --controllers td3
 --set controller.td3.policy=FILE
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,14 +22,16 @@ import tyro
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.number_checks import check_whole
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.report_page import check_folder
 from carosac_toolkit.robot_file import load_robot
-from carosac_toolkit.text_tables import terminal_width, wrapped
+from carosac_toolkit.text_tables import counted, terminal_width, wrapped
+from learned.changes import read_changes, read_variations
 from learned.curve import CURVE, read_curve
-from learned.presets import Preset, Stage, find_preset
-from learned.training import CHECKPOINT, Job, train
+from learned.presets import Preset, find_preset
+from learned.training import Job, train
+from learned.training_study import Training, TrainingStudy, check_stages, free_study
 
-RANDOM_SHARE = 0.2  # of shortened trainings, at most, is random
+FOLDER = Path("carosac-results") / "train"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,25 +47,48 @@ class Options(CommonOptions):
     later stage starts from the one before it in the same folder."""
     steps: int | None = None
     """Environment steps of each stage, instead of those of the preset: for a first look."""
+    settings: Annotated[
+        tuple[str, ...], tyro.conf.arg(name="set", metavar="SETTING"), tyro.conf.UseAppendAction
+    ] = ()
+    """Setting that is not the preset's: td3.FIELD=VALUE or environment.FIELD=VALUE for all stages,
+    with STAGE. in front for one, VALUE as JSON or text; may be given several times."""
+    seeds: int | None = None
+    """How many trainings, with seeds counted up from --seed."""
+    vary: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="SETTING"), tyro.conf.UseAppendAction
+    ] = ()
+    """Setting with several values, each of which is trained: td3.FIELD=[VALUE, VALUE, ...]; given
+    several times, every combination is."""
+    scheduler: str | None = None
+    """With --seeds or --vary: address of a dask scheduler, such as tcp://host:8786, whose workers
+    share the output folder."""
+    workers: int | None = None
+    """With --seeds or --vary: worker processes on this machine; 0 is none but this one; by default
+    one per core."""
     output: OutputFolder = None
-    """Folder for all stages; by default one in carosac-results/train. What is there is gone on
+    """Folder for all of it; by default one in carosac-results/train. What is there is gone on
     with."""
 
 
 def run(options: Options) -> CommandResult:
-    """Train the stages."""
+    """Train the stages, once or many times."""
     preset = find_preset(options.preset)
-    robot = load_robot(options.robot)
     names = _stages(preset, options.stage)
-    folder = options.output or _default_folder(options, robot)
-    print(wrapped(f"{preset.name}: {preset.summary}; robot {robot.name}, seed {options.seed}",
-                  terminal_width()))  # fmt: skip
-    data: dict[str, Any] = {"preset": preset.name, "robot": robot.name, "folder": folder}
-    stages: dict[str, Any] = {}
-    for name in names:
-        job = _job(options, preset, robot, name, folder)
-        stages[name] = _train(job, folder / name)
-    return CommandResult(data | {"stages": stages})
+    fixed = read_changes(options.settings, names)
+    variations = read_variations(options.vary, names, fixed)
+    if options.steps is not None:
+        check_whole("--steps", options.steps, 1)
+    if options.seeds is not None:
+        check_whole("--seeds", options.seeds, 1)
+    first = options.seed
+    trainings = [
+        Training(preset=preset.name, robot=options.robot, stages=tuple(names), seed=seed,
+                 steps=options.steps, fixed=fixed, varied=varied)
+        for varied in variations for seed in range(first, first + (options.seeds or 1))
+    ]  # fmt: skip
+    if options.seeds is None and not options.vary:
+        return _train_once(options, preset, trainings[0])
+    return _train_all(options, preset, trainings)
 
 
 def _stages(preset: Preset, asked: tuple[str, ...]) -> list[str]:
@@ -73,24 +101,49 @@ def _stages(preset: Preset, asked: tuple[str, ...]) -> list[str]:
     return [name for name in preset.stages if name in wanted or not wanted]
 
 
-def _job(options: Options, preset: Preset, robot: Robot, name: str, folder: Path) -> Job:
-    """A stage, with what it starts from."""
-    earlier = list(preset.stages)[: list(preset.stages).index(name)]
-    start = folder / earlier[-1] / CHECKPOINT if earlier else None
-    stage = preset.stages[name]
-    if options.steps is not None:
-        check_whole("--steps", options.steps, 1)
-        stage = shortened(stage, options.steps)
-    return Job(
-        robot=robot, preset=preset.name, stage_name=name, stage=stage, seed=options.seed,
-        start=start,
-    )  # fmt: skip
+def _train_once(options: Options, preset: Preset, training: Training) -> CommandResult:
+    """One training in this process."""
+    for name in ("workers", "scheduler"):
+        if getattr(options, name) is not None:
+            allowed = "nothing without --seeds or --vary"
+            raise InvalidField(f"--{name}", getattr(options, name), allowed)
+    robot = load_robot(options.robot)
+    place = _name(options, training, robot.name, f"seed{options.seed}")
+    folder = options.output or FOLDER / place
+    jobs = training.jobs(robot, folder)
+    print(wrapped(f"{training.name}: {preset.summary}; robot {robot.name}, seed {options.seed}",
+                  terminal_width()))  # fmt: skip
+    data: dict[str, Any] = {"preset": training.name, "robot": robot.name, "folder": folder}
+    stages = {job.stage_name: _train(job, folder / job.stage_name) for job in jobs}
+    return CommandResult(data | {"stages": stages})
 
 
-def shortened(stage: Stage, steps: int) -> Stage:
-    """A stage of other length; its random steps are at most a fifth of it."""
-    random = min(stage.td3.random_steps, int(RANDOM_SHARE * steps))
-    return replace(stage, td3=replace(stage.td3, steps=steps, random_steps=random))
+def _train_all(options: Options, preset: Preset, trainings: list[Training]) -> CommandResult:
+    """Several trainings on the study engine."""
+    from learned.training_report import report
+
+    check_stages(trainings[0].stages, preset.name)
+    robot = load_robot(options.robot)
+    for training in trainings:
+        training.jobs(robot, Path())  # refuses what is not allowed before anything is trained
+    if options.output is None:
+        base = FOLDER / _name(options, trainings[0], robot.name, "study")
+        study = free_study(base, trainings)
+    else:
+        study = TrainingStudy(trainings=tuple(trainings), folder=options.output)
+    check_folder("--output", study.folder)
+    seeds = sorted({training.seed for training in trainings})
+    which = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
+    line = (
+        f"{trainings[0].fixed_name}: {preset.summary}; robot {robot.name}, {which}: "
+        f"{counted(len(trainings), 'training')} to {study.folder}"
+    )
+    print(wrapped(line, terminal_width()), flush=True)
+    rows = study.run(workers=options.workers, scheduler=options.scheduler)
+    data = {"preset": trainings[0].fixed_name, "robot": robot.name, "folder": study.folder}
+    found = report(study, rows)
+    complete = all(row["status"] == "ok" for row in rows)
+    return CommandResult(data | found, status=0 if complete else 1)
 
 
 def _train(job: Job, folder: Path) -> dict[str, Any]:
@@ -125,9 +178,9 @@ def _report(row: dict[str, float], left: float) -> None:
     )
 
 
-def _default_folder(options: Options, robot: Robot) -> Path:
-    """Where a training goes that was not sent anywhere; short ones apart from full ones."""
-    parts = [options.preset, robot.name, f"seed{options.seed}"]
+def _name(options: Options, training: Training, robot: str, last: str) -> str:
+    """Folder of what was not sent anywhere; short trainings apart from full ones."""
+    parts = [training.fixed_name, robot, last]
     if options.steps is not None:
         parts.append(f"{options.steps}steps")
-    return Path("carosac-results") / "train" / "-".join(parts)
+    return "-".join(parts)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
+from pathlib import Path
 
 import pytest
 
 from carosac_toolkit.cli.main import main
+from learned import training_study
 from learned.commands.train import _report
 from learned.curve import COLUMNS
 
@@ -64,6 +66,53 @@ def test_paths_that_fail_are_told_in_the_table(capsys):
     assert bad == fine + "  7 paths failed"
 
 
+def test_seeds_and_variations_are_a_study(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["train", "--stage", "no-sag", "--steps", "300", "--set", "environment.path.steps=2",
+             "--workers", "0", "--seeds", "2", "--vary", "td3.target_rate=[0.005,0.02]",
+             "--json", "a.json"]  # fmt: skip
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "4 trainings" in said and "target_rate=0.005" in said and "2 of 2" in said
+    data = json.loads((tmp_path / "a.json").read_text())
+    name = "carosac-path.steps=2"
+    assert data["preset"] == name
+    assert data["folder"] == f"carosac-results/train/{name}-carosac-study-300steps"
+    assert [(x["seed"], x["varied"]["td3.target_rate"]) for x in data["trainings"]] == [
+        (0, 0.005), (1, 0.005), (0, 0.02), (1, 0.02)
+    ]  # fmt: skip
+    for training in data["trainings"]:
+        stage = training["stages"]["no_sag"]
+        assert (tmp_path / stage["policy"]).is_file()
+        assert stage["steps"] >= 300
+        settings = json.loads((tmp_path / training["folder"] / "no_sag/settings.json").read_text())
+        assert settings["td3"]["target_rate"] == training["varied"]["td3.target_rate"]
+        assert settings["preset"].startswith(name + "-target_rate=")
+    names = {Path(picture).name for picture in data["pictures"]}
+    assert names == {"curves-no-sag.png", "sweep-no-sag.png"}
+    assert all((tmp_path / picture).is_file() for picture in data["pictures"])
+
+
+def test_a_training_that_fails_is_said(tmp_path, monkeypatch, capsys):
+    def fail(job, folder):
+        raise RuntimeError("no memory")
+
+    monkeypatch.setattr(training_study, "train", fail)
+    words = ["train", "--stage", "no-sag", "--steps", "300", "--seeds", "1", "--workers", "0"]
+    assert main([*words, "--output", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr().out
+    assert "seed0: failed: RuntimeError: no memory" in said
+    assert "0 of 1" in said
+
+
+def test_one_setting_changes_a_single_training(tmp_path, capsys):
+    words = ["train", "--stage", "no-sag", "--steps", "300", "--set", "td3.hidden=[16,16]"]
+    assert main([*words, "--output", str(tmp_path)]) == 0
+    settings = json.loads((tmp_path / "no_sag" / "settings.json").read_text())
+    assert settings["td3"]["hidden"] == [16, 16]
+    assert settings["preset"] == "carosac-hidden=16+16"
+
+
 def test_a_folder_of_another_training_is_refused(trained, capsys):
     assert main(["train", "--steps", "1300", "--output", str(trained / "out")]) == 2
     assert "td3 differ" in capsys.readouterr().err
@@ -87,6 +136,13 @@ def test_evaluation_says_errors_beside_inconsistency(trained, capsys):
         (["train", "--preset", "papper"], "preset: got 'papper'"),
         (["train", "--stage", "sagg"], "--stage: got 'sagg'; allowed: one of"),
         (["train", "--steps", "0"], "--steps: got 0"),
+        (["train", "--seeds", "0"], "--seeds: got 0"),
+        (["train", "--workers", "2"], "--workers: got 2; allowed: nothing without --seeds"),
+        (["train", "--set", "steps=2"], "--set: got 'steps=2'"),
+        (["train", "--set", "td3.step=2"], "no_sag.td3.step: got 2"),
+        (["train", "--vary", "td3.critics=2"], "--vary: got 'td3.critics=2'"),
+        (["train", "--seeds", "2", "--set", "sag.td3.rate_end=2"], "rate_end: got 2"),
+        (["train", "--seeds", "2", "--stage", "sag"], "--stage: got"),
         (["evaluate", "nothing.onnx"], "nothing.onnx: no such file"),
         (["evaluate", "carosak"], "policy: got 'carosak'"),
     ],

@@ -22,6 +22,12 @@ def some_cases(count: int, controllers: tuple[str, ...] = ("good",), **settings:
     return product(**NAMES, controllers=controllers, seeds=range(count), settings=settings)
 
 
+def leave_a_file(case: Case, folder: Path) -> dict[str, Any]:
+    """Write a file beside the rows."""
+    (folder / f"{case.seed}.txt").write_text(f"seed {case.seed}")
+    return {"length": case.seed}
+
+
 def one_case(controller: str, seed: int = 0, **settings: Any) -> Case:
     return product(**NAMES, controllers=[controller], seeds=[seed], settings=settings)[0]
 

@@ -10,7 +10,9 @@ import pytest
 
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.studies import UnfitWorker, read_rows, run_cases
+from carosac_toolkit.studies.batching import Batching
 from carosac_toolkit.studies.cluster import ONE_THREAD, local_client
+from carosac_toolkit.studies.execution import Task, rows_of
 from tests.studies.functions import one_case, some_cases, without_times
 from tests.studies.processes import cluster
 
@@ -49,6 +51,32 @@ def test_a_second_call_runs_only_what_is_missing(undisturbed, tmp_path):
     ran = [line.split() for line in log.read_text().splitlines()]
     assert sorted(identity for identity, _ in ran) == sorted(case.identity for case in cases)
     assert [row["rmse_m"] for row in rows] == [row["rmse_m"] for row in undisturbed[:12]]
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_cases_leave_files_of_their_own(tmp_path, monkeypatch, workers):
+    monkeypatch.chdir(tmp_path)
+    rows = run(some_cases(2), "study", "leave_a_file", workers=workers, own_files=True)
+    assert [row["status"] for row in rows] == ["ok", "ok"]
+    for seed in range(2):
+        assert (tmp_path / "study" / f"{seed}.txt").read_text() == f"seed {seed}"
+
+
+def test_files_of_cases_that_run_together_are_nobodys(tmp_path):
+    batching = Batching(group=f"{MODULE}:score", function=f"{MODULE}:score", size=2)
+    with pytest.raises(InvalidField, match="batching"):
+        run(some_cases(2), tmp_path, "leave_a_file", own_files=True, batching=batching)
+
+
+def test_a_machine_without_the_folder_says_so(tmp_path):
+    case = some_cases(1)[0]
+    task = Task(
+        cases=(case.to_dict(),), identities=(case.identity,), function=f"{MODULE}:leave_a_file",
+        together="", timeout=10.0, attempts=1, notes="", own_folder=str(tmp_path / "elsewhere"),
+    )  # fmt: skip
+    (row,) = rows_of(task)
+    assert row["status"] == "failed"
+    assert "elsewhere is not on this machine" in row["reason"]
 
 
 def test_a_handful_of_cases_starts_no_process(tmp_path):

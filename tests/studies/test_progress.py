@@ -32,6 +32,21 @@ def test_it_tells_counts_and_time_left(monkeypatch):
     ]
 
 
+def test_few_long_cases_tell_how_much_of_them_is_done(monkeypatch):
+    now, share = [0.0], [0.2]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    stream = io.StringIO()
+    bar = Progress(3, rows(0), quiet=False, stream=stream, share=lambda: share[0])
+    now[0], share[0] = 60.0, 0.5
+    bar.add([])
+    now[0], share[0] = 160.0, 1.0
+    bar.add(rows(3))
+    assert stream.getvalue().splitlines() == [
+        "study: 0/3 cases, 0:01:00, 50 %, 0:01:40 to go",
+        "study: 3/3 cases, 0:02:40, 100 %",
+    ]
+
+
 def test_a_terminal_gets_one_line_that_changes(monkeypatch):
     now = [0.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: now[0])

@@ -1,0 +1,136 @@
+"""Settings of a preset, changed one by one as text: ``td3.target_rate=0.02``."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import Any
+
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.filled_settings import filled
+from carosac_toolkit.studies.chosen_settings import check_types, value_of
+from learned.presets import Stage
+
+SET, VARY = "--set", "--vary"
+PARTS = ("td3", "environment")  # of a stage
+
+Changes = Mapping[str, Any]
+"""Values as JSON has them, by path: ``td3.FIELD``, ``environment.FIELD`` or one of these behind the
+name of a stage. A field of settings inside other settings is behind another dot."""
+
+
+def read_changes(texts: Sequence[str], stages: Sequence[str]) -> dict[str, Any]:
+    """Read ``PATH=VALUE``; a value is JSON, or text where it is none.
+
+    Args:
+        texts: One change each.
+        stages: Names of those that are trained.
+
+    Raises:
+        InvalidField: A text of another form, or a path twice.
+    """
+    changes: dict[str, Any] = {}
+    for text in texts:
+        path, value = _read(SET, text, stages)
+        if path in changes:
+            raise InvalidField(SET, repr(text), "each field once")
+        changes[path] = value
+    return changes
+
+
+def read_variations(
+    texts: Sequence[str], stages: Sequence[str], fixed: Changes
+) -> list[dict[str, Any]]:
+    """Read ``PATH=[VALUE, VALUE, ...]`` and combine each value with each of the others.
+
+    Args:
+        texts: One path each.
+        stages: Names of the stages that are trained.
+        fixed: What is changed in all of them.
+
+    Returns:
+        The changes of each combination; one without changes if nothing is varied.
+
+    Raises:
+        InvalidField: A text of another form, a path twice, or values that are the same.
+    """
+    axes: dict[str, list[Any]] = {}
+    for text in texts:
+        path, values = _read(VARY, text, stages)
+        if path in axes or path in fixed:
+            raise InvalidField(VARY, repr(text), f"each field once, in {SET} or in {VARY}")
+        if not isinstance(values, list) or len({label_of({path: x}) for x in values}) < 2:
+            raise InvalidField(VARY, repr(text), "PATH=[VALUE, VALUE, ...], two or more values")
+        if len({label_of({path: x}) for x in values}) < len(values):
+            raise InvalidField(VARY, repr(text), "values that are told apart by letters and digits")
+        axes[path] = values
+    return [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
+
+
+def changed(name: str, stage: Stage, changes: Changes) -> Stage:
+    """A stage with the changes that concern it.
+
+    Args:
+        name: Of the stage.
+        stage: As the preset has it.
+        changes: Those of other stages are left out.
+
+    Raises:
+        InvalidField: A field that is not there, or a value that is not allowed.
+    """
+    nested: dict[str, Any] = {}
+    for path, value in changes.items():
+        *outer, last = path.split(".")
+        if outer[0] not in PARTS and outer.pop(0) != name:
+            continue
+        into = nested
+        for field in outer:
+            into = into.setdefault(field, {})
+            if not isinstance(into, dict):
+                raise InvalidField(SET, repr(path), "each field once")
+        if last in into:
+            raise InvalidField(SET, repr(path), "each field once")
+        into[last] = _with_tuples(value)
+    check_types(name, stage, nested)
+    found: Stage = filled(name, stage, nested)
+    return found
+
+
+def label_of(changes: Changes) -> str:
+    """Changes in short, for names of folders, in no order but that of their paths."""
+    return "_".join(f"{_short(path)}={_plain(value)}" for path, value in sorted(changes.items()))
+
+
+def _read(option: str, text: str, stages: Sequence[str]) -> tuple[str, Any]:
+    """Path and value of a change."""
+    path, equals, value = text.partition("=")
+    first, *rest = path.split(".")
+    known = first.replace("-", "_")
+    fields = rest[1:] if known in stages else rest
+    part = rest[0] if known in stages and rest else first
+    if not equals or part not in PARTS or not fields or not all(fields):
+        names = " or ".join(name.replace("_", "-") for name in stages)
+        allowed = f"[STAGE.]td3.FIELD=VALUE or [STAGE.]environment.FIELD=VALUE, STAGE {names}"
+        raise InvalidField(option, repr(text), allowed)
+    path = ".".join([known if known in stages else first, *rest])
+    return path, value_of(option, text, value)
+
+
+def _short(path: str) -> str:
+    """A path without the part that it goes without saying."""
+    return ".".join(name for name in path.split(".") if name not in PARTS)
+
+
+def _plain(value: Any) -> str:
+    """A value in letters that every file system has."""
+    text = json.dumps(value, separators=(",", ":")).replace(",", "+")
+    return re.sub(r"[^A-Za-z0-9_.+-]", "", text)
+
+
+def _with_tuples(value: Any) -> Any:
+    """Lists of JSON as tuples, at any depth."""
+    if isinstance(value, list):
+        return tuple(_with_tuples(item) for item in value)
+    return value

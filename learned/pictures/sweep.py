@@ -1,0 +1,52 @@
+"""Picture of a sweep: what came out of each variation, seed by seed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from carosac_toolkit.arrays import batch
+from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.pictures.drawing import COLORS, MEASURED, new_figure
+from learned.pictures.files import save
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MM = 1e3
+HALF = 0.3  # of the mark of a median, in rows
+WIDE = 8.0  # ratio of errors from which their axis is logarithmic
+
+
+def sweep(errors: Mapping[str, ArrayLike], path: str | Path) -> Figure:
+    """Draw the errors after training, a row for each variation.
+
+    Args:
+        errors: Median position error of each seed [m], shape (S,), by variation.
+        path: Picture file.
+    """
+    if not errors:
+        raise InvalidField("errors", "none", "at least one variation")
+    figure = new_figure(8.0, 1.4 + 0.42 * len(errors))
+    axes = figure.subplots()
+    found = {name: MM * batch(name, values, ()) for name, values in errors.items()}
+    for k, values in enumerate(found.values()):
+        axes.plot(values, np.full(len(values), k), "o", color=COLORS[1], ms=6.0, alpha=0.7,
+                  mew=0.0)  # fmt: skip
+        middle = float(np.median(values))
+        axes.plot([middle, middle], [k - HALF, k + HALF], color=MEASURED, lw=1.6)
+    every = np.concatenate(list(found.values()))
+    if every.min() > 0.0 and every.max() > WIDE * every.min():
+        axes.set_xscale("log")
+    else:
+        axes.set_xlim(left=0.0)
+    axes.set_yticks(range(len(found)), list(found))
+    axes.set_ylim(len(found) - 0.5, -0.5)
+    axes.set_xlabel("median position error after training [mm]")
+    axes.grid(alpha=0.25, axis="x")
+    figure.suptitle("Trainings side by side; dots: seeds, line: their median")
+    return save(figure, path)
