@@ -21,6 +21,7 @@ from learned.policy_file import Policy
 from learned.settings_data import environment_settings
 
 SUFFIX = ".onnx"
+ROUNDING = 1e-9  # [rows] that are none
 OUTSIDE = 0.02  # by how much of half an edge of the box a target may lie outside it
 # What a policy learns depends on; names, calibration and sensors are free.
 TRAINED_FOR = (
@@ -79,8 +80,10 @@ class PolicyController:
         self.period = settings.period if period is None else period
         lag = float(robot.winch_lag.mean()) / self.period + 0.5  # [periods], of set-points
         ahead = [lag] if period is None else [1.0, *(1.0 + k for k in self._environment.preview)]
-        self._row = np.floor(np.array(ahead) + 1e-9).astype(int)
+        self._row = np.floor(np.array(ahead) + ROUNDING).astype(int)
         self._share = np.array(ahead) - self._row  # of the way to the next row
+        self._on_rows = bool((np.abs(self._share) <= ROUNDING).all())
+        self._remembers = "mean_error" in self._environment.observation
         self.horizon = self.period * float(self._row.max() + 1)
         self._length: Array | None = None
         self._last_action = np.zeros((1, self._actions.size))
@@ -133,20 +136,24 @@ class PolicyController:
         velocity = self._between(reference.velocity, size, 1)[:, 0]
         acceleration = self._between(reference.acceleration, size, 1)[:, 0]
         assert self._length is not None
-        error = belief.position - position[:, 0]
+        mean_error = self._mean_error
+        if self._remembers:
+            error = belief.position - position[:, 0]
+            mean_error = fading(mean_error, error, self.period, self._environment.memory)
         return Look(
             position=belief.position, rotation=belief.rotation,
             twist=np.zeros((size, 6)) if belief.twist is None else belief.twist,
             length=self._length, target=position[:, 0], target_velocity=velocity,
             target_acceleration=acceleration, preview=position[:, 1:],
-            last_action=self._last_action,
-            mean_error=fading(self._mean_error, error, self.period, self._environment.memory),
+            last_action=self._last_action, mean_error=mean_error,
         )  # fmt: skip
 
     def _between(self, rows: Array, size: int, count: int | None = None) -> Array:
         """Values ahead of now, between the rows (1 or B, N, 3) of a reference: (B, K, 3)."""
         row, share = self._row[:count], self._share[:count, None]
-        found: Array = (1.0 - share) * rows[:, row] + share * rows[:, row + 1]
+        found: Array = rows[:, row]
+        if not self._on_rows:
+            found = (1.0 - share) * found + share * rows[:, row + 1]
         return found if len(found) == size else np.broadcast_to(found, (size, *found.shape[1:]))
 
     def _check_sizes(self, robot: Robot) -> None:

@@ -50,8 +50,12 @@ def _evaluated(
 def _trained(sources: Sequence[Source]) -> list[Drawn]:
     """One figure for each stage, with the curves of all its trainings."""
     stages: dict[str, dict[Path, Curve]] = {}
-    for folder in of_kind(sources, "training"):
-        curve = curve_of(folder, folder.parent.name)
+    folders = of_kind(sources, "training")
+    for folder in folders:
+        name = folder.parent.name
+        if any(other.parts[-2:] == folder.parts[-2:] for other in folders if other != folder):
+            name = f"{folder.parent.parent.name}/{name}"  # a seed of one of several variations
+        curve = curve_of(folder, name)
         if curve is not None:
             stages.setdefault(folder.name, {})[folder] = curve
     return [
