@@ -65,6 +65,12 @@ class Push:
 
     With feedforward the acceleration of the target is pushed for as well, and the action corrects
     that; without, no action is catenary inverse kinematics.
+
+    A correction K moves the target by -K times the lasting error e, a mean of past errors that
+    fades over seconds: what a plant lies off by at rest becomes 1 / (1 + K) of it, also where the
+    platform is stiff and pushes of a size that is safe do not move it. Being slow it does not
+    excite the sway, but a swing about a soft direction must be damped, by actions. It leans on the
+    belief: of a constant error of that, K / (1 + K) goes into the position.
     """
 
     size = 3
@@ -77,6 +83,7 @@ class Push:
         lead: float = 0.0,
         share: float = 1.0,
         feedforward: bool = False,
+        correction: float = 0.0,
     ) -> None:
         """Fit the maps of lengths and softness.
 
@@ -87,12 +94,14 @@ class Push:
             share: Of the way to the action that a push goes in a step: a low-pass that keeps fast
                 modes quiet. 1 goes all of it.
             feedforward: Whether the push of an action comes on top of that of the target.
+            correction: K above, >= 0 [-].
         """
         self._map = LengthMap(robot)
         self._reach = reach
         self._feedforward = feedforward
         self._lead = lead
         self._share = share
+        self._correction = correction
 
     def applied(self, action: Array, look: Look) -> Array:
         """Some of the way from what was applied last to the action."""
@@ -102,8 +111,9 @@ class Push:
         """Lengths of rest at the displaced target."""
         push = self._reach * applied
         if self._feedforward:
-            push = push + look.target_acceleration
+            push = push + look.aimed_acceleration
         displacement = (self._map.softness(look.target) @ push[:, :, None])[:, :, 0]
+        displacement = displacement - self._correction * look.lasting_error
         return self._map.lengths(look.target + self._lead * look.target_velocity + displacement)
 
     def effort(self, applied: Array) -> Array:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.number_checks import check_positive, check_whole
+from carosac_toolkit.number_checks import check_fields, check_positive, check_whole
 from carosac_toolkit.physics import statics, straight_line
 from carosac_toolkit.robot import Robot
 from learned.actions import Absolute, ActionMap, Push
@@ -44,6 +44,9 @@ class EnvironmentSettings:
         moving: Plants, winches and sensors of ``realtime``.
         units: What counts as 1 in an observation.
         memory: Time in which what `mean_error` of the observation remembers fades to 1 / e [s].
+        correction: How many times what has long been off a push moves its target the other way [-],
+            in real time; see `learned.actions.Push`.
+        correction_memory: Time in which that fades to 1 / e [s].
         lost: Distance from the target beyond which an episode is cut short [m]; None: never.
     """
 
@@ -59,6 +62,8 @@ class EnvironmentSettings:
     moving: MovingSettings = field(default_factory=MovingSettings)
     units: Units = field(default_factory=Units)
     memory: float = 1.0
+    correction: float = 0.0
+    correction_memory: float = 4.0
     lost: float | None = None
 
     def __post_init__(self) -> None:
@@ -77,7 +82,12 @@ class EnvironmentSettings:
         if self.reward.slack > 0.0 and self.world != "settle":
             allowed = "0, but in world 'settle', whose lengths decide what cables pull with"
             raise InvalidField("reward.slack", self.reward.slack, allowed)
-        check_positive("memory", self.memory, "s")
+        for name in ("memory", "correction_memory"):
+            check_positive(name, getattr(self, name), "s")
+        check_fields(self, not_negative=("correction",))
+        if self.correction > 0.0 and (self.world != "realtime" or self.action != "push"):
+            allowed = "0, but with action 'push' in world 'realtime'"
+            raise InvalidField("correction", self.correction, allowed)
         check_positive("reach", self.reach, "m/s^2")
         if not 0.0 < self.share <= 1.0:
             raise InvalidField("share", self.share, "0 < share <= 1")
@@ -149,6 +159,7 @@ class CableEnvironment:
         self._step = np.zeros(size, dtype=np.int64)
         self._last_action = np.zeros((size, self.actions.size))
         self._mean_error = np.zeros((size, 3))
+        self._lasting_error = np.zeros((size, 3))
         self._asked = np.zeros((size, robot.n))
         self._reached: Reached | None = None
         shapes = empty_look(robot, len(settings.preview), self.actions.size)
@@ -227,7 +238,7 @@ class CableEnvironment:
         return {
             "worlds": self.worlds.state(), "paths": list(self._paths), "step": self._step.copy(),
             "last_action": self._last_action.copy(), "mean_error": self._mean_error.copy(),
-            "asked": self._asked.copy(),
+            "lasting_error": self._lasting_error.copy(), "asked": self._asked.copy(),
             "reached": self._reached, "rng": self._rng.bit_generator.state,
         }  # fmt: skip
 
@@ -237,8 +248,9 @@ class CableEnvironment:
         self._paths = list(state["paths"])
         self._step = state["step"].copy()
         self._last_action = state["last_action"].copy()
-        if "mean_error" in state:  # older checkpoints lack what their policies do not see
-            self._mean_error = state["mean_error"].copy()
+        for name in ("mean_error", "lasting_error"):
+            if name in state:  # older checkpoints lack what their policies do not use
+                setattr(self, f"_{name}", state[name].copy())
         self._asked = state["asked"].copy()
         self._reached = state["reached"]
         self._rng.bit_generator.state = state["rng"]
@@ -260,32 +272,44 @@ class CableEnvironment:
         self._last_action[rows] = 0.0
         self._asked[rows] = self._reached.length[rows]
         self._mean_error[rows] = 0.0
+        self._lasting_error[rows] = 0.0
         return self._observe(rows)
 
     def _observe(self, rows: NDArray[Any]) -> Array:
-        """What is seen before the next step; the errors of some rows go into their mean first."""
+        """What is seen before the next step; the errors of some rows go into their means first."""
         assert self._reached is not None
-        look = self._look(self._reached)
-        if "mean_error" in self.settings.observation:
-            period = self.settings.path.period
-            assert period is not None
-            error = look.position - look.target
-            mean = fading(self._mean_error, error, period, self.settings.memory)
-            self._mean_error[rows] = mean[rows]  # the look shows this array
+        look, period = self._look(self._reached), self.settings.path.period
+        if period is not None:
+            error = look.position - look.due
+            for mean, memory in (
+                (self._mean_error, self.settings.memory),
+                (self._lasting_error, self.settings.correction_memory),
+            ):
+                mean[rows] = fading(mean, error, period, memory)[rows]  # the look shows the arrays
         return observe(self.settings.observation, look, self.scales)
 
     def _look(self, reached: Reached) -> Look:
         """What there is to see before the next step."""
         ahead = [self._path_rows(step) for step in (1, *(1 + k for k in self.settings.preview))]
+        due = ahead[0] if self.settings.path.period is None else self._path_rows(0)
         bias = 0.0 if reached.position_bias is None else reached.position_bias
         return Look(
             position=reached.position + bias, rotation=reached.rotation, twist=reached.twist,
-            length=self._asked, target=ahead[0][0], target_velocity=ahead[0][1],
-            target_acceleration=ahead[0][2],
+            length=self._asked, due=due[0], due_velocity=due[1], target=ahead[0][0],
+            target_velocity=ahead[0][1], target_acceleration=ahead[0][2],
+            aimed_acceleration=self._aimed_acceleration(),
             preview=np.stack([rows[0] for rows in ahead[1:]], axis=1)
             if len(ahead) > 1 else np.zeros((self.size, 0, 3)),
             last_action=self._last_action, mean_error=self._mean_error,
+            lasting_error=self._lasting_error,
         )  # fmt: skip
+
+    def _aimed_acceleration(self) -> Array:
+        """Of the targets, when lengths that are asked for now have arrived, shape (B, 3)."""
+        steps = 1.0 + lead_of(self.robot, self.settings) / (self.settings.path.period or np.inf)
+        whole, share = int(steps), steps % 1.0
+        found: Array = (1.0 - share) * self._path_rows(whole)[2]
+        return found + share * self._path_rows(whole + 1)[2] if share > 0.0 else found
 
     def _path_rows(self, ahead: int) -> Array:
         """Position, velocity and acceleration of targets so many steps ahead, shape (3, B, 3)."""
@@ -309,13 +333,13 @@ class CableEnvironment:
 
 def empty_look(robot: Robot, previews: int, actions: int) -> Look:
     """A robot at rest at home that shall stay there."""
-    home = robot.home_position[None]
+    home, nothing = robot.home_position[None], np.zeros((1, 3))
     return Look(
         position=home, rotation=robot.home_rotation[None], twist=np.zeros((1, 6)),
-        length=straight_line.inverse_kinematics(robot, home), target=home,
-        target_velocity=np.zeros((1, 3)), target_acceleration=np.zeros((1, 3)),
-        preview=np.repeat(home[:, None], previews, axis=1),
-        last_action=np.zeros((1, actions)), mean_error=np.zeros((1, 3)),
+        length=straight_line.inverse_kinematics(robot, home), due=home, due_velocity=nothing,
+        target=home, target_velocity=nothing, target_acceleration=nothing,
+        aimed_acceleration=nothing, preview=np.repeat(home[:, None], previews, axis=1),
+        last_action=np.zeros((1, actions)), mean_error=nothing, lasting_error=nothing,
     )  # fmt: skip
 
 
@@ -323,11 +347,20 @@ def make_actions(robot: Robot, settings: EnvironmentSettings, scales: Scales) ->
     """What the numbers of an action mean."""
     if settings.action == "absolute":
         return Absolute(scales)
-    period = settings.path.period or 0.0
-    lead = max(0.0, float(robot.winch_lag.mean()) - 0.5 * period)
     return Push(
-        robot, settings.reach, lead=lead, share=settings.share, feedforward=settings.feedforward
+        robot,
+        settings.reach,
+        lead=lead_of(robot, settings),
+        share=settings.share,
+        feedforward=settings.feedforward,
+        correction=settings.correction,
     )
+
+
+def lead_of(robot: Robot, settings: EnvironmentSettings) -> float:
+    """How far ahead of the target lengths are aimed [s]: by the lag, less half a step."""
+    period = settings.path.period or 0.0
+    return max(0.0, float(robot.winch_lag.mean()) - 0.5 * period)
 
 
 def _worlds(robot: Robot, settings: EnvironmentSettings, size: int, seed: int) -> Worlds:

@@ -82,7 +82,7 @@ def evaluate_inverse_kinematics(
     if protocol == "realtime":
         still = replace(
             trial.settings, observation=("target",), preview=(), action="push",
-            feedforward=feedforward,
+            feedforward=feedforward, correction=0.0,
         )  # fmt: skip
         return trial.follow(still, lambda seen: np.zeros((len(seen), 3)))
     return settled_particles(trial.robot, solved(trial.robot, trial.paths))

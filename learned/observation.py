@@ -58,24 +58,34 @@ class Look:
         rotation: From P to W, shape (B, 3, 3).
         twist: Linear [m/s], then angular [rad/s], in W at the platform origin, shape (B, 6).
         length: Unstrained lengths, as asked for last [m], shape (B, n).
-        target: Where the platform origin shall be, in W [m], shape (B, 3).
+        due: Where the platform origin should be now, in W [m], shape (B, 3); of set-points that
+            settle, the target.
+        due_velocity: [m/s], shape (B, 3).
+        target: Where it shall be at the end of the step, in W [m], shape (B, 3).
         target_velocity: [m/s], shape (B, 3).
         target_acceleration: [m/s^2], shape (B, 3).
-        preview: Where it shall be later, in W [m], shape (B, K, 3).
+        aimed_acceleration: The same, as much later as lengths are aimed ahead of the target for the
+            lag of the winches [m/s^2], shape (B, 3).
+        preview: Where it shall be after that, in W [m], shape (B, K, 3).
         last_action: What was applied last, in [-1, 1], shape (B, a).
-        mean_error: Fading mean of position less target since the start, see `fading` [m], (B, 3).
+        mean_error: Fading mean of position less due since the start, see `fading` [m], (B, 3).
+        lasting_error: The same, with the longer memory of the correction [m], shape (B, 3).
     """
 
     position: Array
     rotation: Array
     twist: Array
     length: Array
+    due: Array
+    due_velocity: Array
     target: Array
     target_velocity: Array
     target_acceleration: Array
+    aimed_acceleration: Array
     preview: Array
     last_action: Array
     mean_error: Array
+    lasting_error: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -133,9 +143,9 @@ PARTS: dict[str, Callable[[Look, Scales], Array]] = {
     "length": lambda look, scales: scales.to_action(look.length),
     "position": lambda look, scales: scales.to_unit(look.position),
     "target": lambda look, scales: scales.to_unit(look.target),
-    "error": lambda look, scales: (look.position - look.target) / scales.units.error,
+    "error": lambda look, scales: (look.position - look.due) / scales.units.error,
     "velocity_error": lambda look, scales: (
-        (look.twist[:, :3] - look.target_velocity) / scales.units.speed_error
+        (look.twist[:, :3] - look.due_velocity) / scales.units.speed_error
     ),
     "velocity": lambda look, scales: look.twist[:, :3] / scales.units.speed,
     "tilt": _tilt,

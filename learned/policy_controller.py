@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
@@ -15,7 +17,7 @@ from carosac_toolkit.number_checks import check_positive
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_differences import same
 from carosac_toolkit.values import Belief, Command, Reference
-from learned.environment import EnvironmentSettings, empty_look, make_actions
+from learned.environment import EnvironmentSettings, empty_look, lead_of, make_actions
 from learned.observation import OF_TWIST, Look, Scales, fading, observe
 from learned.policy_file import Policy
 from learned.settings_data import environment_settings
@@ -77,17 +79,19 @@ class PolicyController:
         self._actions = make_actions(robot, self._environment, self._scales)
         self._check_sizes(robot)
         period = policy.description.period
+        self._in_motion = period is not None
         self.period = settings.period if period is None else period
         lag = float(robot.winch_lag.mean()) / self.period + 0.5  # [periods], of set-points
-        ahead = [lag] if period is None else [1.0, *(1.0 + k for k in self._environment.preview)]
-        self._row = np.floor(np.array(ahead) + ROUNDING).astype(int)
-        self._share = np.array(ahead) - self._row  # of the way to the next row
-        self._on_rows = bool((np.abs(self._share) <= ROUNDING).all())
-        self._remembers = "mean_error" in self._environment.observation
-        self.horizon = self.period * float(self._row.max() + 1)
+        target = lag if period is None else 1.0
+        self._target = _Ahead.of([target])
+        self._preview = _Ahead.of([1.0 + k for k in self._environment.preview])
+        lead = lead_of(robot, self._environment) if self._in_motion else 0.0
+        self._aim = _Ahead.of([target + lead / self.period])
+        rows = [x.last_row for x in (self._target, self._preview, self._aim)]
+        self.horizon = self.period * float(max(rows))
         self._length: Array | None = None
         self._last_action = np.zeros((1, self._actions.size))
-        self._mean_error = np.zeros((1, 3))
+        self._mean_error = self._lasting_error = np.zeros((1, 3))
 
     @classmethod
     def build(
@@ -108,7 +112,7 @@ class PolicyController:
 
         self._length = straight_length(self._robot, belief.position, belief.rotation).length
         self._last_action = np.zeros((len(belief.position), self._actions.size))
-        self._mean_error = np.zeros((len(belief.position), 3))
+        self._mean_error = self._lasting_error = np.zeros((len(belief.position), 3))
 
     def command(self, belief: Belief, reference: Reference) -> Command:
         """The lengths that the policy asks for.
@@ -119,7 +123,7 @@ class PolicyController:
         """
         look = self._look(belief, reference)
         check_targets(self._robot, look.target)
-        self._mean_error = look.mean_error
+        self._mean_error, self._lasting_error = look.mean_error, look.lasting_error
         action = self._policy.act(observe(self._environment.observation, look, self._scales))
         self._last_action = self._actions.applied(action, look)
         self._length = self._actions.lengths(self._last_action, look)
@@ -132,29 +136,27 @@ class PolicyController:
             allowed = f"an estimator with a twist; the policy observes {', '.join(sorted(wanted))}"
             raise InvalidField("belief.twist", None, allowed)
         size = len(belief.position)
-        position = self._between(reference.position, size)
-        velocity = self._between(reference.velocity, size, 1)[:, 0]
-        acceleration = self._between(reference.acceleration, size, 1)[:, 0]
+        target = self._target.rows(reference.position, size)[:, 0]
+        velocity = self._target.rows(reference.velocity, size)[:, 0]
         assert self._length is not None
-        mean_error = self._mean_error
-        if self._remembers:
-            error = belief.position - position[:, 0]
-            mean_error = fading(mean_error, error, self.period, self._environment.memory)
+        due, due_velocity = target, velocity
+        mean_error, lasting_error = self._mean_error, self._lasting_error
+        if self._in_motion:
+            due, due_velocity = reference.position[:, 0], reference.velocity[:, 0]
+            error, environment = belief.position - due, self._environment
+            mean_error = fading(mean_error, error, self.period, environment.memory)
+            memory = environment.correction_memory
+            lasting_error = fading(lasting_error, error, self.period, memory)
         return Look(
             position=belief.position, rotation=belief.rotation,
             twist=np.zeros((size, 6)) if belief.twist is None else belief.twist,
-            length=self._length, target=position[:, 0], target_velocity=velocity,
-            target_acceleration=acceleration, preview=position[:, 1:],
-            last_action=self._last_action, mean_error=mean_error,
+            length=self._length, due=due, due_velocity=due_velocity,
+            target=target, target_velocity=velocity,
+            target_acceleration=self._target.rows(reference.acceleration, size)[:, 0],
+            aimed_acceleration=self._aim.rows(reference.acceleration, size)[:, 0],
+            preview=self._preview.rows(reference.position, size),
+            last_action=self._last_action, mean_error=mean_error, lasting_error=lasting_error,
         )  # fmt: skip
-
-    def _between(self, rows: Array, size: int, count: int | None = None) -> Array:
-        """Values ahead of now, between the rows (1 or B, N, 3) of a reference: (B, K, 3)."""
-        row, share = self._row[:count], self._share[:count, None]
-        found: Array = rows[:, row]
-        if not self._on_rows:
-            found = (1.0 - share) * found + share * rows[:, row + 1]
-        return found if len(found) == size else np.broadcast_to(found, (size, *found.shape[1:]))
 
     def _check_sizes(self, robot: Robot) -> None:
         """Make sure that observation and action fit the networks."""
@@ -168,6 +170,38 @@ class PolicyController:
         for name, mine, theirs in pairs:
             if mine != theirs:
                 raise InvalidField(f"policy.{name}", f"{theirs} numbers", f"{mine} numbers")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Ahead:
+    """Times ahead of now, in rows of a reference.
+
+    Attributes:
+        row: The row before each, shape (K,).
+        share: Of the way to the next row, shape (K, 1).
+        last_row: The last one that is looked at.
+        between: Whether any lies between rows.
+    """
+
+    row: NDArray[np.intp]
+    share: Array
+    last_row: int
+    between: bool
+
+    @classmethod
+    def of(cls, ahead: Sequence[float]) -> _Ahead:
+        """Times in periods."""
+        row = np.floor(np.array(ahead) + ROUNDING).astype(np.intp)
+        share: Array = np.array(ahead, dtype=np.float64)[:, None] - row[:, None]
+        last_row = int(row.max(initial=0)) + 1
+        return cls(row=row, share=share, last_row=last_row, between=bool((share > ROUNDING).any()))
+
+    def rows(self, values: Array, size: int) -> Array:
+        """Values at these times, of B or one for all, (1 or B, N, 3): (B, K, 3)."""
+        found: Array = values[:, self.row]
+        if self.between:
+            found = (1.0 - self.share) * found + self.share * values[:, self.row + 1]
+        return found if len(found) == size else np.broadcast_to(found, (size, *found.shape[1:]))
 
 
 def check_robot(robot: Robot, policy: Policy) -> None:

@@ -173,7 +173,7 @@ _DAMP = Td3Settings(
     steps=400_000, environments=256, gradient_steps=24, random_steps=0, discount=0.98,
     actor_rate=5e-4, critic_rate=1e-3, rate_end=0.05, hidden=(128, 128), activation="silu",
     critics=1, target_rate=0.02, target_noise=0.05,
-    exploration=ExplorationSettings(start=0.4, end=0.1), critic_first=1000, quiet_start=True,
+    exploration=ExplorationSettings(start=0.2, end=0.01), critic_first=1000, quiet_start=True,
 )  # fmt: skip
 
 PRESETS = {
@@ -241,6 +241,8 @@ PRESETS = {
                         reach=1.5,
                         share=0.4,
                         feedforward=True,
+                        correction=2.0,
+                        correction_memory=6.0,
                         reward=RewardSettings(terms=("tracking", "effort", "jerk"), effort=0.1),
                         moving=MovingSettings(cables="particles"),  # fast modes count, too
                         lost=0.5,

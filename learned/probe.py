@@ -96,6 +96,10 @@ def _looks(robot: Robot, previews: int, actions: int, rng: np.random.Generator) 
         preview=inside(previews),
         last_action=rng.uniform(-1.0, 1.0, (count, actions)),
         mean_error=0.1 * later.standard_normal((count, 3)),
+        lasting_error=0.1 * later.standard_normal((count, 3)),
+        due=position + 0.1 * later.standard_normal((count, 3)),
+        due_velocity=0.3 * later.standard_normal((count, 3)),
+        aimed_acceleration=later.standard_normal((count, 3)),
     )
     rest = empty_look(robot, previews, actions)
     both = {

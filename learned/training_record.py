@@ -19,7 +19,7 @@ UNKNOWN = "unknown"  # commit of code that is not under git
 HISTORY = ("commit", "commits", "started_from")  # beside the settings; the first in older files
 # Fields that came later, with what trainings did before.
 LATER: tuple[tuple[tuple[str, ...], dict[str, float]], ...] = (
-    (("environment",), {"memory": 1.0}),
+    (("environment",), {"memory": 1.0, "correction": 0.0, "correction_memory": 4.0}),
     (("environment", "reward"), {"tracking_scale": 0.1, "slack": 0.0, "reserve": 0.0, "jerk": 3.0}),
     (("environment", "units"), {"acceleration": 1.0}),
     (("td3",), {"target_rate": 0.005}),
@@ -27,7 +27,8 @@ LATER: tuple[tuple[tuple[str, ...], dict[str, float]], ...] = (
 SHARED = (  # with the stage that a later one starts from
     ("preset",), ("robot_digest",), ("seed",),
     ("environment", "observation"), ("environment", "preview"), ("environment", "units"),
-    ("environment", "action"), ("environment", "memory"),
+    ("environment", "action"), ("environment", "memory"), ("environment", "correction"),
+    ("environment", "correction_memory"),
     ("td3", "hidden"), ("td3", "activation"), ("td3", "critic"), ("td3", "critics"),
 )  # fmt: skip
 

@@ -8,7 +8,7 @@ from carosac_toolkit.physics import statics
 from learned.actions import Absolute, Push
 from learned.environment import empty_look
 from learned.length_map import LengthMap
-from learned.observation import Scales
+from learned.observation import Scales, fading
 from learned.worlds import SettledWorlds
 from tests.robots import simple_robot
 
@@ -79,14 +79,41 @@ def test_a_push_holds_the_platform_against_its_inertia(push, acceleration):
 
 def test_feedforward_is_the_push_of_the_target():
     look = empty_look(ROBOT, 0, 3)
-    moving = replace(look, target_acceleration=np.array([[0.5, -0.4, 0.3]]))
+    moving = replace(look, aimed_acceleration=np.array([[0.5, -0.4, 0.3]]))
     with_it = Push(ROBOT, 2.0, feedforward=True)
     without = Push(ROBOT, 2.0)
     none = np.zeros((1, 3))
     np.testing.assert_allclose(
-        with_it.lengths(none, moving), without.lengths(moving.target_acceleration / 2.0, look)
+        with_it.lengths(none, moving), without.lengths(moving.aimed_acceleration / 2.0, look)
     )
     np.testing.assert_array_equal(without.lengths(none, moving), without.lengths(none, look))
+
+
+def test_a_correction_moves_the_target_against_what_lasts():
+    look = empty_look(ROBOT, 0, 3)
+    error = np.array([[0.02, -0.01, 0.005]])
+    off = replace(look, lasting_error=error)
+    moved = replace(look, target=look.target - 2.0 * error)
+    none, plain = np.zeros((1, 3)), Push(ROBOT, 2.0)
+    found = Push(ROBOT, 2.0, correction=2.0).lengths(none, off)
+    np.testing.assert_allclose(found, plain.lengths(none, moved), atol=1e-12)
+    np.testing.assert_array_equal(plain.lengths(none, off), plain.lengths(none, look))
+
+
+def test_what_a_plant_lies_off_by_goes_down_to_its_share():
+    """With a gain K of the mean error the rest is 1 / (1 + K) of what it would be, in the end."""
+    plant = replace(ROBOT, exit_points=ROBOT.exit_points + np.array([0.03, -0.02, 0.01]))
+    look = empty_look(ROBOT, 0, 3)
+    rest = {}
+    for gain in (0.0, 2.0):
+        push, lasting = Push(ROBOT, 2.0, correction=gain), np.zeros((1, 3))
+        for _ in range(400):
+            lengths = push.lengths(np.zeros((1, 3)), replace(look, lasting_error=lasting))
+            error = statics.forward_kinematics(plant, lengths).position - look.target
+            lasting = fading(lasting, error, 0.1, 4.0)
+        rest[gain] = error[0]
+    np.testing.assert_allclose(rest[0.0], [0.03, -0.02, 0.01], atol=3e-3)
+    np.testing.assert_allclose(rest[2.0], rest[0.0] / 3.0, atol=1e-3)
 
 
 def test_a_moving_target_is_led(push):

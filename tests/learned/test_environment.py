@@ -190,6 +190,57 @@ def test_previews_are_later_targets_and_the_end_counts_on():
     np.testing.assert_allclose(observation[:, where], expected, atol=1e-12)
 
 
+def test_errors_are_against_where_it_should_be_now():
+    """Not against where it shall be a step later: at 2 m/s these are centimetres apart."""
+    settings = replace(REALTIME, observation=("error", "velocity_error"), preview=())
+    environment = made(settings, size=2, seed=3)
+    environment.reset()
+    for k in range(1, 4):
+        result = environment.step(np.zeros((2, 3)))
+        reached = result.reached
+        due = np.stack([path.position[k] for path in environment.paths])
+        speed = np.stack([path.velocity[k] for path in environment.paths])
+        error = (reached.position + reached.position_bias - due) / 0.1
+        against = (reached.twist[:, :3] - speed) / 0.3
+        if not result.truncated.any():
+            expected = np.concatenate([error, against], axis=1)
+            np.testing.assert_allclose(result.observation, expected, atol=1e-12)
+
+
+def test_feedforward_is_of_when_the_lengths_have_arrived():
+    robot = simple_robot()
+    settings = replace(REALTIME, path=replace(REALTIME.path, steps=8))
+    environment = made(settings, size=2, seed=3, robot=robot)
+    environment.reset()
+    reached = environment.step(np.zeros((2, 3))).reached
+    after = 1.0 + float(robot.winch_lag.mean()) / 0.05 - 0.5  # [steps] after now, at step 1
+    row, share = divmod(1.0 + after, 1.0)
+    for path, found in zip(
+        environment.paths, environment._look(reached).aimed_acceleration, strict=True
+    ):
+        expected = (1.0 - share) * path.acceleration[int(row)]
+        expected += share * path.acceleration[int(row) + 1]
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_what_lasts_has_a_memory_of_its_own():
+    settings = replace(REALTIME, correction=1.0, correction_memory=0.5)
+    environment = made(replace(settings, path=replace(settings.path, steps=9)), size=2, seed=3)
+    where = slices(REALTIME.observation, 4, 2, 3)["error"]
+    errors = [environment.reset()[:, where] * 0.1]
+    for _ in range(5):
+        errors.append(environment.step(np.zeros((2, 3))).observation[:, where] * 0.1)
+    expected = np.zeros((2, 3))
+    for error in errors:
+        expected += (1.0 - np.exp(-0.05 / 0.5)) * (error - expected)
+    found = environment.state()["lasting_error"]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    again = made(environment.settings, size=2, seed=8)
+    again.reset()
+    again.restore(environment.state())
+    np.testing.assert_array_equal(again.state()["lasting_error"], found)
+
+
 def test_past_errors_are_seen_and_fade():
     memory = 0.2
     environment = made(replace(REALTIME, memory=memory), size=2, seed=3)
@@ -234,9 +285,9 @@ def test_a_biased_belief_is_seen_and_the_truth_is_rewarded():
     observation = environment.reset()
     state = environment.state()
     reached = state["reached"]
-    target = np.stack([path.position[1] for path in state["paths"]])
+    due = np.stack([path.position[0] for path in state["paths"]])
     believed = reached.position + reached.position_bias
-    np.testing.assert_allclose(observation[:, :3], (believed - target) / 0.1, atol=1e-12)
+    np.testing.assert_allclose(observation[:, :3], (believed - due) / 0.1, atol=1e-12)
     result = environment.step(np.zeros((3, 3)))
     np.testing.assert_array_equal(result.transition.position, result.reached.position)
     velocity = np.stack([path.velocity[1] for path in state["paths"]])
@@ -315,6 +366,9 @@ def test_a_step_before_the_reset_is_refused():
         ({"observation": ("preview",), "preview": (0,)}, r"preview\[0\]: got 0"),
         ({"observation": ("target", "mean_error")}, "parts without 'mean_error' where"),
         ({"memory": 0.0}, "memory: got 0.0 s"),
+        ({"correction_memory": -1.0}, "correction_memory: got -1.0 s"),
+        ({"correction": -1.0}, "correction: got -1.0"),
+        ({"correction": 1.0}, "correction: got 1.0; allowed: 0, but with action 'push'"),
         ({"reach": 0.0}, "reach: got 0.0 m/s"),
     ],
 )

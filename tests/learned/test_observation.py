@@ -44,7 +44,8 @@ def test_each_part_says_what_its_name_says():
     turned = Rotation.from_rotvec([0.03, 0.0, 0.7]).as_matrix()[None]
     look = replace(
         empty_look(robot, 2, 4), rotation=turned, twist=np.array([[0.1, 0.2, 0.3, 4.0, 5.0, 6.0]]),
-        target=robot.home_position[None] + [[0.2, 0.0, -0.1]], target_velocity=np.full((1, 3), 0.5),
+        due=robot.home_position[None] + [[0.2, 0.0, -0.1]], due_velocity=np.full((1, 3), 0.5),
+        target=robot.home_position[None] + [[0.3, 0.0, -0.2]], target_velocity=np.full((1, 3), 0.7),
         target_acceleration=np.array([[1.0, -2.0, 3.0]]),
         last_action=np.array([[0.1, -0.2, 0.3, -0.4]]), mean_error=np.array([[0.02, 0.0, -0.1]]),
     )  # fmt: skip

@@ -31,6 +31,7 @@ REALTIME = EnvironmentSettings(
     world="realtime",
     observation=(
         "error",
+        "velocity_error",
         "velocity",
         "tilt",
         "turn",
@@ -41,6 +42,8 @@ REALTIME = EnvironmentSettings(
     ),
     preview=(2, 5),
     action="push",
+    correction=2.0,
+    correction_memory=1.0,
     reward=RewardSettings(terms=("tracking",)),
     path=PathSettings(kind="minimum_snap", speed=(1.0, 1.0), period=0.05, steps=20),
 )

@@ -56,12 +56,15 @@ def test_the_history_of_a_training_is_none_of_its_settings(tmp_path):
 def test_fields_that_came_later_make_no_other_training(tmp_path):
     reward, units = asdict(RewardSettings()), asdict(Units())
     environment = {"world": "no_sag", "reward": reward, "units": units, "memory": 1.0}
+    environment |= {"correction": 0.0, "correction_memory": 4.0}
     asked = ASKED | {"environment": environment}
     asked = json.loads(json.dumps(asked))
     older = json.loads(json.dumps(asked))
     for name in ("tracking_scale", "slack", "reserve", "jerk"):
         del older["environment"]["reward"][name]
-    del older["environment"]["units"]["acceleration"], older["environment"]["memory"]
+    del older["environment"]["units"]["acceleration"]
+    for name in ("memory", "correction", "correction_memory"):
+        del older["environment"][name]
     del older["td3"]["target_rate"]
     TrainingRecord(settings=older, commits=("aaa",)).write(tmp_path)
     assert check_settings(asked, tmp_path) is not None
