@@ -275,7 +275,7 @@ def real_time(mine: Sequence[Training], _: Sequence[Training]) -> str:
         f"Real time, {PATHS['realtime']} whole minimum-snap paths of up to 2.08 m/s and 2 m/s^2, "
         f"and a second of rest, cables of particles, plants and wind of `nominal-1`, seed {SEED}. "
         "Three numbers are of the policy, of inverse kinematics that also pushes for the "
-        "acceleration of the reference (what `residual` starts from) and of catenary inverse "
-        "kinematics, on the same plants, paths, wind and errors of the belief.\n\n"
+        "acceleration of the reference (where `residual` starts, but for its correction) and of "
+        "catenary inverse kinematics, on the same plants, paths, wind and errors of the belief.\n\n"
         + table(header, rows)
     )
