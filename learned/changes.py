@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -15,6 +16,7 @@ from learned.presets import Stage
 
 SET, VARY = "--set", "--vary"
 PARTS = ("td3", "environment")  # of a stage
+LONGEST = 90  # characters of a label
 
 Changes = Mapping[str, Any]
 """Values as JSON has them, by path: ``td3.FIELD``, ``environment.FIELD`` or one of these behind the
@@ -26,7 +28,7 @@ def read_changes(texts: Sequence[str], stages: Sequence[str]) -> dict[str, Any]:
 
     Args:
         texts: One change each.
-        stages: Names of those that are trained.
+        stages: Names of all stages of the preset.
 
     Raises:
         InvalidField: A text of another form, or a path twice.
@@ -47,7 +49,7 @@ def read_variations(
 
     Args:
         texts: One path each.
-        stages: Names of the stages that are trained.
+        stages: Names of all stages of the preset.
         fixed: What is changed in all of them.
 
     Returns:
@@ -99,8 +101,30 @@ def changed(name: str, stage: Stage, changes: Changes) -> Stage:
 
 
 def label_of(changes: Changes) -> str:
-    """Changes in short, for names of folders, in no order but that of their paths."""
-    return "_".join(f"{_short(path)}={_plain(value)}" for path, value in sorted(changes.items()))
+    """Changes in short, for names of folders, in no order but that of their paths.
+
+    What would be too long for a file system ends in a digest of all of it.
+    """
+    label = "_".join(f"{_short(path)}={_plain(value)}" for path, value in sorted(changes.items()))
+    if len(label) <= LONGEST:
+        return label
+    return f"{label[: LONGEST - 9]}-{hashlib.sha256(label.encode()).hexdigest()[:8]}"
+
+
+def concerned(stage: str, stages: Sequence[str], changes: Changes) -> dict[str, Any]:
+    """The changes that a stage depends on: its own, and those of stages before it.
+
+    Args:
+        stage: Its name.
+        stages: All of the preset, in their order.
+        changes: Of any stages.
+    """
+    until = stages[: stages.index(stage) + 1]
+    return {
+        path: value
+        for path, value in changes.items()
+        if path.split(".")[0] in PARTS or path.split(".")[0] in until
+    }
 
 
 def _read(option: str, text: str, stages: Sequence[str]) -> tuple[str, Any]:
@@ -125,12 +149,14 @@ def _short(path: str) -> str:
 
 def _plain(value: Any) -> str:
     """A value in letters that every file system has."""
-    text = json.dumps(value, separators=(",", ":")).replace(",", "+")
+    text = json.dumps(value, separators=(",", ":"), sort_keys=True).replace(",", "+")
     return re.sub(r"[^A-Za-z0-9_.+-]", "", text)
 
 
 def _with_tuples(value: Any) -> Any:
-    """Lists of JSON as tuples, at any depth."""
+    """A copy of a JSON value with its lists as tuples, at any depth."""
     if isinstance(value, list):
         return tuple(_with_tuples(item) for item in value)
+    if isinstance(value, dict):
+        return {name: _with_tuples(item) for name, item in value.items()}
     return value

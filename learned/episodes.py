@@ -17,6 +17,7 @@ from carosac_toolkit.trajectories import Trajectory, random_minimum_snap, random
 
 ATTEMPTS = 100  # to draw a feasible path
 SCATTER = "scatter"
+AHEAD = 1.0  # [s] of a path that are known beyond the end of an episode, as when driving
 
 Feasible = Callable[[Array], NDArray[np.bool_]]
 
@@ -67,15 +68,21 @@ class Path:
         position: In W [m], shape (steps + 1, 3).
         velocity: [m/s], shape (steps + 1, 3); zero for set-points.
         acceleration: [m/s^2], shape (steps + 1, 3); zero for set-points.
+        later: Position, velocity and acceleration after that, of a path that goes on beyond the
+            episode, shape (K, 3, 3); None: it rests.
     """
 
     position: Array
     velocity: Array
     acceleration: Array
+    later: Array | None = None
 
     def rows(self, index: int) -> Array:
-        """Position, velocity and acceleration at a step, shape (3, 3); it rests after the last."""
+        """Position, velocity and acceleration at a step, shape (3, 3); it rests in the end."""
         last = len(self.position) - 1
+        if self.later is not None and last < index <= last + len(self.later):
+            found: Array = self.later[index - last - 1]
+            return found
         if index > last:
             return np.stack([self.position[last], np.zeros(3), np.zeros(3)])
         return np.stack([self.position[index], self.velocity[index], self.acceleration[index]])
@@ -157,8 +164,14 @@ def sampled(trajectory: Trajectory, settings: PathSettings) -> Path:
         position = trajectory.sample(times).position
         still = np.zeros_like(position)
         return Path(position=position, velocity=still, acceleration=still)
-    found = trajectory.sample(settings.period * np.arange(settings.steps + 1))
-    return Path(position=found.position, velocity=found.velocity, acceleration=found.acceleration)
+    count = settings.steps + 1
+    ahead = int(np.ceil(AHEAD / settings.period))
+    found = trajectory.sample(settings.period * np.arange(count + ahead))
+    every = np.stack([found.position, found.velocity, found.acceleration], axis=1)
+    position, velocity, acceleration = (every[:count, k] for k in range(3))
+    return Path(
+        position=position, velocity=velocity, acceleration=acceleration, later=every[count:]
+    )
 
 
 def _draw(robot: Robot, settings: PathSettings, rng: np.random.Generator) -> Trajectory:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.perturbations import find_condition
 from carosac_toolkit.physics import statics
 from carosac_toolkit.robot import Robot
 from learned.worlds import Reached
@@ -42,6 +43,7 @@ class MovingSettings:
         for name in ("position_bias", "length_bias", "start_speed"):
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise InvalidField(name, getattr(self, name), ">= 0, finite")
+        find_condition(self.perturbation)
 
 
 class MovingWorlds:

@@ -69,6 +69,10 @@ class Td3Settings:
         whole = ("steps", "environments", "gradient_steps", "batch_size", "buffer_size", "critics")
         for name in whole:
             check_whole(name, getattr(self, name), 1)
+        for k, size in enumerate(self.hidden):
+            check_whole(f"hidden[{k}]", size, 1)
+        if not self.hidden:
+            raise InvalidField("hidden", self.hidden, "one layer or more")
         check_whole("random_steps", self.random_steps, 0, self.steps - 1)
         check_whole("critic_first", self.critic_first, 0)
         check_fields(self, positive=("actor_rate", "critic_rate"), not_negative=("target_noise",))

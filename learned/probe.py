@@ -38,6 +38,8 @@ def make_probe(robot: Robot, settings: EnvironmentSettings) -> dict[str, list[li
     actions = make_actions(robot, settings, scales)
     rng = np.random.default_rng(SEED)
     look = _looks(robot, len(settings.preview), actions.size, rng)
+    if settings.path.period is None:  # of set-points the target is due
+        look = replace(look, due=look.target, due_velocity=look.target_velocity)
     action = rng.uniform(-1.0, 1.0, (LOOKS, actions.size))
     found = {
         "observation": observe(settings.observation, look, scales),

@@ -54,6 +54,7 @@ class Job:
     Attributes:
         robot: The nominal robot.
         preset: Name of the preset.
+        changes: What is changed in it, in short, for this stage or those before it.
         stage_name: Name of the stage.
         stage: Its settings.
         seed: Of everything random.
@@ -66,12 +67,19 @@ class Job:
     stage: Stage
     seed: int = 0
     start: Path | None = None
+    changes: str = ""
+
+    @property
+    def name(self) -> str:
+        """The preset, and what is changed in it."""
+        return f"{self.preset}-{self.changes}" if self.changes else self.preset
 
     def settings(self) -> dict[str, Any]:
         """All settings as JSON holds them."""
         start = None if self.start is None else f"{self.start.parent.name}/{self.start.name}"
         return {
-            "preset": self.preset, "stage": self.stage_name, "robot": self.robot.name,
+            "preset": self.preset, "changes": self.changes, "stage": self.stage_name,
+            "robot": self.robot.name,
             "robot_digest": digest(getattr(self.robot, f.name) for f in fields(self.robot)),
             "seed": self.seed, "start": start,
             "environment": asdict(self.stage.environment), "td3": asdict(self.stage.td3),
@@ -222,7 +230,7 @@ class _Run:
 
         job, last = self.job, self.rows[-1]
         description = PolicyDescription(
-            preset=job.preset, robot=job.robot, observation=job.stage.environment.observation,
+            preset=job.name, robot=job.robot, observation=job.stage.environment.observation,
             action=job.stage.environment.action, period=job.stage.environment.path.period,
             settings=self.record.data(), seed=job.seed, steps=self.model.num_timesteps,
             commit=self.record.commit, scores={k: v for k, v in last.items() if np.isfinite(v)},

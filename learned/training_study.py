@@ -19,12 +19,13 @@ from carosac_toolkit.robot import Robot
 from carosac_toolkit.studies import Case, Row, run_cases
 from carosac_toolkit.studies.cluster import usable_cores
 from carosac_toolkit.studies.folder import free_folder
+from carosac_toolkit.studies.parts import drop_rows
 from carosac_toolkit.studies.rows import STATUSES
 from carosac_toolkit.studies.run_case import digest_of, robot_digest, robot_of
-from learned.changes import changed, label_of
+from learned.changes import changed, concerned, label_of
 from learned.curve import COLUMNS, CURVE, read_curve
 from learned.presets import Stage, find_preset
-from learned.training import CHECKPOINT, Job, train
+from learned.training import CHECKPOINT, POLICY, Job, train
 
 FUNCTION = "learned.training_study:train_case"
 NONE = "none"  # of what a case of a study has and a training has not
@@ -86,13 +87,15 @@ class Training:
             InvalidField: A change or a number of steps that is not allowed.
         """
         order = list(find_preset(self.preset).stages)
+        changes = {**self.fixed, **self.varied}
         jobs = []
         for name, stage in self.settings().items():
             before = order[: order.index(name)]
             jobs.append(
                 Job(
                     robot=robot,
-                    preset=self.name,
+                    preset=self.preset,
+                    changes=label_of(concerned(name, order, changes)),
                     stage_name=name,
                     stage=stage,
                     seed=self.seed,
@@ -108,6 +111,9 @@ class Training:
             InvalidField: A change or a number of steps that is not allowed.
         """
         preset, found = find_preset(self.preset), {}
+        for path in {**self.fixed, **self.varied}:
+            if self.steps is not None and path.endswith("td3.steps"):
+                raise InvalidField("--steps", self.steps, f"nothing beside {path}")
         for name in self.stages:
             stage = changed(name, preset.stages[name], {**self.fixed, **self.varied})
             found[name] = stage if self.steps is None else shortened(stage, self.steps)
@@ -164,11 +170,18 @@ class TrainingStudy:
         """
         if workers is None and scheduler is None:
             workers = usable_cores()
+        gone = {x.case().identity for x in self.trainings if not self._has_policies(x)}
+        drop_rows(self.folder, gone, ("ok",))
         return run_cases(
             [training.case() for training in self.trainings], FUNCTION, folder=self.folder,
             scheduler=scheduler, workers=workers, timeout=TIME_LIMIT, retry=AGAIN, own_files=True,
             share=self.share, progress=progress,
         )  # fmt: skip
+
+    def _has_policies(self, training: Training) -> bool:
+        """Whether all policies of a training are there; who removes one wants it trained again."""
+        place = self.folder / training.place
+        return all((place / stage / POLICY).is_file() for stage in training.stages)
 
     def share(self) -> float:
         """How much of all environment steps is done, 0 to 1."""

@@ -19,7 +19,7 @@ MARKS: Mapping[str, SourceKind] = {  # a file that tells what a folder is
     "scores.npz": "evaluation",
     "curve.csv": "training",
 }
-DEPTH = 4  # folders below one that was named
+DEPTH = 6  # folders below one that was named
 
 
 @dataclass(frozen=True, kw_only=True)

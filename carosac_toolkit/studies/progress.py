@@ -80,7 +80,7 @@ class Progress:
             share = self._share()
             new, left = share - self._share_before, 1.0 - share
             text += f", {100.0 * share:.0f} %"
-        if left > 0.0 and new > 0.0:
+        if self.finished < self._total and left > 0.0 and new > 0.0:
             text += f", {_clock(elapsed / new * left)} to go"
         bad = [f"{self._counts[name]} {name.replace('_', ' ')}" for name in STATUSES[1:]
                if self._counts[name]]  # fmt: skip

@@ -73,9 +73,9 @@ class Options(CommonOptions):
 def run(options: Options) -> CommandResult:
     """Train the stages, once or many times."""
     preset = find_preset(options.preset)
-    names = _stages(preset, options.stage)
-    fixed = read_changes(options.settings, names)
-    variations = read_variations(options.vary, names, fixed)
+    names, every = _stages(preset, options.stage), list(preset.stages)
+    fixed = read_changes(options.settings, every)
+    variations = read_variations(options.vary, every, fixed)
     if options.steps is not None:
         check_whole("--steps", options.steps, 1)
     if options.seeds is not None:
@@ -129,6 +129,8 @@ def _train_all(options: Options, preset: Preset, trainings: list[Training]) -> C
     if options.output is None:
         base = FOLDER / _name(options, trainings[0], robot.name, "study")
         study = free_study(base, trainings)
+        if study.folder != base:
+            print(wrapped(f"{base} holds other trainings, so these go elsewhere", terminal_width()))
     else:
         study = TrainingStudy(trainings=tuple(trainings), folder=options.output)
     check_folder("--output", study.folder)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MM = 1e3
+LABEL = 36  # characters of a line
 HALF = 0.3  # of the mark of a median, in rows
 WIDE = 8.0  # ratio of errors from which their axis is logarithmic
 
@@ -31,7 +33,8 @@ def sweep(errors: Mapping[str, ArrayLike], path: str | Path) -> Figure:
     """
     if not errors:
         raise InvalidField("errors", "none", "at least one variation")
-    figure = new_figure(8.0, 1.4 + 0.42 * len(errors))
+    lines = sum(max(1, -(-len(name) // LABEL)) for name in errors)
+    figure = new_figure(8.0, 1.4 + 0.1 * len(errors) + 0.32 * lines)
     axes = figure.subplots()
     found = {name: MM * batch(name, values, ()) for name, values in errors.items()}
     for k, values in enumerate(found.values()):
@@ -44,7 +47,8 @@ def sweep(errors: Mapping[str, ArrayLike], path: str | Path) -> Figure:
         axes.set_xscale("log")
     else:
         axes.set_xlim(left=0.0)
-    axes.set_yticks(range(len(found)), list(found))
+    labels = [textwrap.fill(name, LABEL) for name in found]
+    axes.set_yticks(range(len(found)), labels)
     axes.set_ylim(len(found) - 0.5, -0.5)
     axes.set_xlabel("median position error after training [mm]")
     axes.grid(alpha=0.25, axis="x")

@@ -12,6 +12,7 @@ from carosac_toolkit.cli.main import main
 from learned import training_study
 from learned.commands.train import _report
 from learned.curve import COLUMNS
+from learned.policy_file import Policy
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +88,9 @@ def test_seeds_and_variations_are_a_study(tmp_path, monkeypatch, capsys):
         assert stage["steps"] >= 300
         settings = json.loads((tmp_path / training["folder"] / "no_sag/settings.json").read_text())
         assert settings["td3"]["target_rate"] == training["varied"]["td3.target_rate"]
-        assert settings["preset"].startswith(name + "-target_rate=")
+        assert settings["preset"] == "carosac"
+        rate = training["varied"]["td3.target_rate"]
+        assert settings["changes"] == f"path.steps=2_target_rate={rate}"
     names = {Path(picture).name for picture in data["pictures"]}
     assert names == {"curves-no-sag.png", "sweep-no-sag.png"}
     assert all((tmp_path / picture).is_file() for picture in data["pictures"])
@@ -110,7 +113,23 @@ def test_one_setting_changes_a_single_training(tmp_path, capsys):
     assert main([*words, "--output", str(tmp_path)]) == 0
     settings = json.loads((tmp_path / "no_sag" / "settings.json").read_text())
     assert settings["td3"]["hidden"] == [16, 16]
-    assert settings["preset"] == "carosac-hidden=16+16"
+    assert (settings["preset"], settings["changes"]) == ("carosac", "hidden=16+16")
+    about = Policy.load(tmp_path / "no_sag" / "policy.onnx").description
+    assert about.preset == "carosac-hidden=16+16"
+
+
+def test_a_later_stage_may_be_changed_alone(tmp_path, capsys):
+    words = ["train", "--steps", "300", "--output", str(tmp_path)]
+    assert main([*words, "--stage", "no-sag"]) == 0
+    assert main([*words, "--stage", "sag", "--set", "sag.td3.rate_end=0.5"]) == 0
+    settings = json.loads((tmp_path / "sag" / "settings.json").read_text())
+    assert settings["changes"] == "sag.rate_end=0.5"
+    assert settings["started_from"]["checkpoint"] == "no_sag/checkpoint.pt"
+
+
+def test_steps_are_said_once(capsys):
+    assert main(["train", "--steps", "300", "--set", "td3.steps=400"]) == 2
+    assert "--steps: got 300; allowed: nothing beside td3.steps" in capsys.readouterr().err
 
 
 def test_a_folder_of_another_training_is_refused(trained, capsys):
@@ -140,6 +159,8 @@ def test_evaluation_says_errors_beside_inconsistency(trained, capsys):
         (["train", "--workers", "2"], "--workers: got 2; allowed: nothing without --seeds"),
         (["train", "--set", "steps=2"], "--set: got 'steps=2'"),
         (["train", "--set", "td3.step=2"], "no_sag.td3.step: got 2"),
+        (["train", "--set", "td3.hidden=[0]"], "hidden[0]: got 0"),
+        (["train", "--set", "environment.moving.perturbation=x"], "perturbation: got 'x'"),
         (["train", "--vary", "td3.critics=2"], "--vary: got 'td3.critics=2'"),
         (["train", "--seeds", "2", "--set", "sag.td3.rate_end=2"], "rate_end: got 2"),
         (["train", "--seeds", "2", "--stage", "sag"], "--stage: got"),

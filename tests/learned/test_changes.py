@@ -1,7 +1,9 @@
+import json
+
 import pytest
 
 from carosac_toolkit.errors import InvalidField
-from learned.changes import changed, label_of, read_changes, read_variations
+from learned.changes import changed, concerned, label_of, read_changes, read_variations
 from learned.presets import find_preset
 
 STAGES = ("no_sag", "sag")
@@ -35,6 +37,17 @@ def test_lists_become_what_the_settings_have():
 def test_settings_inside_settings_are_a_value_too():
     changes = read_changes(['td3.exploration={"start": 0.3, "end": 0.1}'], STAGES)
     assert changed("no_sag", stage(), changes).td3.exploration.start == 0.3
+    part = {"environment.path": {"speed": [1.0, 2.0]}, "environment.path.steps": 7}
+    kept = json.loads(json.dumps(part))
+    found = changed("no_sag", stage(), part).environment.path
+    assert (found.speed, found.steps) == ((1.0, 2.0), 7)
+    assert part == kept  # what was asked stays as it was
+
+
+def test_a_stage_depends_on_its_own_changes_and_those_before():
+    changes = {"td3.critics": 1, "no_sag.td3.steps": 7, "sag.td3.rate_end": 0.5}
+    assert concerned("sag", STAGES, changes) == changes
+    assert list(concerned("no_sag", STAGES, changes)) == ["td3.critics", "no_sag.td3.steps"]
 
 
 @pytest.mark.parametrize(
@@ -102,4 +115,11 @@ def test_labels_are_short_and_fit_for_folders():
     assert label_of(changes) == "path.kind=scatter_sag.rate_end=0.5"
     assert label_of(dict(reversed(changes.items()))) == label_of(changes)
     assert label_of({"td3.exploration": {"start": 0.4}}) == "exploration=start0.4"
+    nested = {"td3.exploration": {"start": 0.3, "end": 0.1}}
+    turned = {"td3.exploration": {"end": 0.1, "start": 0.3}}
+    assert label_of(nested) == label_of(turned) == "exploration=end0.1+start0.3"
+    long = {"environment.observation": ["part"] * 40}
+    longer = {"environment.observation": ["part"] * 41}
+    assert len(label_of(long)) == 90
+    assert label_of(long) != label_of(longer)
     assert "/" not in label_of({"environment.moving.condition": "../x/y"})

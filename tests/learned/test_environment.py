@@ -180,12 +180,14 @@ def test_observations_show_what_was_asked_for_where_it_led_and_the_next_target()
     )
 
 
-def test_previews_are_later_targets_and_the_end_counts_on():
+def test_previews_are_later_targets_also_beyond_the_episode():
     environment = made(REALTIME)
     observation = environment.reset()
     where = slices(REALTIME.observation, 4, 2, 3)["preview"]
     paths = environment.paths
-    steps = np.stack([path.position[[1, 3, 4]] for path in paths])  # 5 ahead of 1: past the end, 4
+    steps = np.stack(  # 5 ahead of 1: the path goes on beyond its last step, 4
+        [[path.position[1], path.position[3], path.later[1, 0]] for path in paths]
+    )
     expected = (steps[:, 1:] - steps[:, :1]).reshape(3, 6) / 0.5
     np.testing.assert_allclose(observation[:, where], expected, atol=1e-12)
 
@@ -235,6 +237,11 @@ def test_what_lasts_has_a_memory_of_its_own():
         expected += (1.0 - np.exp(-0.05 / 0.5)) * (error - expected)
     found = environment.state()["lasting_error"]
     np.testing.assert_allclose(found, expected, atol=1e-12)
+    for _ in range(4):  # to the end of the episode: the next one begins with its first error alone
+        begun = environment.step(np.zeros((2, 3))).observation[:, where] * 0.1
+    fresh = (1.0 - np.exp(-0.05 / 0.5)) * begun
+    np.testing.assert_allclose(environment.state()["lasting_error"], fresh, atol=1e-12)
+    found = environment.state()["lasting_error"]
     again = made(environment.settings, size=2, seed=8)
     again.reset()
     again.restore(environment.state())

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -50,8 +52,15 @@ def test_set_points_go_from_the_start_to_the_end_of_the_curve_and_stand_still():
     np.testing.assert_array_equal(timed.acceleration, 2.0)
 
 
+def test_a_path_goes_on_beyond_the_episode():
+    long = drawn(PathSettings(period=0.05, steps=30))
+    short = drawn(PathSettings(period=0.05, steps=10))
+    for k in (10, 11, 30):
+        np.testing.assert_allclose(short.rows(k), long.rows(k), atol=1e-12)
+
+
 def test_after_its_end_a_path_rests_on_its_last_target():
-    path = drawn(PathSettings(period=0.05, steps=10))
+    path = replace(drawn(PathSettings(period=0.05, steps=10)), later=None)
     position, velocity, acceleration = path.rows(10)
     beyond, *still = path.rows(14)
     np.testing.assert_array_equal(position, path.position[10])

@@ -42,6 +42,7 @@ REALTIME = EnvironmentSettings(
     ),
     preview=(2, 5),
     action="push",
+    feedforward=True,
     correction=2.0,
     correction_memory=1.0,
     reward=RewardSettings(terms=("tracking",)),
@@ -82,19 +83,23 @@ def test_driving_gives_the_lengths_of_training(tmp_path):
     path = trajectories.random_minimum_snap(
         robot, np.random.default_rng(1), speed_max=1.0, acceleration_max=20.0
     )
-    observation = environment.reset([sampled(path, REALTIME.path)])
-    belief = Belief(
-        time=np.zeros(1), position=environment.worlds._reached().position
-        + environment.worlds._position_bias,
-        rotation=environment.worlds._reached().rotation, twist=environment.worlds._reached().twist,
-    )  # fmt: skip
-    controller.reset(belief)
-    for k in range(10):
-        window = path.window(k * controller.period, controller.horizon, controller.period)
-        driven = controller.command(belief, window).unstrained_length
-        result = environment.step(policy.act(observation))
-        np.testing.assert_allclose(driven, result.transition.asked, atol=1e-6)
-        observation, belief = result.observation, belief_of(environment, result)
+    environment._draw = lambda: sampled(path, REALTIME.path)
+    observation = environment.reset([environment._draw()])
+    for _ in range(2):  # the second episode begins where the first one ends
+        belief = Belief(
+            time=np.zeros(1), position=environment.worlds._reached().position
+            + environment.worlds._position_bias,
+            rotation=environment.worlds._reached().rotation,
+            twist=environment.worlds._reached().twist,
+        )  # fmt: skip
+        controller.reset(belief)
+        for k in range(REALTIME.path.steps):  # the path goes on beyond the last one
+            window = path.window(k * controller.period, controller.horizon, controller.period)
+            driven = controller.command(belief, window).unstrained_length
+            result = environment.step(policy.act(observation))
+            np.testing.assert_allclose(driven, result.transition.asked, atol=1e-6)
+            observation, belief = result.observation, belief_of(environment, result)
+        assert result.truncated.all()
 
 
 def test_set_points_are_read_ahead_by_the_lag(tmp_path):

@@ -12,6 +12,7 @@ from tests.robots import simple_robot
 
 SHORT = PathSettings(steps=5)
 SEEN = ("target",)
+ROWS = ("position", "velocity", "acceleration")
 
 
 def made(world="no_sag", size=4):
@@ -143,7 +144,7 @@ def test_scores_of_nothing_but_failures_are_no_numbers():
 
 def cut(path, steps):
     """The start of a path."""
-    return Path(**{name: getattr(path, name)[: steps + 1] for name in Path.__dataclass_fields__})
+    return Path(**{name: getattr(path, name)[: steps + 1] for name in ROWS})
 
 
 def test_each_path_counts_to_its_own_end():
@@ -175,7 +176,7 @@ def test_a_path_longer_than_an_episode_is_refused():
     environment = made(size=1)
     (path,) = paths_of(environment, 1)
     longer = Path(**{
-        name: np.concatenate([getattr(path, name)] * 2) for name in Path.__dataclass_fields__
+        name: np.concatenate([getattr(path, name)] * 2) for name in ROWS
     })  # fmt: skip
     with pytest.raises(InvalidField, match=r"paths\[1\]: got 11 steps; allowed: 5, those of an"):
         score(environment, solver(environment), [path, longer])

@@ -15,7 +15,10 @@ from learned.training_record import (
     read_record,
 )
 
-ASKED = {"preset": "tiny", "seed": 0, "td3": {"steps": 100, "hidden": [8, 8], "target_rate": 0.005}}
+ASKED = {
+    "preset": "tiny", "changes": "", "seed": 0,
+    "td3": {"steps": 100, "hidden": [8, 8], "target_rate": 0.005},
+}  # fmt: skip
 
 
 def test_a_record_is_read_as_it_was_written(tmp_path):
@@ -65,7 +68,7 @@ def test_fields_that_came_later_make_no_other_training(tmp_path):
     del older["environment"]["units"]["acceleration"]
     for name in ("memory", "correction", "correction_memory"):
         del older["environment"][name]
-    del older["td3"]["target_rate"]
+    del older["td3"]["target_rate"], older["changes"]
     TrainingRecord(settings=older, commits=("aaa",)).write(tmp_path)
     assert check_settings(asked, tmp_path) is not None
     asked["environment"]["reward"]["slack"] = 1.0

@@ -1,6 +1,7 @@
 """Trainings as cases of a study: the same policies as alone, whatever happens to processes."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -91,15 +92,26 @@ def test_a_training_goes_on_where_it_failed(studied, tmp_path, monkeypatch):
     assert_same(networks(tmp_path / "seed0"), networks(studied[0].folder / "seed0"))
 
 
+def test_a_training_that_was_removed_is_trained_again(studied, tmp_path):
+    study = TrainingStudy(trainings=some_trainings((0,)), folder=tmp_path)
+    study.run(workers=0, progress=False)
+    shutil.rmtree(tmp_path / "seed0")
+    (row,) = study.run(workers=0, progress=False)
+    assert row["status"] == "ok"
+    assert_same(networks(tmp_path / "seed0"), networks(studied[0].folder / "seed0"))
+
+
 def test_a_case_is_the_training_it_stands_for():
-    (training,) = some_trainings((3,), varied={"td3.target_rate": 0.02, "td3.critics": 1})
+    (training,) = some_trainings((3,), varied={
+        "td3.target_rate": 0.02, "td3.critics": 1, "td3.exploration": {"start": 0.2, "end": 0.1}
+    })  # fmt: skip
     case = training.case()
     there = Case.from_dict(json.loads(json.dumps(case.to_dict())))
     assert Training.of_case(there) == training
     assert Training.of_case(there).place == training.place  # whatever the order of changes
-    assert str(training.place) == "critics=1_target_rate=0.02/seed3"
+    assert str(training.place) == "critics=1_exploration=end0.1+start0.2_target_rate=0.02/seed3"
     assert training.name.startswith("carosac-path.steps=20_")
-    assert training.name.endswith("-critics=1_target_rate=0.02")
+    assert training.name.endswith("-critics=1_exploration=end0.1+start0.2_target_rate=0.02")
 
 
 def test_what_is_not_finite_is_left_out(tmp_path, monkeypatch):

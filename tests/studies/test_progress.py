@@ -39,11 +39,11 @@ def test_few_long_cases_tell_how_much_of_them_is_done(monkeypatch):
     bar = Progress(3, rows(0), quiet=False, stream=stream, share=lambda: share[0])
     now[0], share[0] = 60.0, 0.5
     bar.add([])
-    now[0], share[0] = 160.0, 1.0
-    bar.add(rows(3))
+    now[0], share[0] = 160.0, 0.8  # some of the work failed
+    bar.add(rows(3, "failed"))
     assert stream.getvalue().splitlines() == [
         "study: 0/3 cases, 0:01:00, 50 %, 0:01:40 to go",
-        "study: 3/3 cases, 0:02:40, 100 %",
+        "study: 3/3 cases, 0:02:40, 80 %, 3 failed",
     ]
 
 
