@@ -63,10 +63,11 @@ def read_variations(
         path, values = _read(VARY, text, stages)
         if path in axes or path in fixed:
             raise InvalidField(VARY, repr(text), f"each field once, in {SET} or in {VARY}")
-        if not isinstance(values, list) or len({label_of({path: x}) for x in values}) < 2:
-            raise InvalidField(VARY, repr(text), "PATH=[VALUE, VALUE, ...], two or more values")
+        if not isinstance(values, list) or len(values) < 2:
+            allowed = "FIELD=[VALUE, VALUE, ...], a JSON list of two or more values"
+            raise InvalidField(VARY, repr(text), allowed)
         if len({label_of({path: x}) for x in values}) < len(values):
-            raise InvalidField(VARY, repr(text), "values that are told apart by letters and digits")
+            raise InvalidField(VARY, repr(text), "values that differ, in letters and digits")
         axes[path] = values
     return [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
 

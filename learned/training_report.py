@@ -10,7 +10,7 @@ import numpy as np
 
 from carosac_toolkit.studies import Row
 from carosac_toolkit.text_tables import Rows, fit, terminal_width, wrapped
-from learned.curve import COLUMNS
+from learned.curve import COLUMNS, CURVE
 from learned.pictures.sweep import sweep
 from learned.pictures.training import curve_of, learning_curves
 from learned.training import POLICY
@@ -20,7 +20,7 @@ LABEL_SHOWN = 60  # characters of a variation
 SHOWN = (  # column, title, factor to its unit
     ("median_error_m", "median [mm]", 1e3), ("median_of_means_m", "of means [mm]", 1e3),
     ("p95_error_m", "p95 [mm]", 1e3), ("inconsistency_m", "incons. [mm]", 1e3),
-    ("cpu_seconds", "CPU [s]", 1.0),
+    ("failed_paths", "failed paths", 1.0), ("cpu_seconds", "CPU [s]", 1.0),
 )  # fmt: skip
 
 
@@ -47,7 +47,9 @@ def report(study: TrainingStudy, rows: Sequence[Row]) -> dict[str, Any]:
             line = f"{training.place}: {row['status']}: {row['reason']}"
             print(wrapped(line, terminal_width()))
     where = study.folder / _pattern(study)
-    print(f"\npolicies: {where}\npictures: {', '.join(str(file) for file in pictures) or 'none'}")
+    print(f"\npolicies: {where}")
+    for picture in pictures:
+        print(f"picture: {picture}")
     return {
         "trainings": [_data(study, training, row) for training, row in pairs],
         "pictures": pictures,
@@ -90,8 +92,12 @@ def _pictures(
     for members in groups.values():
         places = {training.seed: study.folder / training.place for training, _ in members}
         folders = {seed: place / stage for seed, place in places.items()}
-        found = [curve_of(x, f"seed {seed}") for seed, x in folders.items() if x.is_dir()]
-        curves = [curve for curve in found if curve is not None]
+        curves = []
+        for seed, folder in folders.items():
+            curve = curve_of(folder, f"seed {seed}") if (folder / CURVE).is_file() else None
+            if curve is not None:
+                curves.append(curve)
+                learning_curves([curve], folder / "curve.png")
         if curves:
             made.append(next(iter(places.values())).parent / f"curves-{name}.png")
             learning_curves(curves, made[-1])
@@ -110,7 +116,7 @@ def _data(study: TrainingStudy, training: Training, row: Row) -> dict[str, Any]:
     """One training as data."""
     place = study.folder / training.place
     stages = {
-        stage: {"policy": place / stage / POLICY}
+        stage: {"policy": place / stage / POLICY, "folder": place / stage}
         | {name: row[f"{stage}_{name}"] for name in COLUMNS}
         for stage in training.stages
         if row["status"] == "ok"

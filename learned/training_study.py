@@ -242,5 +242,6 @@ def check_stages(stages: Sequence[str], preset: str) -> None:
     """
     order = list(find_preset(preset).stages)
     if list(stages) != order[: len(stages)]:
-        allowed = f"with several trainings, stages from the first on: {order[0].replace('_', '-')}"
-        raise InvalidField("--stage", repr([x.replace("_", "-") for x in stages]), allowed)
+        first = order[0].replace("_", "-")
+        allowed = f"{first} with it or alone: each training of a study begins with nothing"
+        raise InvalidField("--stage", " ".join(x.replace("_", "-") for x in stages), allowed)

@@ -99,7 +99,7 @@ def _unrecognized(event: Any, options: type, words: list[str]) -> CarosacError:
     token = str(event.tokens[0])
     if not token.startswith("-"):
         return InvalidField("argument", repr(token), f"nothing more; see '{event.prog} --help'")
-    known = ["--help", *(f"--{f.name.replace('_', '-')}" for f in fields(options))]
+    known = ["--help", *(f"--{name.replace('_', '-')}" for name in _names(options))]
     taken = [flag for flag in known if flag not in _positionals(options)]
     close = get_close_matches(token.partition("=")[0], taken, n=1)
     hint = f"; did you mean '{close[0]}'?" if close else ""
@@ -157,6 +157,17 @@ def _written(flag: str, words: list[str]) -> str:
         if word.startswith(f"{flag}="):
             return repr(word.partition("=")[2])
     return "a value"
+
+
+def _names(options: type) -> list[str]:
+    """Names of the options as users write them, but for dashes."""
+    hints = get_type_hints(options, include_extras=True)
+    found = []
+    for field in fields(options):
+        marks = getattr(hints[field.name], "__metadata__", ())
+        given = [mark.name for mark in marks if getattr(mark, "name", None)]
+        found.append(given[0] if given else field.name)
+    return found
 
 
 def _positionals(options: type) -> set[str]:

@@ -178,7 +178,8 @@ def _agree(path: Path, cases: Sequence[Case], function: str) -> None:
                 raise _conflict(path, f"{key} {held[key]}", f"{key} {asked[key]}")
         missing = [x for x in held["cases"] if x[0] not in {y[0] for y in asked["cases"]}]
         if missing:
-            raise _conflict(path, _axes(held, missing), _axes(asked, asked["cases"]))
+            there = f"among its {len(held['cases'])} cases {_axes(held, missing)}"
+            raise _conflict(path, there, _axes(asked, asked["cases"]))
         if held["cases"] == asked["cases"]:
             return
     write_whole(file, lambda out: out.write(json.dumps(asked).encode()))

@@ -106,7 +106,8 @@ def run(options: Options) -> CommandResult:
 
 def _default_folder(description: PolicyDescription, protocol: str) -> Path:
     """Where pictures go that were not sent anywhere."""
-    parts = (description.preset, description.robot.name, f"seed{description.seed}", protocol)
+    trained = f"seed{description.seed}-{description.steps}steps"
+    parts = (description.preset, description.robot.name, trained, protocol)
     return Path("carosac-results") / "evaluate" / "-".join(parts)
 
 

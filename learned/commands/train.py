@@ -24,11 +24,14 @@ from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.number_checks import check_whole
 from carosac_toolkit.report_page import check_folder
 from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.studies.cluster import remote_client
+from carosac_toolkit.studies.folder import MANIFEST
 from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 from learned.changes import read_changes, read_variations
 from learned.curve import CURVE, read_curve
 from learned.presets import Preset, find_preset
 from learned.training import Job, train
+from learned.training_record import SETTINGS
 from learned.training_study import Training, TrainingStudy, check_stages, free_study
 
 FOLDER = Path("carosac-results") / "train"
@@ -80,6 +83,7 @@ def run(options: Options) -> CommandResult:
         check_whole("--steps", options.steps, 1)
     if options.seeds is not None:
         check_whole("--seeds", options.seeds, 1)
+    check_whole("--seed", options.seed, 0)
     first = options.seed
     trainings = [
         Training(preset=preset.name, robot=options.robot, stages=tuple(names), seed=seed,
@@ -110,6 +114,8 @@ def _train_once(options: Options, preset: Preset, training: Training) -> Command
     robot = load_robot(options.robot)
     place = _name(options, training, robot.name, f"seed{options.seed}")
     folder = options.output or FOLDER / place
+    if (folder / MANIFEST).exists():
+        raise InvalidField("--output", f"'{folder}'", "a folder without a study in it")
     jobs = training.jobs(robot, folder)
     print(wrapped(f"{training.name}: {preset.summary}; robot {robot.name}, seed {options.seed}",
                   terminal_width()))  # fmt: skip
@@ -134,6 +140,13 @@ def _train_all(options: Options, preset: Preset, trainings: list[Training]) -> C
     else:
         study = TrainingStudy(trainings=tuple(trainings), folder=options.output)
     check_folder("--output", study.folder)
+    for name in trainings[0].stages:
+        if (study.folder / name / SETTINGS).exists():
+            allowed = "a folder without a single training in it"
+            raise InvalidField("--output", f"'{study.folder}'", allowed)
+    if options.scheduler is not None:
+        with remote_client(options.scheduler):
+            pass  # it answers, or nothing is written
     seeds = sorted({training.seed for training in trainings})
     which = f"seed {seeds[0]}" if len(seeds) == 1 else f"seeds {seeds[0]} to {seeds[-1]}"
     line = (

@@ -52,5 +52,5 @@ def sweep(errors: Mapping[str, ArrayLike], path: str | Path) -> Figure:
     axes.set_ylim(len(found) - 0.5, -0.5)
     axes.set_xlabel("median position error after training [mm]")
     axes.grid(alpha=0.25, axis="x")
-    figure.suptitle("Trainings side by side; dots: seeds, line: their median")
+    figure.suptitle("Variations; dots: seeds, line: their median")
     return save(figure, path)

@@ -108,6 +108,24 @@ def test_a_training_that_fails_is_said(tmp_path, monkeypatch, capsys):
     assert "0 of 1" in said
 
 
+def test_a_study_and_a_single_training_keep_apart(tmp_path, capsys):
+    words = ["train", "--stage", "no-sag", "--steps", "300", "--output", str(tmp_path / "one")]
+    assert main(words) == 0
+    assert main([*words, "--seeds", "1", "--workers", "0"]) == 2
+    assert "a folder without a single training in it" in capsys.readouterr().err
+    words[-1] = str(tmp_path / "many")
+    assert main([*words, "--seeds", "1", "--workers", "0"]) == 0
+    assert main(words) == 2
+    assert "a folder without a study in it" in capsys.readouterr().err
+
+
+def test_a_scheduler_that_does_not_answer_leaves_nothing(tmp_path, capsys):
+    words = ["train", "--seeds", "2", "--scheduler", "nonsense", "--output", str(tmp_path / "out")]
+    assert main(words) == 2
+    assert "scheduler: got 'nonsense'" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_one_setting_changes_a_single_training(tmp_path, capsys):
     words = ["train", "--stage", "no-sag", "--steps", "300", "--set", "td3.hidden=[16,16]"]
     assert main([*words, "--output", str(tmp_path)]) == 0
@@ -156,6 +174,8 @@ def test_evaluation_says_errors_beside_inconsistency(trained, capsys):
         (["train", "--stage", "sagg"], "--stage: got 'sagg'; allowed: one of"),
         (["train", "--steps", "0"], "--steps: got 0"),
         (["train", "--seeds", "0"], "--seeds: got 0"),
+        (["train", "--seed", "-1"], "--seed: got -1"),
+        (["train", "--bogus"], "--steps, --set, --seeds"),
         (["train", "--workers", "2"], "--workers: got 2; allowed: nothing without --seeds"),
         (["train", "--set", "steps=2"], "--set: got 'steps=2'"),
         (["train", "--set", "td3.step=2"], "no_sag.td3.step: got 2"),

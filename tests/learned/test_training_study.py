@@ -136,5 +136,5 @@ def test_another_study_gets_another_folder(studied, tmp_path):
 def test_a_study_begins_with_the_first_stage():
     check_stages(["no_sag"], "carosac")
     check_stages(["no_sag", "sag"], "carosac")
-    with pytest.raises(InvalidField, match="from the first on: no-sag"):
+    with pytest.raises(InvalidField, match="got sag; allowed: no-sag with it"):
         check_stages(["sag"], "carosac")
