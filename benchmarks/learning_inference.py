@@ -1,4 +1,4 @@
-"""How much CPU time a policy takes to answer, warm and after the core has slept for a period."""
+"""How much CPU time a policy takes to answer: warm, and at its pace on a core awake or asleep."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ UNTIMED = 20  # calls before them
 OFF = 0.01  # [m] of the belief from the reference
 
 Cycle = tuple[Belief, Reference]
+Wait = Callable[[float], None]
 
 
 def inference() -> str:
@@ -38,16 +39,17 @@ def inference() -> str:
         robot = ct.load_robot(name)
         rows.append(_row(robot, BASELINE, _controller(robot, BASELINE), None))
     header = (
-        "robot", "controller", "network alone: warm [ms]", "network alone: at its pace [ms]",
-        "command: warm [ms]", "warm, 95 % [ms]", f"warm, {LIMIT_LATENCY:g} ms",
-        "command: at its pace [ms]", "at its pace, 95 % [ms]", f"at its pace, {LIMIT_LATENCY:g} ms",
+        "robot", "controller", "network alone: warm [ms]", "network alone: asleep [ms]",
+        *(text for kind in ("warm", "awake", "asleep") for text in (
+            f"command: {kind} [ms]", f"{kind}, 95 % [ms]", f"{kind}, {LIMIT_LATENCY:g} ms")),
     )  # fmt: skip
     return (
         "CPU time on one core, medians, beliefs and references along a minimum-snap path. A "
         "command is all from belief and reference to lengths: observation, network, lengths of "
-        f"the action, checks. Warm: {WARM} calls, one upon the other. At its pace: {PACED} calls, "
-        "the core asleep for a period of the controller before each, as in a control loop; what "
-        "a call takes then is mostly caches and clock of the core waking up.\n\n"
+        f"the action, checks. Warm: {WARM} calls, one upon the other. Awake and asleep: {PACED} "
+        "calls at the pace of the controller, the core waiting busily for a period before each, or "
+        "sleeping; what a call takes longer after a sleep is the core waking up, which differs "
+        "several times over between hours on a virtual machine.\n\n"
         f"{table(header, rows)}"
     )
 
@@ -66,10 +68,13 @@ def _row(robot: Robot, name: str, controller: Any, policy: Policy | None) -> tup
         cells += ["-", "-"]
     else:
         seen = np.random.default_rng(0).uniform(-1.0, 1.0, (WARM, 1, policy.observation_size))
-        for period in (0.0, controller.period):
-            cells.append(f"{_times(lambda k: policy.act(seen[k]), WARM, period)[0]:.3f}")
-    for period in (0.0, controller.period):
-        median, slow = _times(lambda k: controller.command(*cycles[k]), len(cycles), period)
+        for wait in (None, time.sleep):
+            found = _times(lambda k: policy.act(seen[k]), WARM, controller.period, wait)
+            cells.append(f"{found[0]:.3f}")
+    for wait in (None, _busy, time.sleep):
+        median, slow = _times(
+            lambda k: controller.command(*cycles[k]), len(cycles), controller.period, wait
+        )
         cells += [f"{median:.3f}", f"{slow:.3f}"]
         met = "passed" if median < LIMIT_LATENCY else "**missed**"
         cells.append("-" if policy is None else met)
@@ -93,12 +98,28 @@ def _cycles(robot: Robot, controller: Any) -> list[Cycle]:
     return found
 
 
-def _times(call: Callable[[int], object], size: int, period: float) -> tuple[float, float]:
-    """Median and 95th percentile [ms] of calls with numbers below `size`, in turn."""
+def _busy(seconds: float) -> None:
+    """Wait without letting the core sleep."""
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end:
+        pass
+
+
+def _times(
+    call: Callable[[int], object], size: int, period: float, wait: Wait | None
+) -> tuple[float, float]:
+    """Median and 95th percentile [ms] of calls with numbers below `size`, in turn.
+
+    Args:
+        call: What is timed.
+        size: How many numbers there are.
+        period: Between two calls [s].
+        wait: How that is waited for; None: not at all.
+    """
     found = []
-    for k in range(UNTIMED + (PACED if period else WARM)):
-        if period:
-            time.sleep(period)
+    for k in range(UNTIMED + (PACED if wait else WARM)):
+        if wait:
+            wait(period)
         start = time.thread_time_ns()
         call(k % size)
         found.append(1e-9 * (time.thread_time_ns() - start))
