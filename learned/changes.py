@@ -72,6 +72,17 @@ def read_variations(
     return [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
 
 
+def check_changes(stages: Mapping[str, Stage], fixed: Changes, varied: Sequence[Changes]) -> None:
+    """Make sure that all stages could be trained, also those that are not trained now.
+
+    Raises:
+        InvalidField: A field that is not there, or a value that is not allowed.
+    """
+    for some in varied:
+        for name, stage in stages.items():
+            changed(name, stage, {**fixed, **some})
+
+
 def changed(name: str, stage: Stage, changes: Changes) -> Stage:
     """A stage with the changes that concern it.
 

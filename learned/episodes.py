@@ -69,7 +69,7 @@ class Path:
         velocity: [m/s], shape (steps + 1, 3); zero for set-points.
         acceleration: [m/s^2], shape (steps + 1, 3); zero for set-points.
         later: Position, velocity and acceleration after that, of a path that goes on beyond the
-            episode, shape (K, 3, 3); None: it rests.
+            episode, shape (K, 3, 3); after the last of them it rests. None: it rests at once.
     """
 
     position: Array
@@ -84,7 +84,8 @@ class Path:
             found: Array = self.later[index - last - 1]
             return found
         if index > last:
-            return np.stack([self.position[last], np.zeros(3), np.zeros(3)])
+            end = self.position[last] if self.later is None else self.later[-1, 0]
+            return np.stack([end, np.zeros(3), np.zeros(3)])
         return np.stack([self.position[index], self.velocity[index], self.acceleration[index]])
 
 

@@ -59,6 +59,7 @@ class Job:
         stage: Its settings.
         seed: Of everything random.
         start: Checkpoint of an earlier stage whose networks to start from, or None.
+        start_changes: What that one must have been trained with; None: anything.
     """
 
     robot: Robot
@@ -68,6 +69,7 @@ class Job:
     seed: int = 0
     start: Path | None = None
     changes: str = ""
+    start_changes: str | None = None
 
     @property
     def name(self) -> str:
@@ -172,7 +174,7 @@ class _Run:
         known = check_settings(settings, self.folder)
         checkpoint, earlier = self.folder / CHECKPOINT, None
         if self.job.start is not None and not checkpoint.exists():
-            earlier = check_start(settings, self.job.start)
+            earlier = check_start(settings, self.job.start, self.job.start_changes)
         self.folder.mkdir(parents=True, exist_ok=True)
         self.model.set_logger(configure(str(self.folder), ["tensorboard"]))
         self.test.reset()

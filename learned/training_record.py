@@ -125,12 +125,15 @@ def check_settings(settings: dict[str, Any], folder: Path) -> TrainingRecord | N
     return known
 
 
-def check_start(settings: dict[str, Any], checkpoint: Path) -> TrainingRecord:
+def check_start(
+    settings: dict[str, Any], checkpoint: Path, changes: str | None = None
+) -> TrainingRecord:
     """Make sure that a stage may start from the networks of an earlier one.
 
     Args:
         settings: Of the later stage.
         checkpoint: Of the earlier one, in its folder.
+        changes: What is to be changed in the preset of the earlier one, in short; None: anything.
 
     Returns:
         The record of the earlier one.
@@ -150,6 +153,10 @@ def check_start(settings: dict[str, Any], checkpoint: Path) -> TrainingRecord:
     if names:
         allowed = f"a checkpoint of the same robot, preset, seed and networks; {', '.join(names)} "
         raise InvalidField("start", f"'{checkpoint}'", allowed + "differ")
+    known = earlier.settings["changes"]
+    if changes is not None and known != changes:
+        got = f"'{checkpoint}', trained with {known or 'no changes'}"
+        raise InvalidField("start", got, f"one trained with {changes or 'no changes'}")
     return earlier
 
 

@@ -19,7 +19,6 @@ from carosac_toolkit.robot import Robot
 from carosac_toolkit.studies import Case, Row, run_cases
 from carosac_toolkit.studies.cluster import usable_cores
 from carosac_toolkit.studies.folder import free_folder
-from carosac_toolkit.studies.parts import drop_rows
 from carosac_toolkit.studies.rows import STATUSES
 from carosac_toolkit.studies.run_case import digest_of, robot_digest, robot_of
 from learned.changes import changed, concerned, label_of
@@ -100,6 +99,7 @@ class Training:
                     stage=stage,
                     seed=self.seed,
                     start=folder / before[-1] / CHECKPOINT if before else None,
+                    start_changes=label_of(concerned(before[-1], order, changes)) if before else "",
                 )
             )
         return jobs
@@ -111,8 +111,9 @@ class Training:
             InvalidField: A change or a number of steps that is not allowed.
         """
         preset, found = find_preset(self.preset), {}
-        for path in {**self.fixed, **self.varied}:
-            if self.steps is not None and path.endswith("td3.steps"):
+        said = {"td3.steps", *(f"{name}.td3.steps" for name in self.stages)}
+        for path in sorted(said & {**self.fixed, **self.varied}.keys()):
+            if self.steps is not None:
                 raise InvalidField("--steps", self.steps, f"nothing beside {path}")
         for name in self.stages:
             stage = changed(name, preset.stages[name], {**self.fixed, **self.varied})
@@ -171,11 +172,10 @@ class TrainingStudy:
         if workers is None and scheduler is None:
             workers = usable_cores()
         gone = {x.case().identity for x in self.trainings if not self._has_policies(x)}
-        drop_rows(self.folder, gone, ("ok",))
         return run_cases(
             [training.case() for training in self.trainings], FUNCTION, folder=self.folder,
-            scheduler=scheduler, workers=workers, timeout=TIME_LIMIT, retry=AGAIN, own_files=True,
-            share=self.share, progress=progress,
+            scheduler=scheduler, workers=workers, timeout=TIME_LIMIT, retry=AGAIN, again=gone,
+            own_files=True, share=self.share, progress=progress,
         )  # fmt: skip
 
     def _has_policies(self, training: Training) -> bool:

@@ -38,6 +38,7 @@ def run_cases(
     timeout: float = TIMEOUT,
     attempts: int = 3,
     retry: Collection[str] = (),
+    again: Collection[str] = (),
     batching: Batching | None = None,
     own_files: bool = False,
     share: Callable[[], float] | None = None,
@@ -65,6 +66,7 @@ def run_cases(
         attempts: How many times a case may cost its process before it is given up.
         retry: Statuses of finished cases to run again: ``"failed"``, ``"crashed"``,
             ``"timed_out"``.
+        again: Identities of finished cases to run again, whatever came of them.
         batching: How cases run together; None: each alone. Where one of a batch fails, or its
             process dies, all of it run alone.
         own_files: Whether the case function takes the study's folder as a second argument, for
@@ -90,6 +92,7 @@ def run_cases(
     with opened(path, cases, function) as store:
         store.merge()
         store.forget(retry)
+        store.forget_cases(again)
         done = store.finished()
         bar = Progress(len(cases), done.values(), quiet=not progress, share=share)
         todo = [

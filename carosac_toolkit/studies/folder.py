@@ -53,6 +53,10 @@ class StudyFolder:
         """Remove rows with these statuses."""
         drop_rows(self.path, self._identities, statuses)
 
+    def forget_cases(self, identities: Collection[str]) -> None:
+        """Remove the rows of some cases of this study."""
+        drop_rows(self.path, self._identities & set(identities), STATUSES)
+
     def append(self, rows: Sequence[Row]) -> None:
         """Bring rows to the disk."""
         if not rows:

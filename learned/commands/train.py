@@ -27,7 +27,7 @@ from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.studies.cluster import remote_client
 from carosac_toolkit.studies.folder import MANIFEST
 from carosac_toolkit.text_tables import counted, terminal_width, wrapped
-from learned.changes import read_changes, read_variations
+from learned.changes import check_changes, read_changes, read_variations
 from learned.curve import CURVE, read_curve
 from learned.presets import Preset, find_preset
 from learned.training import Job, train
@@ -79,6 +79,9 @@ def run(options: Options) -> CommandResult:
     names, every = _stages(preset, options.stage), list(preset.stages)
     fixed = read_changes(options.settings, every)
     variations = read_variations(options.vary, every, fixed)
+    for path in variations[0]:
+        if path.split(".")[0] in set(every) - set(names):
+            raise InvalidField("--vary", repr(path), "a setting of a stage that is trained")
     if options.steps is not None:
         check_whole("--steps", options.steps, 1)
     if options.seeds is not None:
@@ -90,6 +93,8 @@ def run(options: Options) -> CommandResult:
                  steps=options.steps, fixed=fixed, varied=varied)
         for varied in variations for seed in range(first, first + (options.seeds or 1))
     ]  # fmt: skip
+    trainings[0].settings()  # steps that are said twice, before what comes of them
+    check_changes(preset.stages, fixed, variations)
     if options.seeds is None and not options.vary:
         return _train_once(options, preset, trainings[0])
     return _train_all(options, preset, trainings)

@@ -142,6 +142,12 @@ def test_a_later_stage_may_be_changed_alone(tmp_path, capsys):
     assert main([*words, "--stage", "sag", "--set", "sag.td3.rate_end=0.5"]) == 0
     settings = json.loads((tmp_path / "sag" / "settings.json").read_text())
     assert settings["changes"] == "sag.rate_end=0.5"
+    capsys.readouterr()
+    shutil.rmtree(tmp_path / "sag")
+    more = ["--set", "no_sag.td3.rate_end=0.3"]  # the first stage was trained without that
+    assert main([*words, "--stage", "sag", *more]) == 2
+    said = capsys.readouterr().err
+    assert "trained with no changes; allowed: one trained with no_sag.rate_end=0.3" in said
     assert settings["started_from"]["checkpoint"] == "no_sag/checkpoint.pt"
 
 
@@ -179,6 +185,11 @@ def test_evaluation_says_errors_beside_inconsistency(trained, capsys):
         (["train", "--workers", "2"], "--workers: got 2; allowed: nothing without --seeds"),
         (["train", "--set", "steps=2"], "--set: got 'steps=2'"),
         (["train", "--set", "td3.step=2"], "no_sag.td3.step: got 2"),
+        (["train", "--stage", "no-sag", "--set", "sag.td3.step=2"], "sag.td3.step: got 2"),
+        (
+            ["train", "--stage", "no-sag", "--vary", "sag.td3.critics=[1,2]"],
+            "--vary: got 'sag.td3.critics'; allowed: a setting of a stage that is trained",
+        ),
         (["train", "--set", "td3.hidden=[0]"], "hidden[0]: got 0"),
         (["train", "--set", "environment.moving.perturbation=x"], "perturbation: got 'x'"),
         (["train", "--vary", "td3.critics=2"], "--vary: got 'td3.critics=2'"),

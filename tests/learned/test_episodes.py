@@ -57,6 +57,9 @@ def test_a_path_goes_on_beyond_the_episode():
     short = drawn(PathSettings(period=0.05, steps=10))
     for k in (10, 11, 30):
         np.testing.assert_allclose(short.rows(k), long.rows(k), atol=1e-12)
+    end, *still = short.rows(31)  # a second beyond the episode no more is known
+    np.testing.assert_array_equal(end, short.rows(30)[0])
+    np.testing.assert_array_equal(still, 0.0)
 
 
 def test_after_its_end_a_path_rests_on_its_last_target():

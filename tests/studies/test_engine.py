@@ -53,6 +53,16 @@ def test_a_second_call_runs_only_what_is_missing(undisturbed, tmp_path):
     assert [row["rmse_m"] for row in rows] == [row["rmse_m"] for row in undisturbed[:12]]
 
 
+def test_cases_that_are_asked_for_again_run_again(tmp_path):
+    log = tmp_path / "log"
+    cases = some_cases(3, log=str(log))
+    run(cases, tmp_path / "study", "log_and_score", workers=0)
+    some = [cases[1].identity, "of no case"]
+    run(cases, tmp_path / "study", "log_and_score", workers=0, again=some)
+    ran = [line.split()[0] for line in log.read_text().splitlines()]
+    assert ran == [*(case.identity for case in cases), cases[1].identity]
+
+
 @pytest.mark.parametrize("workers", [0, 2])
 def test_cases_leave_files_of_their_own(tmp_path, monkeypatch, workers):
     monkeypatch.chdir(tmp_path)
