@@ -12,6 +12,7 @@ import carosac_toolkit as ct
 from carosac_toolkit import trajectories
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.values import Belief
+from learned.curve import read_curve
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.episodes import PathSettings, sampled
 from learned.policy_controller import (
@@ -215,6 +216,9 @@ def test_bundled_policies_are_those_of_the_presets(name):
     settings = {key: filled[key] for key in ("environment", "td3")}
     assert settings in [json.loads(json.dumps(asdict(stage))) for stage in stages]
     assert about.steps >= settings["td3"]["steps"]
+    last = read_curve(find_policy(name).with_suffix(".csv"))[-1]  # its own, not an older one
+    for column, value in about.scores.items():
+        assert last[column] == pytest.approx(value, rel=1e-5), column
 
 
 def test_policies_go_by_name_or_path(tmp_path):
