@@ -11,10 +11,10 @@ from typing import Any
 
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.filled_settings import filled
-from carosac_toolkit.studies.chosen_settings import check_types, value_of
+from carosac_toolkit.studies.chosen_settings import OPTION, check_types, put_field, value_of
 from learned.presets import Stage
 
-SET, VARY = "--set", "--vary"
+SET, VARY = OPTION, "--vary"
 PARTS = ("td3", "environment")  # of a stage
 LONGEST = 90  # characters of a label
 
@@ -96,17 +96,10 @@ def changed(name: str, stage: Stage, changes: Changes) -> Stage:
     """
     nested: dict[str, Any] = {}
     for path, value in changes.items():
-        *outer, last = path.split(".")
-        if outer[0] not in PARTS and outer.pop(0) != name:
+        fields = path.split(".")
+        if fields[0] not in PARTS and fields.pop(0) != name:
             continue
-        into = nested
-        for field in outer:
-            into = into.setdefault(field, {})
-            if not isinstance(into, dict):
-                raise InvalidField(SET, repr(path), "each field once")
-        if last in into:
-            raise InvalidField(SET, repr(path), "each field once")
-        into[last] = _with_tuples(value)
+        put_field(path, nested, fields, _with_tuples(value))
     check_types(name, stage, nested)
     found: Stage = filled(name, stage, nested)
     return found

@@ -291,22 +291,24 @@ class CableEnvironment:
     def _look(self, reached: Reached) -> Look:
         """What there is to see before the next step."""
         ahead = [self._path_rows(step) for step in (1, *(1 + k for k in self.settings.preview))]
-        due = ahead[0] if self.settings.path.period is None else self._path_rows(0)
+        due, aimed = ahead[0], ahead[0][2]
+        if self.settings.path.period is not None:
+            due, aimed = self._path_rows(0), self._aimed_acceleration(self.settings.path.period)
         bias = 0.0 if reached.position_bias is None else reached.position_bias
         return Look(
             position=reached.position + bias, rotation=reached.rotation, twist=reached.twist,
             length=self._asked, due=due[0], due_velocity=due[1], target=ahead[0][0],
             target_velocity=ahead[0][1], target_acceleration=ahead[0][2],
-            aimed_acceleration=self._aimed_acceleration(),
+            aimed_acceleration=aimed,
             preview=np.stack([rows[0] for rows in ahead[1:]], axis=1)
             if len(ahead) > 1 else np.zeros((self.size, 0, 3)),
             last_action=self._last_action, mean_error=self._mean_error,
             lasting_error=self._lasting_error,
         )  # fmt: skip
 
-    def _aimed_acceleration(self) -> Array:
+    def _aimed_acceleration(self, period: float) -> Array:
         """Of the targets, when lengths that are asked for now have arrived, shape (B, 3)."""
-        steps = 1.0 + lead_of(self.robot, self.settings) / (self.settings.path.period or np.inf)
+        steps = 1.0 + lead_of(self.robot, self.settings) / period
         whole, share = int(steps), steps % 1.0
         found: Array = (1.0 - share) * self._path_rows(whole)[2]
         return found + share * self._path_rows(whole + 1)[2] if share > 0.0 else found

@@ -45,7 +45,10 @@ def chosen_settings(
         if kind != "driver":
             name = _name(text, kind, rest, controllers if kind == "controller" else estimators)
             into, fields = into.setdefault(name, {}), rest[len(name) + 1 :]
-        _put(text, into, fields.split("."), value_of(OPTION, text, value))
+        names = fields.split(".")
+        if not all(names):
+            raise InvalidField(OPTION, repr(text), FORMS)
+        put_field(text, into, names, value_of(OPTION, text, value))
     return chosen
 
 
@@ -58,11 +61,19 @@ def _name(text: str, kind: str, rest: str, names: Sequence[str]) -> str:
     return max(found, key=len)
 
 
-def _put(text: str, into: dict[str, Any], fields: Sequence[str], value: Any) -> None:
-    """Put a value where its fields lead."""
+def put_field(text: str, into: dict[str, Any], fields: Sequence[str], value: Any) -> None:
+    """Put a value where its fields lead.
+
+    Args:
+        text: What was asked, for messages.
+        into: Settings by field, nested; changed.
+        fields: Names, the outermost first.
+        value: What the last one becomes.
+
+    Raises:
+        InvalidField: The field has a value already, or one on the way to it has.
+    """
     *outer, last = fields
-    if not all(fields):
-        raise InvalidField(OPTION, repr(text), FORMS)
     for field in outer:
         into = into.setdefault(field, {})
         if not isinstance(into, dict):

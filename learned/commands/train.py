@@ -82,8 +82,6 @@ def run(options: Options) -> CommandResult:
     for path in variations[0]:
         if path.split(".")[0] in set(every) - set(names):
             raise InvalidField("--vary", repr(path), "a setting of a stage that is trained")
-    if options.steps is not None:
-        check_whole("--steps", options.steps, 1)
     if options.seeds is not None:
         check_whole("--seeds", options.seeds, 1)
     check_whole("--seed", options.seed, 0)
@@ -93,7 +91,7 @@ def run(options: Options) -> CommandResult:
                  steps=options.steps, fixed=fixed, varied=varied)
         for varied in variations for seed in range(first, first + (options.seeds or 1))
     ]  # fmt: skip
-    trainings[0].settings()  # steps that are said twice, before what comes of them
+    trainings[0].settings()  # wrong steps, before what comes of them
     check_changes(preset.stages, fixed, variations)
     if options.seeds is None and not options.vary:
         return _train_once(options, preset, trainings[0])
@@ -135,8 +133,6 @@ def _train_all(options: Options, preset: Preset, trainings: list[Training]) -> C
 
     check_stages(trainings[0].stages, preset.name)
     robot = load_robot(options.robot)
-    for training in trainings:
-        training.jobs(robot, Path())  # refuses what is not allowed before anything is trained
     if options.output is None:
         base = FOLDER / _name(options, trainings[0], robot.name, "study")
         study = free_study(base, trainings)
