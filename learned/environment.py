@@ -316,7 +316,7 @@ class CableEnvironment:
     def _path_rows(self, ahead: int) -> Array:
         """Position, velocity and acceleration of targets so many steps ahead, shape (3, B, 3)."""
         rows = [p.rows(int(k) + ahead) for p, k in zip(self._paths, self._step, strict=True)]
-        return np.stack(rows, axis=1)
+        return np.array(rows).transpose(1, 0, 2)
 
     def _transition(
         self, before: Reached, reached: Reached, look: Look, asked: Array, applied: Array

@@ -77,16 +77,16 @@ class Path:
     acceleration: Array
     later: Array | None = None
 
-    def rows(self, index: int) -> Array:
-        """Position, velocity and acceleration at a step, shape (3, 3); it rests in the end."""
+    def rows(self, index: int) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration at a step, each (3,); it rests in the end."""
         last = len(self.position) - 1
         if self.later is not None and last < index <= last + len(self.later):
-            found: Array = self.later[index - last - 1]
-            return found
+            position, velocity, acceleration = self.later[index - last - 1]
+            return position, velocity, acceleration
         if index > last:
             end = self.position[last] if self.later is None else self.later[-1, 0]
-            return np.stack([end, np.zeros(3), np.zeros(3)])
-        return np.stack([self.position[index], self.velocity[index], self.acceleration[index]])
+            return end, np.zeros(3), np.zeros(3)
+        return self.position[index], self.velocity[index], self.acceleration[index]
 
 
 class PathPool:
