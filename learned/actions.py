@@ -112,9 +112,8 @@ class Push:
         push = self._reach * applied
         if self._feedforward:
             push = push + look.aimed_acceleration
-        displacement = (self._map.softness(look.target) @ push[:, :, None])[:, :, 0]
-        displacement = displacement - self._correction * look.lasting_error
-        return self._map.lengths(look.target + self._lead * look.target_velocity + displacement)
+        offset = self._lead * look.target_velocity - self._correction * look.lasting_error
+        return self._map.lengths(look.target, push=push, offset=offset)
 
     def effort(self, applied: Array) -> Array:
         """Norm of the push over the reach."""

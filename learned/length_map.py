@@ -17,15 +17,19 @@ with the stiffness K at rest, the mass and its centre c, is fitted the same way.
 from __future__ import annotations
 
 import numpy as np
+import warp as wp
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.arrays import Array, batch
 from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.physics import statics, straight_line
+from carosac_toolkit.physics import statics, straight_line, warp_setup
+from carosac_toolkit.physics.device import Buffers
 from carosac_toolkit.robot import Robot
+from learned import length_map_kernels
 
 DEGREE = 6
 NODES = 10  # along each axis
-ORDERS = np.arange(DEGREE + 1.0)[:, None, None]
+GEOMETRY = ("exit_points", "anchor_points", "pulley_radius", "swivel_axis")
+REST = np.zeros(3)
 
 
 class LengthMap:
@@ -43,56 +47,99 @@ class LengthMap:
             CarosacError: The robot can rest at too few of them.
         """
         self._robot = robot
-        self._center = (robot.workspace_max + robot.workspace_min) / 2
-        self._half = (robot.workspace_max - robot.workspace_min) / 2
+        center = (robot.workspace_max + robot.workspace_min) / 2
+        half = (robot.workspace_max - robot.workspace_min) / 2
         axis = np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
         unit = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-        points = self._center + self._half * unit
+        points = center + half * unit
         rest = statics.inverse_kinematics(robot, points)
         sound = rest.converged & rest.stable
         self.feasible = float(sound.mean())
-        powers = np.stack(np.meshgrid(*[np.arange(DEGREE + 1)] * 3, indexing="ij"), -1)
-        self._powers = powers[powers.sum(axis=-1) <= DEGREE].T  # (3, K)
-        if sound.sum() < 2 * self._powers.shape[1]:
+        basis = products(unit[sound])
+        if len(basis) < 2 * basis.shape[1]:
             share = f"{100 * self.feasible:.0f} %"
             raise CarosacError(f"{robot.name}: it can rest at {share} of its workspace box only")
         extra = rest.unstrained_length - straight_line.straight_length(robot, points).length
-        basis = self._basis(points[sound])
-        self._coefficients = np.linalg.lstsq(basis, extra[sound], rcond=None)[0]
         soft = softness(robot, rest)[sound].reshape(-1, 9)
-        self._softness = np.linalg.lstsq(basis, soft, rcond=None)[0]
-        self.largest_error = float(np.abs(basis @ self._coefficients - extra[sound]).max())
+        found = np.linalg.lstsq(basis, np.hstack([soft, extra[sound]]), rcond=None)[0]
+        both = np.asarray(found, dtype=np.float64)
+        self._softness, self._extra = both[:, :9].reshape(-1, 3, 3), both[:, 9:]
+        self.largest_error = float(np.abs(basis @ self._extra - extra[sound]).max())
+        self._arguments = (
+            "target", "offset", "push", DEGREE, wp.vec3d(center), wp.vec3d(half),
+            "softness", "extra", wp.mat33d(robot.home_rotation), *GEOMETRY, "place", "length",
+        )  # fmt: skip
+        self._buffers: Buffers | None = None
+        self._size = 0  # of the batch that they are for
 
-    def lengths(self, position: Array) -> Array:
+    def lengths(
+        self, position: Array, *, push: Array | None = None, offset: Array | None = None
+    ) -> Array:
         """Lengths of rest, shape (B, n).
 
-        Beyond the box, sag and tilt are those of its border.
+        Beyond the box, sag, tilt and softness are those of its border.
 
         Args:
             position: In W [m], shape (B, 3).
+            push: Acceleration a for which the rest is moved by S a [m/s^2], shape (B, 3).
+            offset: By how much it is moved besides [m], shape (B, 3).
         """
-        straight = straight_line.straight_length(self._robot, position).length
-        found: Array = straight + self._basis(position) @ self._coefficients
-        return found
+        return self._moved(position, push, offset)[1]
 
-    def softness(self, position: Array) -> Array:
-        """Movement of the rest per acceleration, as `softness` [s^2], shape (B, 3, 3).
-
-        Beyond the box it is that of its border.
+    def displacement(self, position: Array, push: Array) -> Array:
+        """By how much the rest is moved for a push: S a [m], shape (B, 3).
 
         Args:
             position: In W [m], shape (B, 3).
+            push: The acceleration a [m/s^2], shape (B, 3).
         """
-        found: Array = (self._basis(position) @ self._softness).reshape(-1, 3, 3)
-        return found
+        return self._moved(position, push, None)[0] - position
 
-    def _basis(self, position: Array) -> Array:
-        """Chebyshev products up to the total degree, shape (B, K)."""
-        unit = ((position - self._center) / self._half).clip(-1.0, 1.0)
-        values = np.cos(ORDERS * np.arccos(unit))
-        x, y, z = self._powers
-        found: Array = (values[x, :, 0] * values[y, :, 1] * values[z, :, 2]).T
-        return found
+    def _moved(
+        self, position: Array, push: Array | None, offset: Array | None
+    ) -> tuple[Array, Array]:
+        """Where the rest is moved to [m], shape (B, 3), and its lengths [m], shape (B, n)."""
+        points = batch("position", position, (3,))
+        size = len(points)
+        if self._buffers is None or size != self._size:
+            self._buffers, self._size = self._allocate(size), size
+        buffers = self._buffers
+        with buffers.lock:
+            buffers.put("target", points)
+            buffers.put("push", REST if push is None else push)
+            buffers.put("offset", REST if offset is None else offset)
+            kernel = length_map_kernels.lengths_of_rest
+            buffers.launch("lengths_of_rest", kernel, size, *self._arguments)
+            return buffers.get("place"), buffers.get("length")
+
+    def _allocate(self, size: int) -> Buffers:
+        """Buffers of the kernel, with the coefficients and the robot in them."""
+        warp_setup.load(length_map_kernels)
+        terms, n = self._extra.shape
+        buffers = Buffers("cpu", {
+            **dict.fromkeys(("target", "push", "offset", "place"), (size, wp.vec3d)),
+            **dict.fromkeys(("exit_points", "anchor_points", "swivel_axis"), (n, wp.vec3d)),
+            "pulley_radius": (n, wp.float64), "length": ((size, n), wp.float64),
+            "softness": (terms, wp.mat33d), "extra": ((terms, n), wp.float64),
+        })  # fmt: skip
+        for name in GEOMETRY:
+            buffers.put(name, getattr(self._robot, name))
+        buffers.put("softness", self._softness)
+        buffers.put("extra", self._extra)
+        return buffers
+
+
+def products(unit: Array) -> Array:
+    """Chebyshev products up to the total degree, in the order of the kernel, shape (B, K).
+
+    Args:
+        unit: Positions as shares of the box from its middle, shape (B, 3).
+    """
+    values = np.cos(np.arange(DEGREE + 1.0)[:, None, None] * np.arccos(unit))
+    powers = np.stack(np.meshgrid(*[np.arange(DEGREE + 1)] * 3, indexing="ij"), -1)
+    x, y, z = powers[powers.sum(axis=-1) <= DEGREE].T
+    found: Array = (values[x, :, 0] * values[y, :, 1] * values[z, :, 2]).T
+    return found
 
 
 def softness(robot: Robot, rest: statics.Equilibrium) -> Array:

@@ -6,6 +6,7 @@ sees the same numbers in both.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -201,7 +202,7 @@ def fading(mean: Array, error: Array, period: float, memory: float) -> Array:
         period: Between two looks [s].
         memory: Time after which a look counts by 1 / e of what it counted [s].
     """
-    found: Array = mean + (1.0 - np.exp(-period / memory)) * (error - mean)
+    found: Array = mean + (1.0 - math.exp(-period / memory)) * (error - mean)
     return found
 
 

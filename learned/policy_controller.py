@@ -122,7 +122,7 @@ class PolicyController:
                 workspace box.
         """
         look = self._look(belief, reference)
-        check_targets(self._robot, look.target)
+        check_targets(self._scales, look.target)
         self._mean_error, self._lasting_error = look.mean_error, look.lasting_error
         action = self._policy.act(observe(self._environment.observation, look, self._scales))
         self._last_action = self._actions.applied(action, look)
@@ -177,13 +177,15 @@ class _Ahead:
     """Times ahead of now, in rows of a reference.
 
     Attributes:
-        row: The row before each, shape (K,).
+        row: The row before each, K of them; a slice, which takes no copy, where they are in turn.
+        next_row: The row after each.
         share: Of the way to the next row, shape (K, 1).
         last_row: The last one that is looked at.
         between: Whether any lies between rows.
     """
 
-    row: NDArray[np.intp]
+    row: NDArray[np.intp] | slice
+    next_row: NDArray[np.intp] | slice
     share: Array
     last_row: int
     between: bool
@@ -193,15 +195,24 @@ class _Ahead:
         """Times in periods."""
         row = np.floor(np.array(ahead) + ROUNDING).astype(np.intp)
         share: Array = np.array(ahead, dtype=np.float64)[:, None] - row[:, None]
-        last_row = int(row.max(initial=0)) + 1
-        return cls(row=row, share=share, last_row=last_row, between=bool((share > ROUNDING).any()))
+        return cls(
+            row=_in_turn(row), next_row=_in_turn(row + 1), share=share,
+            last_row=int(row.max(initial=0)) + 1, between=bool((share > ROUNDING).any()),
+        )  # fmt: skip
 
     def rows(self, values: Array, size: int) -> Array:
         """Values at these times, of B or one for all, (1 or B, N, 3): (B, K, 3)."""
         found: Array = values[:, self.row]
         if self.between:
-            found = (1.0 - self.share) * found + self.share * values[:, self.row + 1]
+            found = (1.0 - self.share) * found + self.share * values[:, self.next_row]
         return found if len(found) == size else np.broadcast_to(found, (size, *found.shape[1:]))
+
+
+def _in_turn(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
+    """The same rows as a slice, where each is the one after that before it."""
+    if len(rows) and (np.diff(rows) == 1).all():
+        return slice(int(rows[0]), int(rows[-1]) + 1)
+    return rows
 
 
 def check_robot(robot: Robot, policy: Policy) -> None:
@@ -221,20 +232,20 @@ def check_robot(robot: Robot, policy: Policy) -> None:
         raise InvalidField("robot", repr(robot.name), f"{allowed}: train one with `carosac train`")
 
 
-def check_targets(robot: Robot, target: Array) -> None:
+def check_targets(scales: Scales, target: Array) -> None:
     """Refuse targets outside the workspace box, where a policy has learned nothing.
 
     Args:
-        robot: Whose box it is.
+        scales: With the box.
         target: In W [m], shape (B, 3).
 
     Raises:
         InvalidField: Names the row that is furthest outside, and the box.
     """
-    low, high = robot.workspace_min, robot.workspace_max
-    unit = np.abs(2.0 * target - low - high) / (high - low)
-    if not (unit <= 1.0 + OUTSIDE).all():
+    unit = np.abs(scales.to_unit(target))
+    if not unit.max() <= 1.0 + OUTSIDE:
         row = int(np.argmax(unit.max(axis=1)))
+        low, high = scales.center - scales.half, scales.center + scales.half
         allowed = f"in the workspace box of the policy, {low} m to {high} m"
         raise InvalidField(f"reference.position[{row}]", f"{target[row].round(3)} m", allowed)
 

@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("carosac_toolkit", "sim_warp")
+PACKAGES = ("carosac_toolkit", "learned", "sim_warp")
 
 
 def kernel_modules() -> list[str]:

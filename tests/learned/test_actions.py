@@ -56,7 +56,7 @@ def test_no_push_asks_for_the_rest_at_the_target(push):
 def test_a_push_moves_the_rest_by_the_softness_and_pulls_at_no_cable(push):
     look = empty_look(ROBOT, 0, 3)
     applied = np.array([[0.4, 0.3, 0.2]])
-    wanted = LengthMap(ROBOT).softness(look.target)[0] @ (2.0 * applied[0])
+    wanted = LengthMap(ROBOT).displacement(look.target, 2.0 * applied)[0]
     reached = SettledWorlds(ROBOT, 1).advance(push.lengths(applied, look))
     moved = (reached.position - look.target)[0]
     assert np.linalg.norm(moved - wanted) < 0.1 * np.linalg.norm(wanted) + 3e-3

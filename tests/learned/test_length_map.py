@@ -24,6 +24,12 @@ def errors(robot, lengths, count=1500):
     return np.abs(found - rest.unstrained_length[sound]).max(axis=1), points[sound]
 
 
+def softness_of(lengths, points):
+    """What the map says of it, column by column, shape (B, 3, 3)."""
+    pushes = np.eye(3)[:, None].repeat(len(points), axis=1)
+    return np.stack([lengths.displacement(points, push) for push in pushes], axis=2)
+
+
 def test_the_map_is_catenary_inverse_kinematics_to_millimetres(carosac):
     """Errors are largest where a corner of the box is out of reach; straight lines err more."""
     robot, lengths = carosac
@@ -57,14 +63,25 @@ def test_the_softness_is_that_of_the_rest_and_large_where_the_robot_sways(carosa
     points = errors(robot, lengths)[1]
     inner = np.abs(points - robot.home_position).max(axis=1) < 1.5
     exact = softness(robot, statics.inverse_kinematics(robot, points[inner]))
-    off = np.abs(lengths.softness(points[inner]) - exact)
+    off = np.abs(softness_of(lengths, points[inner]) - exact)
     off /= np.abs(exact).max(axis=(1, 2), keepdims=True)
     assert np.median(off) < 0.02
     assert off.max() < 0.2
-    home = np.diag(lengths.softness(robot.home_position[None])[0])
+    home = np.diag(softness_of(lengths, robot.home_position[None])[0])
     assert home[0] > 5.0 * home[1] > 25.0 * abs(home[2])
     slow = np.sqrt(home[0]) * 2.0 * np.pi  # [s] the period of a mass on that spring alone
     assert slow == pytest.approx(1.0 / 0.45, rel=0.25)  # the slowest mode of sway, 0.45 Hz
+
+
+def test_a_push_and_an_offset_lead_to_the_lengths_of_where_they_move_the_rest(carosac):
+    robot, lengths = carosac
+    rng = np.random.default_rng(3)
+    points = rng.uniform(robot.workspace_min, robot.workspace_max, (20, 3))
+    push, offset = rng.normal(size=(20, 3)), 0.1 * rng.normal(size=(20, 3))
+    place = points + offset + lengths.displacement(points, push)
+    np.testing.assert_allclose(
+        lengths.lengths(points, push=push, offset=offset), lengths.lengths(place), atol=1e-12
+    )
 
 
 def test_a_batch_is_its_rows(carosac):
