@@ -3,6 +3,7 @@
 Run by hand, from the project's root, each part a section of ``benchmarks/RESULTS.md``:
 
 ``python -m benchmarks.learning --parts throughput``: part of ``make bench``.
+``python -m benchmarks.learning --parts gpu``: environments on a GPU beside one core.
 ``python -m benchmarks.learning --parts inference``: on an idle machine.
 ``python -m benchmarks.learning --parts curves bars --runs DIR``: of trainings that ``carosac train
 --output DIR/NAME-SEED`` left behind.
@@ -28,6 +29,13 @@ def throughput_part(_: argparse.Namespace) -> tuple[str, str]:
     from benchmarks import learning_throughput as part
 
     return part.TITLE, part.throughput()
+
+
+def gpu_part(_: argparse.Namespace) -> tuple[str, str]:
+    """Title and text."""
+    from benchmarks import learning_throughput as part
+
+    return part.GPU_TITLE, part.on_gpu()
 
 
 def inference_part(_: argparse.Namespace) -> tuple[str, str]:
@@ -68,6 +76,7 @@ def recording_part(asked: argparse.Namespace) -> tuple[str, str]:
 Part = Callable[[argparse.Namespace], tuple[str, str]]
 PARTS: dict[str, tuple[Part, tuple[str, ...]]] = {  # with the options that it needs
     "throughput": (throughput_part, ()),
+    "gpu": (gpu_part, ()),
     "inference": (inference_part, ()),
     "curves": (curves_part, ("runs",)),
     "bars": (bars_part, ("runs",)),

@@ -9,18 +9,23 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 import carosac_toolkit as ct
 from benchmarks.results import table
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.physics import statics, straight_line
+from carosac_toolkit.physics.device import check_device
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.episodes import Path
 from learned.presets import Stage, find_preset
 
 TITLE = "Throughput of learned control"
+GPU_TITLE = "Environments on a GPU"
+GPU = "cuda"
 ROBOT = "carosac"
 WORLDS = (1, 64, 1024)
+GPU_WORLDS = (256, 1024, 4096, 16384)
 PATHS = 4  # of the pool: drawn before the clock starts
 REPEATS = 5
 AT_LEAST = 0.5  # [s] of CPU time in a repeat
@@ -36,10 +41,10 @@ FILLED = 4096  # steps in the replay before updates are timed
 class Walker:
     """Environments and actions as a trained policy would choose them, with noise."""
 
-    def __init__(self, settings: EnvironmentSettings, size: int) -> None:
+    def __init__(self, settings: EnvironmentSettings, size: int, device: str = "cpu") -> None:
         robot = ct.load_robot(ROBOT)
         small = replace(settings, path=replace(settings.path, pool=PATHS))
-        self.environment = CableEnvironment(robot, small, size=size, seed=0)
+        self.environment = CableEnvironment(robot, small, size=size, seed=0, device=device)
         drawn: dict[int, Path] = {}
         while len(drawn) < PATHS:
             self.environment.reset()
@@ -73,16 +78,18 @@ class Walker:
         return environment.scales.to_action(length)
 
 
-def rate(call: Callable[[], object], count: int = 1) -> float:
-    """Calls a second of CPU time, each counted so many times: the median of repeats."""
+def rate(
+    call: Callable[[], object], count: int = 1, clock: Callable[[], float] = time.process_time
+) -> float:
+    """Calls a second by a clock, each counted so many times: the median of repeats."""
     call()
     found = []
     for _ in range(REPEATS):
-        calls, start = 0, time.process_time()
-        while time.process_time() - start < AT_LEAST:
+        calls, start = 0, clock()
+        while clock() - start < AT_LEAST:
             call()
             calls += 1
-        found.append(count * calls / (time.process_time() - start))
+        found.append(count * calls / (clock() - start))
     return float(np.median(found))
 
 
@@ -121,6 +128,32 @@ def throughput() -> str:
         "The paper's figures count learning, too, and are of its own computer with a GPU; it has "
         "no `realtime`.\n\n"
         f"{table(header, rows)}\n\n{learning(steps)}"
+    )
+
+
+def on_gpu() -> str:
+    """Environment steps a second, worlds on a GPU and on one core.
+
+    Raises:
+        InvalidField: There is no GPU.
+    """
+    check_device(GPU)
+    rows = []
+    for name, (preset, stage) in SETTINGS.items():
+        settings = find_preset(preset).stage(stage).environment
+        for size in GPU_WORLDS:
+            found = [
+                rate(Walker(settings, size, device).step, size, time.perf_counter)
+                for device in ("cpu", GPU)
+            ]
+            steps = [f"{one:,.0f}" for one in found]
+            rows.append((name, f"{size:,}", *steps, f"{found[1] / found[0]:.1f}"))
+            print(*rows[-1], flush=True)
+    header = ("world", "worlds", "one core, steps/s", "GPU, steps/s", "ratio")
+    return (
+        f"Robot `{ROBOT}`, {wp.get_device(GPU).name}, wall-clock time, medians of {REPEATS} "
+        "repeats, actions and paths as above; what is not the worlds (targets, observations, "
+        f"rewards) is done by numpy on one core in both.\n\n{table(header, rows)}"
     )
 
 

@@ -84,6 +84,7 @@ class Push:
         share: float = 1.0,
         feedforward: bool = False,
         correction: float = 0.0,
+        device: str = "cpu",
     ) -> None:
         """Fit the maps of lengths and softness.
 
@@ -95,8 +96,9 @@ class Push:
                 modes quiet. 1 goes all of it.
             feedforward: Whether the push of an action comes on top of that of the target.
             correction: K above, >= 0 [-].
+            device: Warp device of the maps.
         """
-        self._map = LengthMap(robot)
+        self._map = LengthMap(robot, device)
         self._reach = reach
         self._feedforward = feedforward
         self._lead = lead

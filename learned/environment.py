@@ -12,6 +12,7 @@ from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.number_checks import check_fields, check_positive, check_whole
 from carosac_toolkit.physics import statics, straight_line
+from carosac_toolkit.physics.device import check_device
 from carosac_toolkit.robot import Robot
 from learned.actions import Absolute, ActionMap, Push
 from learned.episodes import Path, PathPool, PathSettings
@@ -134,8 +135,9 @@ class CableEnvironment:
     """B environments that advance together; an episode that ends begins anew in the same step."""
 
     def __init__(
-        self, robot: Robot, settings: EnvironmentSettings, *, size: int = 1, seed: int = 0
-    ) -> None:
+        self, robot: Robot, settings: EnvironmentSettings, *, size: int = 1, seed: int = 0,
+        device: str = "cpu",
+    ) -> None:  # fmt: skip
         """Make the worlds; call `reset` before `step`.
 
         Args:
@@ -143,19 +145,25 @@ class CableEnvironment:
             settings: What is learned in.
             size: B.
             seed: Of paths, plants and sensors.
+            device: Warp device of the worlds: a GPU pays from hundreds of them on.
+
+        Raises:
+            InvalidField: The device is not there, or the robot has no place in the worlds.
         """
+        check_device(device)
         self.robot = robot
         self.settings = settings
         self.size = size
         self.scales = Scales.of(robot, settings.units)
-        self.worlds = _worlds(robot, settings, size, seed)
-        self.actions = make_actions(robot, settings, self.scales)
+        self.worlds = _worlds(robot, settings, size, seed, device)
+        self.actions = make_actions(robot, settings, self.scales, device)
         span = float(np.linalg.norm(robot.workspace_max - robot.workspace_min))
         self.reward = Reward(settings.reward, span)
         feasible = None if settings.world == "no_sag" else self._feasible
         self._pool = PathPool(robot, settings.path, seed, feasible)
         self._rng = np.random.default_rng([seed, 3])
         self._paths: list[Path] = []
+        self._targets = np.zeros((size, 1, 3, 3))  # of the paths, see `Path.targets`
         self._step = np.zeros(size, dtype=np.int64)
         self._last_action = np.zeros((size, self.actions.size))
         self._mean_error = np.zeros((size, 3))
@@ -246,6 +254,7 @@ class CableEnvironment:
         """Go on from a state of an environment of the same settings and size."""
         self.worlds.restore(state["worlds"])
         self._paths = list(state["paths"])
+        self._take_targets(np.arange(self.size))
         self._step = state["step"].copy()
         self._last_action = state["last_action"].copy()
         for name in ("mean_error", "lasting_error"):
@@ -266,6 +275,7 @@ class CableEnvironment:
 
     def _begin(self, rows: NDArray[Any]) -> Array:
         """Put environments at the start of their paths; observations of all."""
+        self._take_targets(rows)
         start = np.stack([self._paths[row].position[0] for row in rows])
         self._reached = self.worlds.reset(rows, start)
         self._step[rows] = 0
@@ -315,8 +325,18 @@ class CableEnvironment:
 
     def _path_rows(self, ahead: int) -> Array:
         """Position, velocity and acceleration of targets so many steps ahead, shape (3, B, 3)."""
-        rows = [p.rows(int(k) + ahead) for p, k in zip(self._paths, self._step, strict=True)]
-        return np.array(rows).transpose(1, 0, 2)
+        last = self._targets.shape[1] - 1
+        found = self._targets[np.arange(self.size), np.minimum(self._step + ahead, last)]
+        return found.transpose(1, 0, 2)
+
+    def _take_targets(self, rows: NDArray[Any]) -> None:
+        """Keep the targets of the paths of some environments where all are looked up at once."""
+        for row in rows:
+            found = self._paths[row].targets()
+            if (more := len(found) - self._targets.shape[1]) > 0:
+                self._targets = np.pad(self._targets, ((0, 0), (0, more), (0, 0), (0, 0)), "edge")
+            self._targets[row, : len(found)] = found
+            self._targets[row, len(found) :] = found[-1]
 
     def _transition(
         self, before: Reached, reached: Reached, look: Look, asked: Array, applied: Array
@@ -345,8 +365,10 @@ def empty_look(robot: Robot, previews: int, actions: int) -> Look:
     )  # fmt: skip
 
 
-def make_actions(robot: Robot, settings: EnvironmentSettings, scales: Scales) -> ActionMap:
-    """What the numbers of an action mean."""
+def make_actions(
+    robot: Robot, settings: EnvironmentSettings, scales: Scales, device: str = "cpu"
+) -> ActionMap:
+    """What the numbers of an action mean; lengths of pushes are found on a Warp device."""
     if settings.action == "absolute":
         return Absolute(scales)
     return Push(
@@ -356,6 +378,7 @@ def make_actions(robot: Robot, settings: EnvironmentSettings, scales: Scales) ->
         share=settings.share,
         feedforward=settings.feedforward,
         correction=settings.correction,
+        device=device,
     )
 
 
@@ -365,12 +388,14 @@ def lead_of(robot: Robot, settings: EnvironmentSettings) -> float:
     return max(0.0, float(robot.winch_lag.mean()) - 0.5 * period)
 
 
-def _worlds(robot: Robot, settings: EnvironmentSettings, size: int, seed: int) -> Worlds:
+def _worlds(
+    robot: Robot, settings: EnvironmentSettings, size: int, seed: int, device: str
+) -> Worlds:
     """The worlds of some settings."""
     if settings.world == "no_sag":
-        return NoSagWorlds(robot, size)
+        return NoSagWorlds(robot, size, device)
     if settings.world == "settle":
-        return SettledWorlds(robot, size)
+        return SettledWorlds(robot, size, device)
     period = settings.path.period
     assert period is not None
-    return MovingWorlds(robot, settings.moving, period, size, seed)
+    return MovingWorlds(robot, settings.moving, period, size, seed, device)

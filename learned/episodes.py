@@ -77,16 +77,16 @@ class Path:
     acceleration: Array
     later: Array | None = None
 
-    def rows(self, index: int) -> tuple[Array, Array, Array]:
-        """Position, velocity and acceleration at a step, each (3,); it rests in the end."""
-        last = len(self.position) - 1
-        if self.later is not None and last < index <= last + len(self.later):
-            position, velocity, acceleration = self.later[index - last - 1]
-            return position, velocity, acceleration
-        if index > last:
-            end = self.position[last] if self.later is None else self.later[-1, 0]
-            return end, np.zeros(3), np.zeros(3)
-        return self.position[index], self.velocity[index], self.acceleration[index]
+    def targets(self) -> Array:
+        """All of it: position, velocity and acceleration in turn, shape (N, 3, 3).
+
+        In the last row it rests where it ends, as it does from there on.
+        """
+        known = np.stack([self.position, self.velocity, self.acceleration], axis=1)
+        parts = [known] if self.later is None else [known, self.later]
+        end = np.zeros((1, 3, 3))
+        end[0, 0] = parts[-1][-1, 0]
+        return np.concatenate([*parts, end])
 
 
 class PathPool:

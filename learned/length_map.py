@@ -40,13 +40,18 @@ class LengthMap:
         feasible: Share of the nodes at which the robot can rest.
     """
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, device: str = "cpu") -> None:
         """Fit to the feasible nodes of a Chebyshev grid.
+
+        Args:
+            robot: Whose lengths they are.
+            device: Warp device that evaluates it.
 
         Raises:
             CarosacError: The robot can rest at too few of them.
         """
         self._robot = robot
+        self._device = device
         center = (robot.workspace_max + robot.workspace_min) / 2
         half = (robot.workspace_max - robot.workspace_min) / 2
         axis = np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
@@ -114,9 +119,9 @@ class LengthMap:
 
     def _allocate(self, size: int) -> Buffers:
         """Buffers of the kernel, with the coefficients and the robot in them."""
-        warp_setup.load(length_map_kernels)
+        warp_setup.load(length_map_kernels, self._device)
         terms, n = self._extra.shape
-        buffers = Buffers("cpu", {
+        buffers = Buffers(self._device, {
             **dict.fromkeys(("target", "push", "offset", "place"), (size, wp.vec3d)),
             **dict.fromkeys(("exit_points", "anchor_points", "swivel_axis"), (n, wp.vec3d)),
             "pulley_radius": (n, wp.float64), "length": ((size, n), wp.float64),

@@ -50,15 +50,16 @@ class MovingWorlds:
     """A simulator whose worlds have a plant each."""
 
     def __init__(
-        self, robot: Robot, settings: MovingSettings, period: float, size: int, seed: int
-    ) -> None:
+        self, robot: Robot, settings: MovingSettings, period: float, size: int, seed: int,
+        device: str = "cpu",
+    ) -> None:  # fmt: skip
         self.robot = robot
         self.size = size
         self._settings = settings
         self._period = period
         self._simulator = Simulator(
             robot, worlds=size, cables=settings.cables, seed=seed,
-            perturbation=settings.perturbation,
+            perturbation=settings.perturbation, device=device,
         )  # fmt: skip
         self._rng = np.random.default_rng([seed, 11])
         self._position_bias = np.zeros((size, 3))

@@ -60,6 +60,7 @@ class Job:
         seed: Of everything random.
         start: Checkpoint of an earlier stage whose networks to start from, or None.
         start_changes: What that one must have been trained with; None: anything.
+        device: Warp device of the worlds; the networks are trained on the CPU.
     """
 
     robot: Robot
@@ -70,6 +71,7 @@ class Job:
     start: Path | None = None
     changes: str = ""
     start_changes: str | None = None
+    device: str = "cpu"
 
     @property
     def name(self) -> str:
@@ -83,7 +85,7 @@ class Job:
             "preset": self.preset, "changes": self.changes, "stage": self.stage_name,
             "robot": self.robot.name,
             "robot_digest": digest(getattr(self.robot, f.name) for f in fields(self.robot)),
-            "seed": self.seed, "start": start,
+            "seed": self.seed, "start": start, "device": self.device,
             "environment": asdict(self.stage.environment), "td3": asdict(self.stage.td3),
         }  # fmt: skip
 
@@ -144,11 +146,14 @@ class _Run:
         self.folder = folder
         self.report = report
         td3, settings = job.stage.td3, job.stage.environment
-        cables = CableEnvironment(job.robot, settings, size=td3.environments, seed=job.seed)
+        cables = CableEnvironment(
+            job.robot, settings, size=td3.environments, seed=job.seed, device=job.device
+        )
         self.model = build_model(job.stage, CableVecEnv(cables), job.seed)
         self.test = CableEnvironment(
-            job.robot, curve_settings(settings), size=TEST_PATHS, seed=TEST_SEED
-        )
+            job.robot, curve_settings(settings), size=TEST_PATHS, seed=TEST_SEED,
+            device=job.device,
+        )  # fmt: skip
         self.paths: list[TargetPath] = []
         self.fresh: dict[str, Any] = {}  # state of the test: the same disturbances each time
         self.rows: list[dict[str, float]] = []

@@ -19,7 +19,7 @@ UNKNOWN = "unknown"  # commit of code that is not under git
 HISTORY = ("commit", "commits", "started_from")  # beside the settings; the first in older files
 # Fields that came later, with what trainings did before.
 LATER: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
-    ((), {"changes": ""}),
+    ((), {"changes": "", "device": "cpu"}),
     (("environment",), {"memory": 1.0, "correction": 0.0, "correction_memory": 4.0}),
     (("environment", "reward"), {"tracking_scale": 0.1, "slack": 0.0, "reserve": 0.0, "jerk": 3.0}),
     (("environment", "units"), {"acceleration": 1.0}),

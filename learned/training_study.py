@@ -27,6 +27,7 @@ from learned.presets import Stage, find_preset
 from learned.training import CHECKPOINT, POLICY, Job, train
 
 FUNCTION = "learned.training_study:train_case"
+CPU = "cpu"  # of studies that do not say where
 NONE = "none"  # of what a case of a study has and a training has not
 TIME_LIMIT = 30 * 24 * 3600.0  # [s] of one training
 AGAIN = tuple(name for name in STATUSES if name != "ok")
@@ -45,6 +46,7 @@ class Training:
         steps: Environment steps of each stage; None: those of the preset.
         fixed: What is changed in the preset, see `learned.changes.Changes`.
         varied: The same, of a sweep.
+        device: Warp device of the worlds.
     """
 
     preset: str
@@ -54,6 +56,7 @@ class Training:
     steps: int | None = None
     fixed: Mapping[str, Any] = field(default_factory=dict)
     varied: Mapping[str, Any] = field(default_factory=dict)
+    device: str = CPU
 
     @property
     def name(self) -> str:
@@ -100,6 +103,7 @@ class Training:
                     seed=self.seed,
                     start=folder / before[-1] / CHECKPOINT if before else None,
                     start_changes=label_of(concerned(before[-1], order, changes)) if before else "",
+                    device=self.device,
                 )
             )
         return jobs
@@ -127,6 +131,8 @@ class Training:
             "fixed": dict(self.fixed), "varied": dict(self.varied),
             "robot_digest": robot_digest(self.robot),
         }  # fmt: skip
+        if self.device != CPU:
+            settings["device"] = self.device
         return Case(
             robot=self.robot, controller=self.name, estimator=NONE, suite=NONE, trajectory=NONE,
             perturbation=NONE, seed=self.seed, settings=settings,

@@ -73,8 +73,9 @@ class NoSagWorlds:
     says by how much.
     """
 
-    def __init__(self, robot: Robot, size: int) -> None:
+    def __init__(self, robot: Robot, size: int, device: str = "cpu") -> None:
         self.robot = robot
+        self._device = device
         self.size = size
         home = np.tile(robot.home_position, (size, 1))
         self._now = self._at(home, straight_line.inverse_kinematics(robot, home))
@@ -89,7 +90,7 @@ class NoSagWorlds:
 
     def advance(self, length: Array) -> Reached:
         """Fit the positions; each starts at home, on the side where the robot works."""
-        fit = straight_line.forward_kinematics(self.robot, length)
+        fit = straight_line.forward_kinematics(self.robot, length, device=self._device)
         where = np.where(fit.converged[:, None], fit.position, self._now.position)
         self._now = replace(self._at(where, length), failed=~fit.converged)
         return self._now
@@ -104,13 +105,13 @@ class NoSagWorlds:
 
     def _at(self, position: Array, length: Array) -> Reached:
         """There, with what the lengths lack."""
-        straight = straight_line.straight_length(self.robot, position).length
+        found = straight_line.straight_length(self.robot, position, device=self._device)
         return Reached(
             position=position,
             rotation=np.broadcast_to(self.robot.home_rotation, (self.size, 3, 3)),
             twist=np.zeros((self.size, 6)),
             length=length,
-            inconsistency=length - straight,
+            inconsistency=length - found.length,
             tension=None,
             failed=np.zeros(self.size, dtype=bool),
         )
@@ -124,8 +125,9 @@ class SettledWorlds:
     equilibrium, or with one at a position where the robot cannot rest within its tension limits.
     """
 
-    def __init__(self, robot: Robot, size: int) -> None:
+    def __init__(self, robot: Robot, size: int, device: str = "cpu") -> None:
         self.robot = robot
+        self._device = device
         self.size = size
         rest = statics.inverse_kinematics(robot, np.tile(robot.home_position, (size, 1)))
         if not (rest.converged & rest.stable).all():
@@ -136,7 +138,7 @@ class SettledWorlds:
 
     def reset(self, rows: NDArray[Any], position: Array) -> Reached:
         """Put some worlds at rest at positions; they must be feasible."""
-        rest = statics.inverse_kinematics(self.robot, position)
+        rest = statics.inverse_kinematics(self.robot, position, device=self._device)
         sound = rest.converged & rest.stable
         if not sound.all():
             bad = position[int(np.argmin(sound))]
@@ -147,8 +149,9 @@ class SettledWorlds:
 
     def advance(self, length: Array) -> Reached:
         """Settle on the lengths; the way there leads downhill in energy from home."""
-        found = statics.forward_kinematics(self.robot, length)
-        consistent = statics.inverse_kinematics(self.robot, found.position)
+        device = self._device
+        found = statics.forward_kinematics(self.robot, length, device=device)
+        consistent = statics.inverse_kinematics(self.robot, found.position, device=device)
         good = found.converged & found.stable & consistent.converged
         rows = np.flatnonzero(good)
         self._merge(rows, found, rows)

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from carosac_toolkit.arrays import Array, batch, rotations
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics import straight_line_kernels, warp_setup
-from carosac_toolkit.physics.device import kept_buffers
+from carosac_toolkit.physics.device import check_device, kept_buffers
 from carosac_toolkit.robot import Robot
 
 TOLERANCE = 1e-10  # gradient norm over the longest length that counts as converged [-]
@@ -72,7 +72,11 @@ class StraightLineFit:
 
 
 def straight_length(
-    robot: Robot, position: ArrayLike, rotation: ArrayLike | None = None
+    robot: Robot,
+    position: ArrayLike,
+    rotation: ArrayLike | None = None,
+    *,
+    device: str = "cpu",
 ) -> StraightCables:
     """Straight cables at given poses, with the gradient of their lengths.
 
@@ -80,6 +84,7 @@ def straight_length(
         robot: Robot description, n cables.
         position: Platform origin in W [m], shape (B, 3).
         rotation: From P to W, shape (B, 3, 3); None is the home rotation.
+        device: Warp device.
 
     Returns:
         Lengths, wraps, gradients and whether each cable exists.
@@ -89,6 +94,7 @@ def straight_length(
     outputs = ("length", "wrap", "direction", "valid")
     found = _launch(
         robot,
+        device,
         len(points),
         straight_line_kernels.straight_lengths,
         (len(points), robot.n),
@@ -105,7 +111,11 @@ def straight_length(
 
 
 def inverse_kinematics(
-    robot: Robot, position: ArrayLike, rotation: ArrayLike | None = None
+    robot: Robot,
+    position: ArrayLike,
+    rotation: ArrayLike | None = None,
+    *,
+    device: str = "cpu",
 ) -> Array:
     """Straight-line lengths at given poses.
 
@@ -113,6 +123,7 @@ def inverse_kinematics(
         robot: Robot description, n cables.
         position: Platform origin in W [m], shape (B, 3).
         rotation: From P to W, shape (B, 3, 3); None is the home rotation.
+        device: Warp device.
 
     Returns:
         Lengths from datum to anchor point, wrapped arcs included [m], shape (B, n).
@@ -120,7 +131,7 @@ def inverse_kinematics(
     Raises:
         InvalidField: An anchor point lies inside its pulley, where no cable exists.
     """
-    cables = straight_length(robot, position, rotation)
+    cables = straight_length(robot, position, rotation, device=device)
     if not cables.valid.all():
         row, cable = (int(i) for i in np.argwhere(~cables.valid)[0])
         raise InvalidField(
@@ -138,6 +149,7 @@ def forward_kinematics(
     *,
     rotation: ArrayLike | None = None,
     guess: ArrayLike | None = None,
+    device: str = "cpu",
 ) -> StraightLineFit:
     """Positions whose straight-line lengths come closest to the given ones.
 
@@ -151,6 +163,7 @@ def forward_kinematics(
         length: Cable lengths from datum to anchor point [m], shape (B, n).
         rotation: From P to W, held fixed, shape (B, 3, 3); None is the home rotation.
         guess: Where to start [m], shape (B, 3); None is the home position.
+        device: Warp device.
 
     Returns:
         Best-fitting positions, with residuals and `converged`; where that is False the position is
@@ -164,6 +177,7 @@ def forward_kinematics(
     outputs = ("position", "residual", "converged", "iterations")
     found = _launch(
         robot,
+        device,
         len(targets),
         straight_line_kernels.fit_position,
         len(targets),
@@ -181,12 +195,13 @@ def forward_kinematics(
 
 
 def _launch(
-    robot: Robot, size: int, kernel: Any, dim: int | tuple[int, int], inputs: dict[str, Array],
-    arguments: tuple[Any, ...], outputs: tuple[str, ...],
+    robot: Robot, device: str, size: int, kernel: Any, dim: int | tuple[int, int],
+    inputs: dict[str, Array], arguments: tuple[Any, ...], outputs: tuple[str, ...],
 ) -> dict[str, NDArray[Any]]:  # fmt: skip
     """Copy in, run a kernel, copy out."""
-    warp_setup.load(straight_line_kernels)
-    buffers = kept_buffers(robot, "straight_line", size, "cpu", lambda: _shapes(size, robot.n))
+    check_device(device)
+    warp_setup.load(straight_line_kernels, device)
+    buffers = kept_buffers(robot, "straight_line", size, device, lambda: _shapes(size, robot.n))
     with buffers.lock:
         if not buffers.launched:
             for name in _GEOMETRY:

@@ -22,6 +22,7 @@ import tyro
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder
 from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.number_checks import check_whole
+from carosac_toolkit.physics.device import check_device
 from carosac_toolkit.report_page import check_folder
 from carosac_toolkit.robot_file import load_robot
 from carosac_toolkit.studies.cluster import remote_client
@@ -55,6 +56,9 @@ class Options(CommonOptions):
     ] = ()
     """Setting that is not the preset's: td3.FIELD=VALUE or environment.FIELD=VALUE for all stages,
     with STAGE. in front for one, VALUE as JSON or text; may be given several times."""
+    device: str = "cpu"
+    """Warp device of the worlds, such as cuda: a GPU pays from hundreds of them on, with --set
+    td3.environments=NUMBER. Networks are trained on the CPU."""
     seeds: int | None = None
     """How many trainings, with seeds counted up from --seed."""
     vary: Annotated[
@@ -88,9 +92,10 @@ def run(options: Options) -> CommandResult:
     first = options.seed
     trainings = [
         Training(preset=preset.name, robot=options.robot, stages=tuple(names), seed=seed,
-                 steps=options.steps, fixed=fixed, varied=varied)
+                 steps=options.steps, fixed=fixed, varied=varied, device=options.device)
         for varied in variations for seed in range(first, first + (options.seeds or 1))
     ]  # fmt: skip
+    check_device(options.device)
     trainings[0].settings()  # wrong steps, before what comes of them
     check_changes(preset.stages, fixed, variations)
     if options.seeds is None and not options.vary:

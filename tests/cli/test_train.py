@@ -156,6 +156,13 @@ def test_steps_are_said_once(capsys):
     assert "--steps: got 300; allowed: nothing beside td3.steps" in capsys.readouterr().err
 
 
+def test_a_device_that_is_not_there_is_refused(tmp_path, capsys):
+    words = ["train", "--steps", "300", "--device", "cuda:77", "--output", str(tmp_path / "out")]
+    assert main(words) == 2
+    assert "device: got 'cuda:77'; allowed: one of ['cpu'" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_folder_of_another_training_is_refused(trained, capsys):
     assert main(["train", "--steps", "1300", "--output", str(trained / "out")]) == 2
     assert "td3 differ" in capsys.readouterr().err

@@ -396,3 +396,8 @@ def test_a_platform_that_is_lost_begins_anew_and_is_no_failure():
         assert not result.failed.any()
         ended += int(far.sum())
     assert ended > 0
+
+
+def test_a_device_that_is_not_there_is_named():
+    with pytest.raises(InvalidField, match=r"device: got 'cuda:77'; allowed: one of \['cpu'"):
+        CableEnvironment(simple_robot(), NO_SAG, device="cuda:77")

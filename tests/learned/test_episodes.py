@@ -56,16 +56,16 @@ def test_a_path_goes_on_beyond_the_episode():
     long = drawn(PathSettings(period=0.05, steps=30))
     short = drawn(PathSettings(period=0.05, steps=10))
     for k in (10, 11, 30):
-        np.testing.assert_allclose(short.rows(k), long.rows(k), atol=1e-12)
-    end, *still = short.rows(31)  # a second beyond the episode no more is known
-    np.testing.assert_array_equal(end, short.rows(30)[0])
+        np.testing.assert_allclose(short.targets()[k], long.targets()[k], atol=1e-12)
+    end, *still = short.targets()[31]  # a second beyond the episode no more is known
+    np.testing.assert_array_equal(end, short.targets()[30, 0])
     np.testing.assert_array_equal(still, 0.0)
 
 
 def test_after_its_end_a_path_rests_on_its_last_target():
     path = replace(drawn(PathSettings(period=0.05, steps=10)), later=None)
-    position, velocity, acceleration = path.rows(10)
-    beyond, *still = path.rows(14)
+    position, velocity, acceleration = path.targets()[10]
+    beyond, *still = path.targets()[-1]
     np.testing.assert_array_equal(position, path.position[10])
     np.testing.assert_array_equal(velocity, path.velocity[10])
     np.testing.assert_array_equal(acceleration, path.acceleration[10])

@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
+import warp as wp
 
 from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.physics import statics, straight_line
+from carosac_toolkit.physics import statics, straight_line, straight_line_kernels, warp_setup
 from carosac_toolkit.robot_file import load_robot
+from learned import length_map_kernels
 from learned.length_map import LengthMap, softness
 from tests.robots import simple_robot
 
@@ -96,3 +98,11 @@ def test_a_robot_that_can_rest_in_little_of_its_box_is_refused(monkeypatch):
     high = simple_robot(workspace_max=[2.4, 0.2, 14.0])
     with pytest.raises(CarosacError, match=r"it can rest at .* % of its workspace box only"):
         LengthMap(high)
+
+
+def test_the_kernel_compiles_for_a_gpu_where_there_is_none(tmp_path):
+    """What environments on a GPU run, and nothing else does."""
+    warp_setup.initialise()
+    for module in (length_map_kernels, straight_line_kernels):
+        (code,) = wp.compile_aot_module(module, arch=90, module_dir=tmp_path, use_ptx=True)
+        assert code.suffix == ".ptx"

@@ -16,7 +16,7 @@ from learned.training_record import (
 )
 
 ASKED = {
-    "preset": "tiny", "changes": "", "seed": 0,
+    "preset": "tiny", "changes": "", "device": "cpu", "seed": 0,
     "td3": {"steps": 100, "hidden": [8, 8], "target_rate": 0.005},
 }  # fmt: skip
 

@@ -56,6 +56,14 @@ def test_a_training_of_a_study_is_the_same_as_alone(studied, tmp_path):
         assert_same(networks(study.folder / training.place), alone)
 
 
+def test_a_training_knows_where_its_worlds_are():
+    here, there = (some_trainings((0,), device=x)[0] for x in ("cpu", "cuda"))
+    assert "device" not in here.case().settings  # as in studies of before
+    assert Training.of_case(there.case()) == there
+    (job,) = there.jobs(load_robot("carosac"), there.place)
+    assert job.device == job.settings()["device"] == "cuda"
+
+
 def test_rows_hold_the_last_point_of_the_curve(studied):
     study, rows = studied
     text = (study.folder / "seed1" / "no_sag" / "curve.csv").read_text().splitlines()

@@ -4,23 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import warp as wp
 
-from carosac_toolkit.physics import warp_setup
 from sim_warp import Simulator
+from tests.gpu import NEEDS_GPU
 from tests.robots import eight_cable_robot, simple_robot, with_pulleys
 from tests.sim_warp.worlds import KICK, MODELS, assert_same, held, on_device, rows
 
-
-def has_gpu():
-    warp_setup.initialise()
-    return wp.is_cuda_available()
-
-
-pytestmark = [
-    pytest.mark.gpu,
-    pytest.mark.skipif(not has_gpu(), reason="needs a CUDA device, and Warp finds none"),
-]
+pytestmark = NEEDS_GPU
 ALL_MODELS = pytest.mark.parametrize("cables", MODELS)
 
 
