@@ -29,6 +29,7 @@ from learned.curve import (
     write_curve,
     write_episodes,
 )
+from learned.delayed_signals import delayed_signals
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.episodes import Path as TargetPath
 from learned.policy_file import PolicyDescription, write_policy
@@ -201,35 +202,40 @@ class _Run:
         self._write_tables()
 
     def go(self, stop_after: int | None) -> bool:
-        """Train to the end; False if stopped before."""
-        from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
-
-        model, td3 = self.model, self.job.stage.td3
-        each = TrainFreq(1, TrainFrequencyUnit.STEP)
+        """Train to the end; False if stopped before. Ctrl-C ends it with a checkpoint."""
+        last = np.inf if stop_after is None else stop_after
         saved = time.monotonic()
-        every = max(REPORT_STEPS, td3.steps // REPORTS)
-        assert model.env is not None and model.replay_buffer is not None
-        while not self.done:
-            model.collect_rollouts(
-                model.env, self.callback, each, model.replay_buffer,
-                model.action_noise, learning_starts=model.learning_starts,
-            )  # fmt: skip
-            self._keep_episodes()
-            if model.num_timesteps > model.learning_starts:
-                model.train(td3.gradient_steps, td3.batch_size)
-            if model.num_timesteps // every > (model.num_timesteps - td3.environments) // every:
-                self._measure()
-            if stop_after is not None and model.num_timesteps >= stop_after:
-                self._save()
-                return False
-            if time.monotonic() - saved > CHECKPOINT_EVERY:
-                self._save()
-                saved = time.monotonic()
-        if not self.rows or self.rows[-1]["steps"] < model.num_timesteps:
+        with delayed_signals() as called_off:
+            while not self.done:
+                self._advance()
+                if called_off() or self.model.num_timesteps >= last:
+                    self._save()
+                    return False
+                if time.monotonic() - saved > CHECKPOINT_EVERY:
+                    self._save()
+                    saved = time.monotonic()
+        if not self.rows or self.rows[-1]["steps"] < self.model.num_timesteps:
             self._measure()
         (self.folder / POLICY).unlink(missing_ok=True)  # if there is one, it is another training's
         self._save()
         return True
+
+    def _advance(self) -> None:
+        """One step of all environments, the updates that belong to it, and what is due then."""
+        from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
+
+        model, td3 = self.model, self.job.stage.td3
+        assert model.env is not None and model.replay_buffer is not None
+        model.collect_rollouts(
+            model.env, self.callback, TrainFreq(1, TrainFrequencyUnit.STEP), model.replay_buffer,
+            model.action_noise, learning_starts=model.learning_starts,
+        )  # fmt: skip
+        self._keep_episodes()
+        if model.num_timesteps > model.learning_starts:
+            model.train(td3.gradient_steps, td3.batch_size)
+        every = max(REPORT_STEPS, td3.steps // REPORTS)
+        if model.num_timesteps // every > (model.num_timesteps - td3.environments) // every:
+            self._measure()
 
     def export(self) -> Path:
         """Write the policy, with what was found last."""

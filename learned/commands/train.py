@@ -173,7 +173,11 @@ def _train(job: Job, folder: Path) -> dict[str, Any]:
 
     print(f"\n{job.stage_name}: {job.stage.td3.steps} steps to {folder}")
     print("     steps  updates  CPU [s]  median [mm]  of means [mm]  p95 [mm]  incons. [mm]  left")
-    policy = train(job, folder, report=_report)
+    try:
+        policy = train(job, folder, report=_report)
+    except KeyboardInterrupt:
+        print("\nstopped; the same command goes on from here", flush=True)
+        raise
     assert policy is not None
     rows = read_curve(folder / CURVE)
     curve = curve_of(folder, f"seed {job.seed}")

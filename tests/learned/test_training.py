@@ -1,3 +1,6 @@
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -101,6 +104,30 @@ def test_a_seed_repeats_and_kill_and_resume_is_no_kill_bit_for_bit(tmp_path, kin
         torch.manual_seed(stop)
     train(job(kind), tmp_path / "killed")
     assert_same_state(tmp_path / "whole", tmp_path / "killed")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_stopped_by_a_signal_it_goes_on_from_that_very_step(tmp_path, number):
+    """In another process, as a batch system does it: SIGTERM ends this one without a word."""
+    train(job(), tmp_path / "whole")
+    code = (
+        "import signal\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored in the background
+        "from learned import training\n"
+        "from tests.learned.test_training import job\n"
+        "training.TEST_PATHS, training.TEST_STEPS, training.REPORT_STEPS = 2, 5, 80\n"
+        "def stop(row, left):\n"
+        f"    row['steps'] < 150 or signal.raise_signal({int(number)})\n"
+        f"training.train(job(), training.Path({str(tmp_path / 'stopped')!r}), report=stop)\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == -number, ended.stderr
+    steps = checkpoint(tmp_path / "stopped")["steps"]
+    assert steps == read_curve(tmp_path / "stopped" / CURVE)[-1]["steps"] == 160
+    train(job(), tmp_path / "stopped")
+    assert_same_state(tmp_path / "whole", tmp_path / "stopped")
 
 
 def test_another_seed_learns_another_network(tmp_path):
