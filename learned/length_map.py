@@ -74,8 +74,7 @@ class LengthMap:
             "target", "offset", "push", DEGREE, wp.vec3d(center), wp.vec3d(half),
             "softness", "extra", wp.mat33d(robot.home_rotation), *GEOMETRY, "place", "length",
         )  # fmt: skip
-        self._buffers: Buffers | None = None
-        self._size = 0  # of the batch that they are for
+        self._kept: tuple[int, Buffers] | None = None  # of the last batch, with its size
 
     def lengths(
         self, position: Array, *, push: Array | None = None, offset: Array | None = None
@@ -89,7 +88,7 @@ class LengthMap:
             push: Acceleration a for which the rest is moved by S a [m/s^2], shape (B, 3).
             offset: By how much it is moved besides [m], shape (B, 3).
         """
-        return self._moved(position, push, offset)[1]
+        return self._moved("length", position, push, offset)
 
     def displacement(self, position: Array, push: Array) -> Array:
         """By how much the rest is moved for a push: S a [m], shape (B, 3).
@@ -98,24 +97,27 @@ class LengthMap:
             position: In W [m], shape (B, 3).
             push: The acceleration a [m/s^2], shape (B, 3).
         """
-        return self._moved(position, push, None)[0] - position
+        return self._moved("place", position, push, None) - position
 
     def _moved(
-        self, position: Array, push: Array | None, offset: Array | None
-    ) -> tuple[Array, Array]:
-        """Where the rest is moved to [m], shape (B, 3), and its lengths [m], shape (B, n)."""
-        points = batch("position", position, (3,))
-        size = len(points)
-        if self._buffers is None or size != self._size:
-            self._buffers, self._size = self._allocate(size), size
-        buffers = self._buffers
+        self, wanted: str, position: Array, push: Array | None, offset: Array | None
+    ) -> Array:
+        """What is wanted: the `place` to which rest is moved, (B, 3), or its `length`, (B, n)."""
+        size = len(position)
+        if np.shape(position) != (size, 3):
+            batch("position", position, (3,))  # says what is wrong
+        kept = self._kept
+        if kept is None or kept[0] != size:
+            kept = self._kept = (size, self._allocate(size))
+        buffers = kept[1]
         with buffers.lock:
-            buffers.put("target", points)
+            buffers.put("target", position)
             buffers.put("push", REST if push is None else push)
             buffers.put("offset", REST if offset is None else offset)
             kernel = length_map_kernels.lengths_of_rest
             buffers.launch("lengths_of_rest", kernel, size, *self._arguments)
-            return buffers.get("place"), buffers.get("length")
+            found: Array = buffers.get(wanted)
+            return found
 
     def _allocate(self, size: int) -> Buffers:
         """Buffers of the kernel, with the coefficients and the robot in them."""

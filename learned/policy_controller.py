@@ -210,7 +210,9 @@ class _Ahead:
 
 def _in_turn(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
     """The same rows as a slice, where each is the one after that before it."""
-    if len(rows) and (np.diff(rows) == 1).all():
+    if len(rows) == 0:
+        return slice(0)
+    if (np.diff(rows) == 1).all():
         return slice(int(rows[0]), int(rows[-1]) + 1)
     return rows
 

@@ -27,6 +27,7 @@ SCHEMA = "carosac-policy/1"
 PREFIX = "carosac."  # of the names of our metadata
 ACTIVATIONS = ("relu", "silu")
 OPSET = 17
+LARGEST = 1e15  # of an observation: float32 networks are far from overflowing there
 IR_VERSION = 8  # goes with the opset
 INSTALL = "pip install 'carosac-toolkit[learn]'"
 WRITTEN = "an ONNX file written by write_policy"
@@ -134,13 +135,12 @@ class Policy:
         values = np.asarray(observation)
         if values.ndim != 2 or values.shape[1] != self.observation_size:
             batch("observation", observation, (self.observation_size,))  # says what is wrong
-        with np.errstate(over="ignore"):  # what overflows is refused below
-            single = values.astype(np.float32)
-        action = np.asarray(self._session.run(["action"], {"observation": single})[0], np.float64)
-        if not np.isfinite(action.sum()):
+        if not np.abs(values).max() <= LARGEST:
             checked = batch("observation", observation, (self.observation_size,))
-            largest = np.abs(checked).max()
-            raise InvalidField("observation", f"{largest:g}", "what a float32 network can take")
+            allowed = f"-{LARGEST:g} to {LARGEST:g}, in units of the observation"
+            raise InvalidField("observation", f"{np.abs(checked).max():g}", allowed)
+        seen = {"observation": values.astype(np.float32)}
+        action: Array = self._session.run(["action"], seen)[0].astype(np.float64)
         return action
 
 

@@ -41,7 +41,7 @@ def test_changelog_has_unreleased_on_top_with_entries():
 def test_mypy_leaves_out_exactly_the_kernels():
     overrides = PROJECT["tool"]["mypy"]["overrides"]
     skipped = {name for entry in overrides if "follow_imports" in entry for name in entry["module"]}
-    packages = (ROOT / name for name in ("carosac_toolkit", "sim_warp"))
+    packages = (ROOT / name for name in ("carosac_toolkit", "learned", "sim_warp"))
     files = [path for package in packages for path in package.rglob("*_kernels.py")]
     kernels = {".".join(path.relative_to(ROOT).with_suffix("").parts) for path in files}
     assert skipped - {"warp.*"} == kernels
