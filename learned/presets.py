@@ -243,11 +243,13 @@ PRESETS = {
                         ),
                         action="push",
                         reach=1.5,
-                        share=0.4,
+                        share=0.25,
                         feedforward=True,
                         correction=2.0,
                         correction_memory=6.0,
-                        reward=RewardSettings(terms=("tracking", "effort", "jerk"), effort=0.1),
+                        reward=RewardSettings(
+                            terms=("tracking", "effort", "jerk"), effort=0.1, jerk=5.0
+                        ),
                         moving=MovingSettings(cables="particles"),  # fast modes count, too
                         lost=0.5,
                         path=PathSettings(
