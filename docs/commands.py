@@ -76,8 +76,8 @@ EXCEPTIONS = {
     "first command of README",
     "carosac train --preset carosac --robot my-robot.yaml": "a second robot: 20 minutes, and the "
     "same command runs for the bundled one",
-    "carosac train --preset residual --device cuda --set td3.environments=4096 --set "
-    "td3.gradient_steps=384": "needs a GPU",
+    "carosac train --preset residual --device cuda --set td3.environments=1024 --set "
+    "td3.steps=4000000": "needs a GPU",
     **dict.fromkeys(
         (
             "carosac compare --suite reference",

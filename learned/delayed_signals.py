@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -13,11 +14,14 @@ USUAL = (signal.default_int_handler, signal.SIG_DFL)
 
 
 @contextmanager
-def delayed_signals() -> Iterator[Callable[[], bool]]:
+def delayed_signals(notice: str = "") -> Iterator[Callable[[], bool]]:
     """Let a first Ctrl-C or SIGTERM wait until this is left; a second one does not wait.
 
     Signals that somebody else handles, or that are ignored, stay as they are, and so do all outside
     the main thread, where Python hears none.
+
+    Args:
+        notice: Written to standard error when the first one comes.
 
     Yields:
         Tells whether one waits: leave soon then.
@@ -32,6 +36,8 @@ def delayed_signals() -> Iterator[Callable[[], bool]]:
     def note(number: int, _: FrameType | None) -> None:
         came.append(number)
         restore()
+        if notice:
+            os.write(2, f"\n{notice}\n".encode())
 
     if threading.current_thread() is threading.main_thread():
         for number in SIGNALS:
@@ -43,3 +49,4 @@ def delayed_signals() -> Iterator[Callable[[], bool]]:
         restore()
     if came:
         signal.raise_signal(came[0])
+        raise SystemExit(128 + came[0])  # the first process of a container survives that

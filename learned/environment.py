@@ -154,6 +154,7 @@ class CableEnvironment:
         self.robot = robot
         self.settings = settings
         self.size = size
+        self._device = device
         self.scales = Scales.of(robot, settings.units)
         self.worlds = _worlds(robot, settings, size, seed, device)
         self.actions = make_actions(robot, settings, self.scales, device)
@@ -254,7 +255,7 @@ class CableEnvironment:
         """Go on from a state of an environment of the same settings and size."""
         self.worlds.restore(state["worlds"])
         self._paths = list(state["paths"])
-        self._take_targets(np.arange(self.size))
+        self._take_targets(np.arange(len(self._paths)))
         self._step = state["step"].copy()
         self._last_action = state["last_action"].copy()
         for name in ("mean_error", "lasting_error"):
@@ -270,7 +271,7 @@ class CableEnvironment:
 
     def _feasible(self, position: Array) -> NDArray[np.bool_]:
         """Where the nominal robot can rest."""
-        rest = statics.inverse_kinematics(self.robot, position)
+        rest = statics.inverse_kinematics(self.robot, position, device=self._device)
         return rest.converged & rest.stable
 
     def _begin(self, rows: NDArray[Any]) -> Array:

@@ -16,6 +16,8 @@ with the stiffness K at rest, the mass and its centre c, is fitted the same way.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
@@ -76,6 +78,10 @@ class LengthMap:
         )  # fmt: skip
         self._kept: tuple[int, Buffers] | None = None  # of the last batch, with its size
 
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the buffers, which are made when they are needed."""
+        return self.__dict__ | {"_kept": None}
+
     def lengths(
         self, position: Array, *, push: Array | None = None, offset: Array | None = None
     ) -> Array:
@@ -104,7 +110,7 @@ class LengthMap:
     ) -> Array:
         """What is wanted: the `place` to which rest is moved, (B, 3), or its `length`, (B, n)."""
         size = len(position)
-        if np.shape(position) != (size, 3):
+        if np.shape(position) != (size, 3) or size == 0:
             batch("position", position, (3,))  # says what is wrong
         kept = self._kept
         if kept is None or kept[0] != size:

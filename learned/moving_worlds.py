@@ -57,6 +57,7 @@ class MovingWorlds:
         self.size = size
         self._settings = settings
         self._period = period
+        self._device = device
         self._simulator = Simulator(
             robot, worlds=size, cables=settings.cables, seed=seed,
             perturbation=settings.perturbation, device=device,
@@ -107,7 +108,7 @@ class MovingWorlds:
         fleet = self._simulator.fleet.rows(np.asarray(rows, dtype=np.int32))
         where = np.array(position)
         for _ in range(ATTEMPTS):
-            rest = statics.inverse_kinematics(fleet, where)
+            rest = statics.inverse_kinematics(fleet, where, device=self._device)
             bad = ~(rest.converged & rest.stable)
             if not bad.any():
                 return where

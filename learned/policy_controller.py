@@ -88,7 +88,8 @@ class PolicyController:
         lead = lead_of(robot, self._environment) if self._in_motion else 0.0
         self._aim = _Ahead.of([target + lead / self.period])
         rows = [x.last_row for x in (self._target, self._preview, self._aim)]
-        self.horizon = self.period * float(max(rows))
+        self._last_row = max(rows)
+        self.horizon = self.period * float(self._last_row)
         self._length: Array | None = None
         self._last_action = np.zeros((1, self._actions.size))
         self._mean_error = self._lasting_error = np.zeros((1, 3))
@@ -118,9 +119,12 @@ class PolicyController:
         """The lengths that the policy asks for.
 
         Raises:
-            InvalidField: The belief lacks what the policy observes, or a target lies outside the
-                workspace box.
+            InvalidField: The belief lacks what the policy observes, the reference ends before the
+                horizon, or a target lies outside the workspace box.
         """
+        if reference.time.shape[1] <= self._last_row:
+            allowed = f"at least {self._last_row + 1}, those of the horizon of {self.horizon:g} s"
+            raise InvalidField("reference", f"{reference.time.shape[1]} rows", allowed)
         look = self._look(belief, reference)
         check_targets(self._scales, look.target)
         self._mean_error, self._lasting_error = look.mean_error, look.lasting_error

@@ -133,7 +133,7 @@ class Policy:
             InvalidField: A wrong size, or a number that is not finite or too large.
         """
         values = np.asarray(observation)
-        if values.ndim != 2 or values.shape[1] != self.observation_size:
+        if values.ndim != 2 or values.shape[1] != self.observation_size or len(values) == 0:
             batch("observation", observation, (self.observation_size,))  # says what is wrong
         if not np.abs(values).max() <= LARGEST:
             checked = batch("observation", observation, (self.observation_size,))

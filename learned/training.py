@@ -44,6 +44,7 @@ TEST_STEPS = 40  # of a path of set-points
 REPORTS = 40  # points of the learning curve, at most
 REPORT_STEPS = 2_000  # between two of them, at least
 CHECKPOINT_EVERY = 120.0  # [s]
+NOTICE = "stopping after this step, with a checkpoint; once more stops at once, without"
 
 Report = Callable[[dict[str, float], float], None]
 
@@ -205,7 +206,7 @@ class _Run:
         """Train to the end; False if stopped before. Ctrl-C ends it with a checkpoint."""
         last = np.inf if stop_after is None else stop_after
         saved = time.monotonic()
-        with delayed_signals() as called_off:
+        with delayed_signals(NOTICE) as called_off:
             while not self.done:
                 self._advance()
                 if called_off() or self.model.num_timesteps >= last:
@@ -214,10 +215,10 @@ class _Run:
                 if time.monotonic() - saved > CHECKPOINT_EVERY:
                     self._save()
                     saved = time.monotonic()
-        if not self.rows or self.rows[-1]["steps"] < self.model.num_timesteps:
-            self._measure()
-        (self.folder / POLICY).unlink(missing_ok=True)  # if there is one, it is another training's
-        self._save()
+            if not self.rows or self.rows[-1]["steps"] < self.model.num_timesteps:
+                self._measure()
+            (self.folder / POLICY).unlink(missing_ok=True)  # any is another training's
+            self._save()
         return True
 
     def _advance(self) -> None:

@@ -82,16 +82,14 @@ class Buffers:
             name: wp.zeros(shape, dtype=kind, device=device)
             for name, (shape, kind) in shapes.items()
         }
-        hosted = {name: array.numpy() for name, array in self._arrays.items()}
-        self._shapes = {name: values.shape for name, values in hosted.items()}
-        self._views = hosted if wp.get_device(device).is_cpu else {}
+        on_host = wp.get_device(device).is_cpu
+        self._views = {k: v.numpy() for k, v in self._arrays.items()} if on_host else {}
         self._launches: dict[str, Any] = {}
         self.length_scale = 1.0  # typical cable length of the robot [m]
 
     def add(self, name: str, array: wp.array) -> None:
         """Take over an array that somebody else has made."""
         self._arrays[name] = array
-        self._shapes[name] = array.numpy().shape
         if wp.get_device(self.device).is_cpu:
             self._views[name] = array.numpy()
 
@@ -105,7 +103,9 @@ class Buffers:
         if self._views:
             self._views[name][...] = value
         else:
-            self._arrays[name].assign(np.broadcast_to(value, self._shapes[name]))
+            array = self._arrays[name]
+            shape = (*array.shape, *getattr(array.dtype, "_shape_", ()))  # no copy to the host
+            array.assign(np.broadcast_to(value, shape))
 
     def get(self, name: str) -> NDArray[Any]:
         """Copy numbers out."""

@@ -31,9 +31,9 @@ from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 from learned.changes import check_changes, read_changes, read_variations
 from learned.curve import CURVE, read_curve
 from learned.presets import Preset, find_preset
-from learned.training import Job, train
+from learned.training import CHECKPOINT, Job, train
 from learned.training_record import SETTINGS
-from learned.training_study import Training, TrainingStudy, check_stages, free_study
+from learned.training_study import CPU, Training, TrainingStudy, check_stages, free_study
 
 FOLDER = Path("carosac-results") / "train"
 
@@ -56,9 +56,6 @@ class Options(CommonOptions):
     ] = ()
     """Setting that is not the preset's: td3.FIELD=VALUE or environment.FIELD=VALUE for all stages,
     with STAGE. in front for one, VALUE as JSON or text; may be given several times."""
-    device: str = "cpu"
-    """Warp device of the worlds, such as cuda: a GPU pays from hundreds of them on, with --set
-    td3.environments=NUMBER. Networks are trained on the CPU."""
     seeds: int | None = None
     """How many trainings, with seeds counted up from --seed."""
     vary: Annotated[
@@ -72,6 +69,9 @@ class Options(CommonOptions):
     workers: int | None = None
     """With --seeds or --vary: worker processes on this machine; 0 is none but this one; by default
     one per core."""
+    device: str = CPU
+    """Warp device of the worlds, such as cuda: a GPU pays from hundreds of them on, with --set
+    td3.environments=NUMBER. Networks are trained on the CPU."""
     output: OutputFolder = None
     """Folder for all of it; by default one in carosac-results/train. What is there is gone on
     with."""
@@ -95,7 +95,8 @@ def run(options: Options) -> CommandResult:
                  steps=options.steps, fixed=fixed, varied=varied, device=options.device)
         for varied in variations for seed in range(first, first + (options.seeds or 1))
     ]  # fmt: skip
-    check_device(options.device)
+    if options.scheduler is None:  # else that of the workers counts
+        check_device(options.device)
     trainings[0].settings()  # wrong steps, before what comes of them
     check_changes(preset.stages, fixed, variations)
     if options.seeds is None and not options.vary:
@@ -176,7 +177,8 @@ def _train(job: Job, folder: Path) -> dict[str, Any]:
     try:
         policy = train(job, folder, report=_report)
     except KeyboardInterrupt:
-        print("\nstopped; the same command goes on from here", flush=True)
+        if (folder / CHECKPOINT).exists():
+            print("stopped; the same command goes on from the last checkpoint", flush=True)
         raise
     assert policy is not None
     rows = read_curve(folder / CURVE)
@@ -204,8 +206,10 @@ def _report(row: dict[str, float], left: float) -> None:
 
 
 def _name(options: Options, training: Training, robot: str, last: str) -> str:
-    """Folder of what was not sent anywhere; short trainings apart from full ones."""
+    """Folder of what was not sent anywhere; short trainings, and devices, apart."""
     parts = [training.fixed_name, robot, last]
+    if options.device != CPU:
+        parts.append(options.device.replace(":", ""))
     if options.steps is not None:
         parts.append(f"{options.steps}steps")
     return "-".join(parts)

@@ -53,3 +53,13 @@ def test_outside_the_main_thread_nothing_changes():
     thread.start()
     thread.join()
     assert found == [(False, signal.default_int_handler)]
+
+
+def test_where_a_signal_ends_nothing_the_process_ends_all_the_same(monkeypatch, capfd):
+    """As in the first process of a container."""
+    with pytest.raises(SystemExit) as ended, delayed_signals("wait a second") as came:
+        signal.raise_signal(signal.SIGINT)
+        monkeypatch.setattr(signal, "raise_signal", lambda number: None)
+        assert came()
+    assert ended.value.code == 130
+    assert "wait a second" in capfd.readouterr().err

@@ -401,3 +401,10 @@ def test_a_platform_that_is_lost_begins_anew_and_is_no_failure():
 def test_a_device_that_is_not_there_is_named():
     with pytest.raises(InvalidField, match=r"device: got 'cuda:77'; allowed: one of \['cpu'"):
         CableEnvironment(simple_robot(), NO_SAG, device="cuda:77")
+
+
+def test_a_state_from_before_the_first_reset_is_one_too():
+    environment = made(NO_SAG)
+    environment.restore(environment.state())
+    with pytest.raises(InvalidField, match="reset before step"):
+        environment.step(np.zeros((3, environment.action_size)))

@@ -1,8 +1,10 @@
+import pickle
+
 import numpy as np
 import pytest
 import warp as wp
 
-from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.physics import statics, straight_line, straight_line_kernels, warp_setup
 from carosac_toolkit.robot_file import load_robot
 from learned import length_map_kernels
@@ -84,6 +86,19 @@ def test_a_push_and_an_offset_lead_to_the_lengths_of_where_they_move_the_rest(ca
     np.testing.assert_allclose(
         lengths.lengths(points, push=push, offset=offset), lengths.lengths(place), atol=1e-12
     )
+
+
+def test_copied_after_use_it_says_the_same(carosac):
+    robot, lengths = carosac
+    first = lengths.lengths(robot.home_position[None])
+    copied = pickle.loads(pickle.dumps(lengths))
+    np.testing.assert_array_equal(copied.lengths(robot.home_position[None]), first)
+
+
+@pytest.mark.parametrize("shape", [(3,), (2, 2), (0, 3)])
+def test_positions_of_another_shape_are_refused(carosac, shape):
+    with pytest.raises(InvalidField, match=r"position: got shape .*; allowed: shape \(B, 3\)"):
+        carosac[1].lengths(np.zeros(shape))
 
 
 def test_a_batch_is_its_rows(carosac):

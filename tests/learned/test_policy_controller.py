@@ -119,6 +119,9 @@ def test_set_points_are_read_ahead_by_the_lag(tmp_path):
     wanted = controller._scales.to_length(policy.act(unit))
     found = controller.command(belief, window).unstrained_length
     np.testing.assert_allclose(found, wanted, atol=1e-4)
+    short = path.window(1.0, 0.0, controller.period)
+    with pytest.raises(InvalidField, match=r"reference: got 1 rows; allowed: at least \d+, those"):
+        controller.command(belief, short)
 
 
 def test_other_robots_are_refused_by_what_differs(tmp_path):

@@ -221,6 +221,8 @@ def test_observations_of_another_size_or_not_finite_are_refused(file):
         policy.act(np.zeros((2, 9)))
     with pytest.raises(InvalidField, match=r"shape \(10,\)"):
         policy.act(np.zeros(10))
+    with pytest.raises(InvalidField, match=r"shape \(0, 10\)"):
+        policy.act(np.zeros((0, 10)))
     with pytest.raises(InvalidField, match="a finite number"):
         policy.act(np.full((1, 10), np.nan))
     with pytest.raises(InvalidField, match=r"got 1e.300; allowed: -1e.15 to 1e.15"):

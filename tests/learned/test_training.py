@@ -106,10 +106,8 @@ def test_a_seed_repeats_and_kill_and_resume_is_no_kill_bit_for_bit(tmp_path, kin
     assert_same_state(tmp_path / "whole", tmp_path / "killed")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_stopped_by_a_signal_it_goes_on_from_that_very_step(tmp_path, number):
-    """In another process, as a batch system does it: SIGTERM ends this one without a word."""
-    train(job(), tmp_path / "whole")
+def stopped_at(steps, number, folder):
+    """A training in a process of its own that gets a signal at a point of its learning curve."""
     code = (
         "import signal\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored in the background
@@ -117,16 +115,25 @@ def test_stopped_by_a_signal_it_goes_on_from_that_very_step(tmp_path, number):
         "from tests.learned.test_training import job\n"
         "training.TEST_PATHS, training.TEST_STEPS, training.REPORT_STEPS = 2, 5, 80\n"
         "def stop(row, left):\n"
-        f"    row['steps'] < 150 or signal.raise_signal({int(number)})\n"
-        f"training.train(job(), training.Path({str(tmp_path / 'stopped')!r}), report=stop)\n"
+        f"    row['steps'] == {steps} and signal.raise_signal({int(number)})\n"
+        f"training.train(job(), training.Path({str(folder)!r}), report=stop)\n"
     )
-    ended = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False
-    )
-    assert ended.returncode == -number, ended.stderr
-    steps = checkpoint(tmp_path / "stopped")["steps"]
-    assert steps == read_curve(tmp_path / "stopped" / CURVE)[-1]["steps"] == 160
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_stopped_by_a_signal_it_goes_on_from_that_very_step(tmp_path, number):
+    """In another process, as a batch system does it; the second time at its very end."""
+    train(job(), tmp_path / "whole")
+    for steps in (160, 320):
+        ended = stopped_at(steps, number, tmp_path / "stopped")
+        assert ended.returncode == -number, ended.stderr
+        assert "stopping after this step" in ended.stderr
+        assert checkpoint(tmp_path / "stopped")["steps"] == steps
+        assert read_curve(tmp_path / "stopped" / CURVE)[-1]["steps"] == steps
+        assert not (tmp_path / "stopped" / training.POLICY).exists()
     train(job(), tmp_path / "stopped")
+    assert (tmp_path / "stopped" / training.POLICY).exists()
     assert_same_state(tmp_path / "whole", tmp_path / "stopped")
 
 
