@@ -119,14 +119,17 @@ class PolicyController:
         """The lengths that the policy asks for.
 
         Raises:
-            InvalidField: The belief lacks what the policy observes, the reference ends before the
-                horizon, or a target lies outside the workspace box.
+            InvalidField: The belief lacks what the policy observes or is further from the reference
+                than in training, the reference ends before the horizon, or a target lies outside
+                the workspace box.
         """
         if reference.time.shape[1] <= self._last_row:
             allowed = f"at least {self._last_row + 1}, those of the horizon of {self.horizon:g} s"
             raise InvalidField("reference", f"{reference.time.shape[1]} rows", allowed)
         look = self._look(belief, reference)
         check_targets(self._scales, look.target)
+        if self._environment.lost is not None:
+            check_near(look, self._environment.lost)
         self._mean_error, self._lasting_error = look.mean_error, look.lasting_error
         action = self._policy.act(observe(self._environment.observation, look, self._scales))
         self._last_action = self._actions.applied(action, look)
@@ -254,6 +257,26 @@ def check_targets(scales: Scales, target: Array) -> None:
         low, high = scales.center - scales.half, scales.center + scales.half
         allowed = f"in the workspace box of the policy, {low} m to {high} m"
         raise InvalidField(f"reference.position[{row}]", f"{target[row].round(3)} m", allowed)
+
+
+def check_near(look: Look, lost: float) -> None:
+    """Refuse beliefs so far from the reference that training cut its episodes short there.
+
+    Either the platform is lost or the estimator is; pushing on would make both worse.
+
+    Args:
+        look: With where the platform is believed and due.
+        lost: Largest distance between them [m].
+
+    Raises:
+        InvalidField: Names the row that is furthest off.
+    """
+    squares = ((look.position - look.due) ** 2).sum(axis=1)
+    if not squares.max() <= lost**2:
+        row = int(np.argmax(squares))
+        got = f"{squares[row] ** 0.5:.2f} m from the reference"
+        allowed = f"at most {lost:g} m, where episodes of training ended"
+        raise InvalidField(f"belief.position[{row}]", got, allowed)
 
 
 def list_policies() -> tuple[str, ...]:

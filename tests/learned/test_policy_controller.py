@@ -188,6 +188,29 @@ def test_targets_outside_the_workspace_box_are_refused(tmp_path, settings):
             controller.command(belief, window)
 
 
+def test_a_belief_further_off_than_in_training_is_refused(tmp_path):
+    """Of two robots the one that is lost is named; the other one is within what was trained."""
+    robot = ct.load_robot("carosac")
+    settings = replace(REALTIME, lost=0.5)
+    environment = CableEnvironment(robot, settings)
+    sizes = (environment.observation_size, environment.action_size)
+    policy = random_policy(tmp_path / "p.onnx", robot, settings, sizes)
+    controller = PolicyController(robot, policy, PolicySettings())
+    path = trajectories.build("line", robot, 0)
+    start = path.sample([0.0]).position
+    window = path.window(0.0, controller.horizon, controller.period)
+    belief = Belief(
+        time=np.zeros(2), position=start + np.array([[0.49, 0.0, 0.0], [0.0, 0.0, -0.49]]),
+        rotation=robot.home_rotation[None].repeat(2, axis=0), twist=np.zeros((2, 6)),
+    )  # fmt: skip
+    controller.reset(belief)
+    controller.command(belief, window)
+    further = replace(belief, position=belief.position - np.array([[0.0] * 3, [0.0, 0.0, 0.02]]))
+    wanted = r"belief.position\[1\]: got 0.51 m from the reference; allowed: at most 0.5 m"
+    with pytest.raises(InvalidField, match=wanted):
+        controller.command(further, window)
+
+
 def test_an_observation_of_another_size_is_refused(tmp_path):
     robot = ct.load_robot("carosac")
     settings = EnvironmentSettings(observation=("target",))
