@@ -248,7 +248,7 @@ PRESETS = {
                         correction=2.0,
                         correction_memory=6.0,
                         reward=RewardSettings(
-                            terms=("tracking", "effort", "jerk"), effort=0.1, jerk=5.0
+                            terms=("tracking", "effort", "jerk"), effort=0.3, jerk=5.0
                         ),
                         moving=MovingSettings(cables="particles"),  # fast modes count, too
                         lost=0.5,
