@@ -30,7 +30,7 @@ OPSET = 17
 LARGEST = 1e15  # of an observation: float32 networks are far from overflowing there
 IR_VERSION = 8  # goes with the opset
 INSTALL = "pip install 'carosac-toolkit[learn]'"
-WRITTEN = "an ONNX file written by write_policy"
+WRITTEN = "an ONNX file that `carosac train` wrote"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,6 +107,9 @@ class Policy:
                 would not do here what it did where it was trained.
             CarosacError: onnxruntime is not installed.
         """
+        if Path(path).is_dir():
+            allowed = f"{WRITTEN}: policy.onnx in the folder of a stage"
+            raise InvalidField("path", f"the folder {path}", allowed)
         if not Path(path).is_file():
             raise MissingFile(path)
         session = _session(path)

@@ -64,6 +64,14 @@ class Td3Settings:
     critic_first: int = 0
     quiet_start: bool = False
 
+    @property
+    def begins_to_change(self) -> int:
+        """Environment steps up to which the policy stays as it begins: critics learn first."""
+        if self.critic_first == 0:
+            return self.random_steps
+        rounds = -(-self.critic_first // self.gradient_steps)
+        return self.random_steps + rounds * self.environments
+
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
         whole = ("steps", "environments", "gradient_steps", "batch_size", "buffer_size", "critics")

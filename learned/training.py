@@ -44,7 +44,7 @@ TEST_STEPS = 40  # of a path of set-points
 REPORTS = 40  # points of the learning curve, at most
 REPORT_STEPS = 2_000  # between two of them, at least
 CHECKPOINT_EVERY = 120.0  # [s]
-NOTICE = "stopping after this step, with a checkpoint; once more stops at once, without"
+NOTICE = "stopping after this step, with a checkpoint (Ctrl-C again: at once, without a new one)"
 
 Report = Callable[[dict[str, float], float], None]
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import tyro
 
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder
@@ -30,7 +31,7 @@ from carosac_toolkit.studies.folder import MANIFEST
 from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 from learned.changes import check_changes, read_changes, read_variations
 from learned.curve import CURVE, read_curve
-from learned.presets import Preset, find_preset
+from learned.presets import Preset, Stage, find_preset
 from learned.training import CHECKPOINT, Job, train
 from learned.training_record import SETTINGS
 from learned.training_study import CPU, Training, TrainingStudy, check_stages, free_study
@@ -161,6 +162,8 @@ def _train_all(options: Options, preset: Preset, trainings: list[Training]) -> C
         f"{counted(len(trainings), 'training')} to {study.folder}"
     )
     print(wrapped(line, terminal_width()), flush=True)
+    for job in trainings[0].jobs(robot, study.folder):
+        _say_when_it_begins(job.stage)
     rows = study.run(workers=options.workers, scheduler=options.scheduler)
     data = {"preset": trainings[0].fixed_name, "robot": robot.name, "folder": study.folder}
     found = report(study, rows)
@@ -173,6 +176,7 @@ def _train(job: Job, folder: Path) -> dict[str, Any]:
     from learned.pictures.training import curve_of, learning_curves
 
     print(f"\n{job.stage_name}: {job.stage.td3.steps} steps to {folder}")
+    _say_when_it_begins(job.stage)
     print("     steps  updates  CPU [s]  median [mm]  of means [mm]  p95 [mm]  incons. [mm]  left")
     try:
         policy = train(job, folder, report=_report)
@@ -189,18 +193,27 @@ def _train(job: Job, folder: Path) -> dict[str, Any]:
     return {"policy": policy, "folder": folder, **rows[-1]}
 
 
+def _say_when_it_begins(stage: Stage) -> None:
+    """Print from when on the policy changes, where its critics learn alone for a while."""
+    if stage.td3.critic_first:
+        begins = stage.td3.begins_to_change
+        ends = "; these steps end before that" if stage.td3.steps <= begins else ""
+        line = f"the policy stays as it begins up to step {begins}: critics learn first{ends}"
+        print(wrapped(line, terminal_width()), flush=True)
+
+
 def _report(row: dict[str, float], left: float) -> None:
     """Print a point of the learning curve; its errors are those before a path fails."""
     millimetres = [
-        1e3 * row[name]
+        "-" if np.isnan(row[name]) else f"{1e3 * row[name]:.1f}"
         for name in ("median_error_m", "median_of_means_m", "p95_error_m", "inconsistency_m")
     ]
     minutes, seconds = divmod(round(left), 60)
     failed = f"  {row['failed_paths']:.0f} paths failed" if row["failed_paths"] else ""
     print(
         f"{row['steps']:10.0f} {row['updates']:8.0f} {row['cpu_seconds']:8.0f} "
-        f"{millimetres[0]:12.1f} {millimetres[1]:14.1f} {millimetres[2]:9.1f} "
-        f"{millimetres[3]:13.1f}  {minutes:2d}:{seconds:02d}{failed}",
+        f"{millimetres[0]:>12} {millimetres[1]:>14} {millimetres[2]:>9} "
+        f"{millimetres[3]:>13}  {minutes:2d}:{seconds:02d}{failed}",
         flush=True,
     )
 

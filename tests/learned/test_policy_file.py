@@ -176,8 +176,10 @@ def test_files_that_are_no_policies_are_refused(tmp_path):
     for content in (b"", b"mass: 3\n", bytes(range(256)) * 8):
         path = tmp_path / "wrong.onnx"
         path.write_bytes(content)
-        with pytest.raises(InvalidField, match="an ONNX file written by write_policy"):
+        with pytest.raises(InvalidField, match="an ONNX file that `carosac train` wrote"):
             Policy.load(path)
+    with pytest.raises(InvalidField, match=r"the folder .*: policy\.onnx in the folder of a stage"):
+        Policy.load(tmp_path)
 
 
 def test_a_cut_file_is_refused(file):

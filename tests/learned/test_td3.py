@@ -11,7 +11,7 @@ import torch
 from learned.environment import CableEnvironment
 from learned.exploration import DecayingNoise
 from learned.metric_policy import MetricCritic
-from learned.presets import PRESETS
+from learned.presets import PRESETS, Td3Settings
 from learned.relabelling import RelabellingBuffer
 from learned.td3 import build_model, layers_of, restore_state, state_of
 from learned.vector_environment import CableVecEnv
@@ -70,7 +70,8 @@ def test_a_quiet_start_does_next_to_nothing_and_the_actor_waits_for_the_critics(
     loud = built("paper").predict(seen.astype(np.float32), deterministic=True)[0]
     assert np.abs(before).max() < 0.02
     assert np.abs(before).max() < 0.1 * np.abs(loud).max()
-    model.learn(200)  # 4 environments: 50 updates
+    waiting = Td3Settings(environments=4, critic_first=50, random_steps=0)
+    model.learn(waiting.begins_to_change)
     np.testing.assert_array_equal(
         model.predict(seen.astype(np.float32), deterministic=True)[0], before
     )
