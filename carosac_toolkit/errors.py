@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from difflib import get_close_matches
+from typing import Any
 
 
 class CarosacError(Exception):
     """Base of all errors raised on purpose; the command line prints it and exits with status 2."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle message and attributes, whatever the arguments were: it may come from a worker."""
+        return _restored, (type(self), self.args, self.__dict__)
 
 
 class InvalidField(CarosacError):
@@ -46,3 +52,18 @@ class MissingFile(CarosacError):
     def __init__(self, path: object, hint: str = "") -> None:
         super().__init__(f"{path}: no such file" + (f"; {hint}" if hint else ""))
         self.path = str(path)
+
+
+def did_you_mean(name: object, names: Sequence[str]) -> str:
+    """The most similar of some names as a question, to be put after what is allowed; or nothing."""
+    close = get_close_matches(str(name), names, n=1)
+    return f"; did you mean '{close[0]}'?" if close else ""
+
+
+def _restored(
+    kind: type[CarosacError], args: tuple[Any, ...], attributes: dict[str, Any]
+) -> CarosacError:
+    """An error as it was pickled."""
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(attributes)
+    return error

@@ -3,7 +3,9 @@
 Each plug-in is a class found through an entry-point group (``carosac.controllers``,
 ``carosac.estimators``, ``carosac.drivers``) or as ``module:Class``, and is made by its classmethod
 ``build(robot, settings=None, *, seed=0)``, `settings` being its own dataclass ``Settings``.
-Drivers get the plant robot, controllers and estimators the nominal one.
+Drivers get the plant robot, controllers and estimators the nominal one. A staticmethod
+``check_settings(settings)``, where a class has one, refuses before a study begins what `build`
+would refuse for any robot, such as a file that is not there.
 """
 
 from __future__ import annotations

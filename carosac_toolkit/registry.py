@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import os
 import sys
-from difflib import get_close_matches
 from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from importlib.util import find_spec
 from typing import Any, Literal, get_args
 
-from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.errors import CarosacError, InvalidField, did_you_mean
 
 Kind = Literal["controllers", "estimators", "drivers", "commands", "figures"]
 
@@ -138,8 +137,7 @@ def _owner(point: EntryPoint) -> str:
 def _allowed(name: str, installed: list[str]) -> str:
     """What could have been written instead."""
     text = f"one of {installed}, or 'module:Class'"
-    close = get_close_matches(name, installed, n=1)
-    return text + (f"; did you mean '{close[0]}'?" if close else "")
+    return text + did_you_mean(name, installed)
 
 
 def _resolve(kind: Kind, name: str, point: EntryPoint) -> Any:
@@ -157,8 +155,7 @@ def _resolve(kind: Kind, name: str, point: EntryPoint) -> Any:
         ) from error
     for attribute in filter(None, (point.attr or "").split(".")):
         if not hasattr(target, attribute):
-            close = get_close_matches(attribute, dir(target), n=1)
-            hint = f"; did you mean '{close[0]}'?" if close else ""
+            hint = did_you_mean(attribute, dir(target))
             raise InvalidField(kind[:-1], repr(name), f"a name that {point.module} defines{hint}")
         target = getattr(target, attribute)
     return target

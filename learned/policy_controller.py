@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.errors import InvalidField, did_you_mean
 from carosac_toolkit.number_checks import check_positive
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_differences import same
@@ -107,6 +107,12 @@ class PolicyController:
         name = policy_of(robot) if chosen.policy is None else chosen.policy
         return cls(robot, Policy.load(find_policy(name)), chosen)
 
+    @staticmethod
+    def check_settings(settings: PolicySettings) -> None:
+        """Refuse a policy that is not there, or is none, before a study begins."""
+        if settings.policy is not None:
+            Policy.load(find_policy(settings.policy))
+
     def reset(self, belief: Belief) -> None:
         """Forget the last action, and past errors."""
         from carosac_toolkit.physics.straight_line import straight_length
@@ -140,7 +146,10 @@ class PolicyController:
         """What there is to see."""
         wanted = OF_TWIST & set(self._environment.observation)
         if belief.twist is None and wanted:
-            allowed = f"an estimator with a twist; the policy observes {', '.join(sorted(wanted))}"
+            allowed = (
+                "that of an estimator that gives velocities, such as dynamic_estimator; the policy "
+                f"observes {', '.join(sorted(wanted))}"
+            )
             raise InvalidField("belief.twist", None, allowed)
         size = len(belief.position)
         target = self._target.rows(reference.position, size)[:, 0]
@@ -237,7 +246,7 @@ def check_robot(robot: Robot, policy: Policy) -> None:
     needed = TRAINED_FOR + TRAINED_IN_MOTION if moving else TRAINED_FOR
     names = [x for x in needed if not same(getattr(trained, x), getattr(robot, x))]
     if names:
-        allowed = f"the robot that the policy was trained for; {', '.join(names)} differ"
+        allowed = f"{trained.name!r}, which the policy was trained for; {', '.join(names)} differ"
         raise InvalidField("robot", repr(robot.name), f"{allowed}: train one with `carosac train`")
 
 
@@ -311,7 +320,8 @@ def find_policy(name_or_path: str) -> Path:
         return _folder() / f"{name_or_path}{SUFFIX}"
     path = Path(name_or_path)
     if path.suffix != SUFFIX and not path.exists():
-        raise InvalidField("policy", repr(name_or_path), f"one of {list(names)}, or an .onnx file")
+        allowed = f"one of {list(names)}, or an .onnx file{did_you_mean(name_or_path, names)}"
+        raise InvalidField("policy", repr(name_or_path), allowed)
     return path
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.errors import InvalidField, did_you_mean
 from carosac_toolkit.number_checks import check_fields, check_whole
 from learned.environment import EnvironmentSettings
 from learned.episodes import PathSettings
@@ -165,7 +165,8 @@ def find_preset(name: str) -> Preset:
         InvalidField: There is none of that name.
     """
     if name not in PRESETS:
-        raise InvalidField("preset", repr(name), f"one of {list(PRESETS)}")
+        allowed = f"one of {list(PRESETS)}{did_you_mean(name, list(PRESETS))}"
+        raise InvalidField("preset", repr(name), allowed)
     return PRESETS[name]
 
 

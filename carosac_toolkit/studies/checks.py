@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
-from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from carosac_toolkit import registry, trajectories
-from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.errors import CarosacError, InvalidField, did_you_mean
 from carosac_toolkit.filled_settings import filled
 from carosac_toolkit.number_checks import check_whole
 from carosac_toolkit.perturbations import CONDITIONS
@@ -86,13 +85,8 @@ def _known(field: str, names: Any, allowed: Sequence[str]) -> None:
     """Refuse names that are not in a list."""
     for name in names:
         if name not in allowed:
-            raise InvalidField(field, repr(name), f"one of {list(allowed)}{_hint(name, allowed)}")
-
-
-def _hint(name: Any, allowed: Sequence[str]) -> str:
-    """The most similar name, as a question."""
-    close = get_close_matches(str(name), allowed, n=1)
-    return f"; did you mean '{close[0]}'?" if close else ""
+            said = f"one of {list(allowed)}{did_you_mean(name, allowed)}"
+            raise InvalidField(field, repr(name), said)
 
 
 def _plugin(kind: Any, name: str) -> Any:
@@ -141,9 +135,11 @@ def _check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any
     _known(where, wanted, sorted(item.name for item in fields(kinds)))
     check_types(where, usual, wanted)
     try:
-        filled(where, usual, wanted)
+        chosen = filled(where, usual, wanted)
     except TypeError as error:
         raise InvalidField(field, repr(dict(wanted)), f"settings of {name}: {error}") from error
+    if callable(check := getattr(plugin, "check_settings", None)):
+        check(chosen)
 
 
 def _check_truth(driver: Any, name: str) -> None:

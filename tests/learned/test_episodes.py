@@ -86,6 +86,18 @@ def test_paths_with_an_infeasible_target_are_drawn_again(monkeypatch):
         drawn(settings, 0, lambda position: np.zeros(len(position), dtype=bool))
 
 
+def test_a_robot_that_can_rest_hardly_anywhere_is_not_asked_for_every_point_of_every_path():
+    asked = []
+
+    def nowhere(position):
+        asked.append(len(position))
+        return np.zeros(len(position), dtype=bool)
+
+    with pytest.raises(CarosacError, match="random paths"):
+        drawn(PathSettings(steps=400), 0, nowhere)
+    assert max(asked) <= 11
+
+
 @pytest.mark.parametrize(
     "changes, message",
     [

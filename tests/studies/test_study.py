@@ -188,6 +188,14 @@ def test_cases_are_all_combinations_with_the_settings_of_their_own_plugins():
         ({"controller_settings": {"kinematic_solver": {"gian": 1.0}}}, "did you mean 'gain'"),
         ({"controller_settings": {"kinematic_solver": {"gain": -1.0}}}, "gain: got -1.0"),
         ({"controller_settings": {"other": {}}}, "controller_settings: got 'other'"),
+        (
+            {"controllers": ["td3"], "controller_settings": {"td3": {"policy": "carosac-residul"}}},
+            "did you mean 'carosac-residual'",
+        ),
+        (
+            {"controllers": ["td3"], "controller_settings": {"td3": {"policy": "none.onnx"}}},
+            "none.onnx: no such file",
+        ),
         ({"retry": ["broken"]}, "retry: got 'broken'"),
         ({"timeout": 0.0}, "timeout: got 0.0 s"),
         ({"workers": -1}, "workers: got -1"),
