@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.drivers.plant import Plant
@@ -44,10 +46,7 @@ class SensorSuite:
         self._settings = settings
         self._size, self._n = plant.size, plant.robot.n
         self._rng = _streams(seed, self._size)
-        self.encoder_bias = settings.encoder_bias * self._draw("encoder_bias", self._n)
-        self._tension_bias = settings.tension_bias * self._draw("tension_bias", self._n)
-        scale = np.repeat([settings.angular_rate_bias, settings.specific_force_bias], 3)
-        self._imu_bias = scale * self._draw("imu_bias", 6)
+        self.encoder_bias, self._tension_bias, self._imu_bias = self._biases()
         self._lines = _delay_lines(suite, settings)
         self._reading = quantised(
             plant.read_lengths() + self.encoder_bias, settings.encoder_resolution
@@ -67,12 +66,34 @@ class SensorSuite:
         if not due - {"encoders"}:
             return
         state = plant.truth()
-        if "pose" in due:
-            self._lines["pose"].put(now, self._pose(state))
-        if "imu" in due:
-            self._lines["imu"].put(now, self._imu(state, plant))
-        if "tension" in due:
-            self._lines["tension"].put(now, self._tension(state))
+        for name in ("pose", "imu", "tension"):
+            if name in due:
+                self._lines[name].put(now, self._sampled(name, state, plant))
+
+    def renew(self, rows: NDArray[Any]) -> None:
+        """Give some robots other sensors of the same make: their biases are drawn anew.
+
+        Call `restart` before the next sample, once these robots have been set down.
+        """
+        mine = (self.encoder_bias, self._tension_bias, self._imu_bias)
+        for bias, drawn in zip(mine, self._biases(), strict=True):
+            bias[rows] = drawn[rows]
+
+    def restart(self, rows: NDArray[Any], plant: Plant) -> None:
+        """Let the sensors of some robots forget all before now: they rest where they were set down.
+
+        Others go on, but all draw noise.
+        """
+        encoded = quantised(
+            plant.read_lengths() + self.encoder_bias, self._settings.encoder_resolution
+        )
+        self._reading[rows] = encoded[rows]
+        state, kept = plant.truth(), self._reading
+        for name, line in self._lines.items():
+            line.overwrite(rows, self._sampled(name, state, plant))
+        kept[rows] = self._reading[rows]
+        self._reading = kept
+        self._measured = None
 
     def newest_lengths(self, now: float) -> Array:
         """Newest lengths that have arrived [m], shape (B, n)."""
@@ -99,6 +120,24 @@ class SensorSuite:
         parts = self._rng[stream]
         rows = self._size // len(parts)
         return np.concatenate([rng.standard_normal((rows, count)) for rng in parts])
+
+    def _biases(self) -> tuple[Array, Array, Array]:
+        """Of encoders [m], (B, n), tension sensors [N], (B, n), and IMU, (B, 6); drawn."""
+        sensors = self._settings
+        scale = np.repeat([sensors.angular_rate_bias, sensors.specific_force_bias], 3)
+        return (
+            sensors.encoder_bias * self._draw("encoder_bias", self._n),
+            sensors.tension_bias * self._draw("tension_bias", self._n),
+            scale * self._draw("imu_bias", 6),
+        )
+
+    def _sampled(self, name: str, state: State, plant: Plant) -> Array:
+        """What a sensor says now, with noise and bias."""
+        if name == "encoders":
+            return self._lengths(plant)
+        if name == "pose":
+            return self._pose(state)
+        return self._imu(state, plant) if name == "imu" else self._tension(state)
 
     def _lengths(self, plant: Plant) -> Array:
         """Readings of the encoders [m], then their rates [m/s], shape (B, 2 n)."""

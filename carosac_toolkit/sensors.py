@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import InvalidField
@@ -118,6 +120,11 @@ class DelayLine:
         """Take a sample."""
         self._samples.append((now, sample))
         self._count += 1
+
+    def overwrite(self, rows: NDArray[Any], sample: Array) -> None:
+        """Let some robots have one sample in place of all that are on the way."""
+        for _, kept in self._samples:
+            kept[rows] = sample[rows]
 
     def newest(self, now: float) -> tuple[float, Array]:
         """Newest sample that has arrived: when it was taken [s], and what it says.

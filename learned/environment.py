@@ -305,9 +305,10 @@ class CableEnvironment:
         due, aimed = ahead[0], ahead[0][2]
         if self.settings.path.period is not None:
             due, aimed = self._path_rows(0), self._aimed_acceleration(self.settings.path.period)
-        bias = 0.0 if reached.position_bias is None else reached.position_bias
+        seen = reached if reached.belief is None else reached.belief
+        assert seen.twist is not None
         return Look(
-            position=reached.position + bias, rotation=reached.rotation, twist=reached.twist,
+            position=seen.position, rotation=seen.rotation, twist=seen.twist,
             length=self._asked, due=due[0], due_velocity=due[1], target=ahead[0][0],
             target_velocity=ahead[0][1], target_acceleration=ahead[0][2],
             aimed_acceleration=aimed,

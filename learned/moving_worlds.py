@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -13,6 +14,9 @@ from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.perturbations import find_condition
 from carosac_toolkit.physics import statics
 from carosac_toolkit.robot import Robot
+from carosac_toolkit.sensors import check_suite
+from carosac_toolkit.values import Belief
+from learned.sensing import Sensing
 from learned.worlds import Reached
 from sim_warp import Simulator
 
@@ -30,6 +34,10 @@ class MovingSettings:
         position_bias: What the believed position errs by in an episode, one sigma per axis [m].
         length_bias: What the encoders err by in an episode, one sigma per cable [m].
         start_speed: With which the platform starts, one sigma per axis [m/s].
+        estimator: Name of the estimator whose belief is observed in some worlds; None: in none.
+        estimated: Share of the worlds in which it is. They start at rest, and have the sensors of
+            driver `simulator`: their encoders and belief err as these do.
+        suite: Sensors that the estimator measures with, one of `carosac_toolkit.sensors.SUITES`.
     """
 
     cables: Literal["particles", "catenary"] = "catenary"
@@ -37,6 +45,9 @@ class MovingSettings:
     position_bias: float = 0.01
     length_bias: float = 0.005
     start_speed: float = 0.2
+    estimator: str | None = None
+    estimated: float = 1.0
+    suite: str = "lengths+imu"
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
@@ -44,6 +55,9 @@ class MovingSettings:
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise InvalidField(name, getattr(self, name), ">= 0, finite")
         find_condition(self.perturbation)
+        if not 0.0 < self.estimated <= 1.0:
+            raise InvalidField("estimated", self.estimated, "0 < estimated <= 1")
+        check_suite(self.suite, inertial=True)
 
 
 class MovingWorlds:
@@ -65,28 +79,45 @@ class MovingWorlds:
         self._rng = np.random.default_rng([seed, 11])
         self._position_bias = np.zeros((size, 3))
         self._length_bias = np.zeros((size, robot.n))
+        self._sensing: Sensing | None = None
+        if settings.estimator is not None:
+            count = math.ceil(settings.estimated * size)
+            self._sensing = Sensing(
+                robot, self._simulator, settings.suite, settings.estimator, count, seed
+            )
 
     def reset(self, rows: NDArray[Any], position: Array) -> Reached:
         """Start near positions, with some speed; biases are drawn anew.
 
         Where a plant cannot rest at its position it starts on the way home from there.
         """
-        count = len(rows)
+        count, sensing = len(rows), self._sensing
         self._position_bias[rows] = self._normal(self._settings.position_bias, (count, 3))
         self._length_bias[rows] = self._normal(self._settings.length_bias, (count, self.robot.n))
         speed = self._normal(self._settings.start_speed, (count, 3))
         twist = np.concatenate([speed, np.zeros((count, 3))], axis=1)
+        if sensing is not None:
+            twist[rows < sensing.count] = 0.0
+            sensing.renew(rows)
+            self._length_bias[: sensing.count] = -sensing.encoder_bias
         self._simulator.reset(self._feasible(rows, position), twist=twist, worlds=rows)
+        if sensing is not None:
+            sensing.begin(rows)
         return self._reached()
 
     def advance(self, length: Array) -> Reached:
         """Let a period pass."""
-        self._simulator.step(length + self._length_bias, self._period)
+        asked = length + self._length_bias
+        if self._sensing is None:
+            self._simulator.step(asked, self._period)
+        else:
+            self._sensing.advance(length, asked, self._period)
         return self._reached()
 
     def state(self) -> dict[str, Any]:
-        """Simulator, biases and their source."""
+        """Simulator, biases and their source, sensors and beliefs."""
         return {
+            "sensing": None if self._sensing is None else self._sensing.state(),
             "simulator": self._simulator.save(),
             "position_bias": self._position_bias.copy(),
             "length_bias": self._length_bias.copy(),
@@ -99,6 +130,8 @@ class MovingWorlds:
         self._position_bias = state["position_bias"].copy()
         self._length_bias = state["length_bias"].copy()
         self._rng.bit_generator.state = state["rng"]
+        if self._sensing is not None:
+            self._sensing.restore(state["sensing"])
 
     def _normal(self, sigma: float, shape: tuple[int, int]) -> Array:
         return sigma * self._rng.standard_normal(shape)
@@ -117,9 +150,14 @@ class MovingWorlds:
 
     def _reached(self) -> Reached:
         state = self._simulator.state.numpy()
+        belief = Belief(
+            time=state.time, position=state.position + self._position_bias,
+            rotation=state.rotation, twist=state.twist,
+        )  # fmt: skip
         return Reached(
             position=state.position, rotation=state.rotation, twist=state.twist,
             length=state.unstrained_length - self._length_bias,
             inconsistency=np.full_like(state.unstrained_length, np.nan), tension=state.tension,
-            failed=state.failed, position_bias=self._position_bias.copy(),
+            failed=state.failed,
+            belief=belief if self._sensing is None else self._sensing.believed(belief),
         )  # fmt: skip

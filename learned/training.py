@@ -337,8 +337,12 @@ class _Run:
 def curve_settings(settings: EnvironmentSettings) -> EnvironmentSettings:
     """Settings of the environment in which the learning curve is measured.
 
-    Fewer set-points, no paths but those that are measured on, and all errors count.
+    Fewer set-points, no paths but those that are measured on, and all errors count. In real time
+    no estimators, which would take longer than the training: beliefs err by a constant.
     """
     if settings.path.period is not None:
-        return replace(settings, lost=None, path=replace(settings.path, pool=TEST_PATHS))
+        return replace(
+            settings, lost=None, moving=replace(settings.moving, estimator=None),
+            path=replace(settings.path, pool=TEST_PATHS),
+        )  # fmt: skip
     return replace(settings, path=replace(settings.path, steps=TEST_STEPS, pool=TEST_PATHS))

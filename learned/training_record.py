@@ -23,6 +23,10 @@ LATER: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
     (("environment",), {"memory": 1.0, "correction": 0.0, "correction_memory": 4.0}),
     (("environment", "reward"), {"tracking_scale": 0.1, "slack": 0.0, "reserve": 0.0, "jerk": 3.0}),
     (("environment", "units"), {"acceleration": 1.0}),
+    (
+        ("environment", "moving"),
+        {"estimator": None, "estimated": 1.0, "suite": "lengths+imu"},
+    ),
     (("td3",), {"target_rate": 0.005}),
 )
 SHARED = (  # with the stage that a later one starts from

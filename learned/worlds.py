@@ -16,6 +16,7 @@ from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.physics import statics, straight_line
 from carosac_toolkit.physics.statics import Equilibrium
 from carosac_toolkit.robot import Robot
+from carosac_toolkit.values import Belief
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,7 +31,7 @@ class Reached:
         inconsistency: As in `learned.transition.Transition`, shape (B, n).
         tension: At the platform [N], shape (B, n); None without forces.
         failed: No solution was found; the platform is where it was before, shape (B,).
-        position_bias: By how much a belief errs, added to what is observed [m], (B, 3), or None.
+        belief: What is observed instead, or None: the truth is.
     """
 
     position: Array
@@ -40,7 +41,7 @@ class Reached:
     inconsistency: Array
     tension: Array | None
     failed: NDArray[np.bool_]
-    position_bias: Array | None = None
+    belief: Belief | None = None
 
 
 class Worlds(Protocol):

@@ -12,7 +12,7 @@ from carosac_toolkit.arrays import Array, as_floats
 from carosac_toolkit.drivers.simulated import SimulatedDriver, SimulatedSettings
 from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.number_checks import check_not_negative, check_positive
-from carosac_toolkit.physics.winch import Encoders
+from carosac_toolkit.physics.winch import Encoders, WinchSettings
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.values import State
 from sim_warp.arguments import as_seeds
@@ -84,13 +84,32 @@ class SimPlant:
         chosen = settings or SimDriverSettings()
         options = chosen.simulator_options
         options["time_step"] = chosen.time_step or min(STEP, STEPS[chosen.cables])
-        self.simulator = Simulator(
+        simulator = Simulator(
             robot, worlds=size, seed=seed, winch=chosen.winch,
             wind_force=chosen.wind_force, wind_time=chosen.wind_time, **options,
         )  # fmt: skip
-        self.robot = self.simulator.robots[0]
-        self.size = self.simulator.size
-        self._encoders = Encoders(self.simulator.robots, self.size, chosen.winch)
+        self._take(simulator, chosen.winch)
+
+    @classmethod
+    def around(cls, simulator: Simulator) -> SimPlant:
+        """The plant of a simulator with default winches that somebody else resets and steps.
+
+        It shows the worlds as they were when it last had a `look` at them.
+        """
+        plant = cls.__new__(cls)
+        plant._take(simulator, None)
+        return plant
+
+    def _take(self, simulator: Simulator, winch: WinchSettings | None) -> None:
+        """Take the worlds."""
+        self.simulator = simulator
+        self.robot = simulator.robots[0]
+        self.size = simulator.size
+        self._encoders = Encoders(simulator.robots, self.size, winch)
+        self.look()
+
+    def look(self) -> None:
+        """See the worlds as they are now."""
         self._state = self.simulator.state.numpy()
 
     def reset(self, position: Array) -> None:
@@ -104,7 +123,7 @@ class SimPlant:
         except InvalidField as error:
             row = error.field.removeprefix("position") if self.size > 1 else ""
             raise InvalidField(f"start_position{row}", error.value, error.allowed) from error
-        self._state = self.simulator.state.numpy()
+        self.look()
 
     def advance(self, command: Array, duration: float) -> None:
         """Let time pass while the winches follow a constant command.
@@ -117,7 +136,7 @@ class SimPlant:
             CarosacError: No time step, however short, had a finite solution in some worlds.
         """
         self.simulator.step(command, duration)
-        self._state = self.simulator.state.numpy()
+        self.look()
         if self._state.failed.any():
             worlds = np.flatnonzero(self._state.failed)
             names = ", ".join(str(b) for b in worlds[:8]) + (", ..." if len(worlds) > 8 else "")

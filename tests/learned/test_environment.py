@@ -202,7 +202,7 @@ def test_errors_are_against_where_it_should_be_now():
         reached = result.reached
         due = np.stack([path.position[k] for path in environment.paths])
         speed = np.stack([path.velocity[k] for path in environment.paths])
-        error = (reached.position + reached.position_bias - due) / 0.1
+        error = (reached.belief.position - due) / 0.1
         against = (reached.twist[:, :3] - speed) / 0.3
         if not result.truncated.any():
             expected = np.concatenate([error, against], axis=1)
@@ -293,7 +293,7 @@ def test_a_biased_belief_is_seen_and_the_truth_is_rewarded():
     state = environment.state()
     reached = state["reached"]
     due = np.stack([path.position[0] for path in state["paths"]])
-    believed = reached.position + reached.position_bias
+    believed = reached.belief.position
     np.testing.assert_allclose(observation[:, :3], (believed - due) / 0.1, atol=1e-12)
     result = environment.step(np.zeros((3, 3)))
     np.testing.assert_array_equal(result.transition.position, result.reached.position)

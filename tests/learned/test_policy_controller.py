@@ -69,10 +69,7 @@ def random_policy(path, robot, settings: EnvironmentSettings, sizes: tuple[int, 
 
 def belief_of(environment: CableEnvironment, result) -> Belief:
     reached = result.reached
-    return Belief(
-        time=np.zeros(1), position=reached.position + reached.position_bias,
-        rotation=reached.rotation, twist=reached.twist,
-    )  # fmt: skip
+    return replace(reached.belief, time=np.zeros(1))
 
 
 def test_driving_gives_the_lengths_of_training(tmp_path):
@@ -87,12 +84,7 @@ def test_driving_gives_the_lengths_of_training(tmp_path):
     environment._draw = lambda: sampled(path, REALTIME.path)
     observation = environment.reset([environment._draw()])
     for _ in range(2):  # the second episode begins where the first one ends
-        belief = Belief(
-            time=np.zeros(1), position=environment.worlds._reached().position
-            + environment.worlds._position_bias,
-            rotation=environment.worlds._reached().rotation,
-            twist=environment.worlds._reached().twist,
-        )  # fmt: skip
+        belief = replace(environment.worlds._reached().belief, time=np.zeros(1))
         controller.reset(belief)
         for k in range(REALTIME.path.steps):  # the path goes on beyond the last one
             window = path.window(k * controller.period, controller.horizon, controller.period)
@@ -230,7 +222,7 @@ def test_what_the_belief_lacks_is_said(tmp_path):
     )
     controller.reset(belief)
     window = trajectories.build("line", robot, 0).window(0.0, controller.horizon, controller.period)
-    with pytest.raises(InvalidField, match=r"belief\.twist: got None; allowed: an estimator with"):
+    with pytest.raises(InvalidField, match=r"belief\.twist: got None; allowed: that of an"):
         controller.command(belief, window)
 
 

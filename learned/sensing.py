@@ -1,0 +1,127 @@
+"""Sensors and estimators of simulated worlds that are set down anew one by one."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit import registry
+from carosac_toolkit.arrays import Array
+from carosac_toolkit.protocols import Estimator
+from carosac_toolkit.robot import Robot
+from carosac_toolkit.sensor_suite import SensorSuite
+from carosac_toolkit.sensors import SensorSettings
+from carosac_toolkit.values import Belief, Command
+from sim_warp import Simulator
+from sim_warp.driver import SimPlant
+
+
+class Sensing:
+    """What estimators believe in the first worlds of a simulator, from what its sensors say.
+
+    Sensors, their rates and delays are those of driver `simulator`. Each world has a belief of its
+    own, so that one can be set down anew while the others go on.
+
+    Attributes:
+        count: In how many worlds there is an estimator.
+    """
+
+    def __init__(
+        self, robot: Robot, simulator: Simulator, suite: str, estimator: str, count: int, seed: int
+    ) -> None:
+        """Make them; nothing is believed before `begin`.
+
+        Args:
+            robot: The nominal one, which the estimator knows.
+            simulator: With the plants; it may have more worlds.
+            suite: One of `carosac_toolkit.sensors.SUITES`.
+            estimator: By its name as a plug-in.
+            count: In how many worlds.
+            seed: Of the sensors.
+        """
+        self.count = count
+        self._beliefs: list[Belief | None] = [None] * count
+        self._plant = SimPlant.around(simulator)
+        self._sensors = SensorSuite(suite, SensorSettings(), self._plant, seed)
+        self._estimator: Estimator = registry.load("estimators", estimator).build(robot)
+        self._now = 0.0
+        self._sensors.sample(self._plant, self._now)
+
+    @property
+    def encoder_bias(self) -> Array:
+        """What the encoders of the worlds with an estimator say too much [m], (count, n)."""
+        return self._sensors.encoder_bias[: self.count]
+
+    def renew(self, rows: NDArray[Any]) -> None:
+        """Give some worlds other sensors of the same make; they are about to be set down anew."""
+        self._sensors.renew(rows)
+
+    def begin(self, rows: NDArray[Any]) -> None:
+        """Let the estimators of some worlds start, where these have just been set down."""
+        self._plant.look()
+        self._sensors.restart(rows, self._plant)
+        measured = self._sensors.measure(self._now)
+        for row in rows[rows < self.count]:
+            self._beliefs[row] = self._estimator.reset(one_row(measured, row))
+
+    def advance(self, command: Array, asked: Array, duration: float) -> None:
+        """Let time pass with a stop at each sample, then let the estimators measure.
+
+        Args:
+            command: Lengths as encoders say them [m], shape (B, n).
+            asked: What that comes to as lengths that are wound [m], shape (B, n).
+            duration: [s].
+        """
+        end = self._now + duration
+        while self._now < end - 1e-9:
+            until = min(end, self._sensors.next_due)
+            self._plant.simulator.step(asked, until - self._now)
+            self._plant.look()
+            self._now = until
+            self._sensors.sample(self._plant, self._now)
+        measured = self._sensors.measure(self._now)
+        sent = Command(time=measured.time - duration, unstrained_length=command)
+        for row, belief in enumerate(self._beliefs):
+            if belief is not None:
+                news = one_row(sent, row), one_row(measured, row)
+                self._beliefs[row] = self._estimator.update(belief, *news)
+
+    def believed(self, truth: Belief) -> Belief:
+        """A belief of all worlds: that of the estimators, and of another one where there is none.
+
+        Without a twist an estimator believes that the platform stands still.
+        """
+        position, rotation = np.array(truth.position), np.array(truth.rotation)
+        assert truth.twist is not None
+        twist = np.array(truth.twist)
+        for row, belief in enumerate(self._beliefs):
+            if belief is not None:
+                position[row], rotation[row] = belief.position[0], belief.rotation[0]
+                twist[row] = 0.0 if belief.twist is None else belief.twist[0]
+        return replace(truth, position=position, rotation=rotation, twist=twist)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that changes."""
+        sensors = copy.deepcopy(self._sensors)
+        return {"sensors": sensors, "beliefs": list(self._beliefs), "now": self._now}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from there; the simulator has been restored before."""
+        self._plant.look()
+        self._sensors = copy.deepcopy(state["sensors"])
+        self._beliefs = list(state["beliefs"])
+        self._now = state["now"]
+
+
+def one_row(value: Any, row: int) -> Any:
+    """One row of everything that is batched in a value that flows, as a batch of one."""
+    if isinstance(value, np.ndarray):
+        return value[row : row + 1]
+    if not is_dataclass(value):
+        return value
+    parts = {part.name: one_row(getattr(value, part.name), row) for part in fields(value)}
+    return replace(value, **parts)  # type: ignore[type-var]
