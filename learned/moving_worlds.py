@@ -87,9 +87,10 @@ class MovingWorlds:
             )
 
     def reset(self, rows: NDArray[Any], position: Array) -> Reached:
-        """Start near positions, with some speed; biases are drawn anew.
+        """Hang on the lengths of rest at positions, with some speed; biases are drawn anew.
 
-        Where a plant cannot rest at its position it starts on the way home from there.
+        These lengths are what would be asked for there, of the nominal robot; where its plant hangs
+        on them differs by centimetres. Where it cannot rest it starts on the way home from there.
         """
         count, sensing = len(rows), self._sensing
         self._position_bias[rows] = self._normal(self._settings.position_bias, (count, 3))
@@ -100,7 +101,8 @@ class MovingWorlds:
             twist[rows < sensing.count] = 0.0
             sensing.renew(rows)
             self._length_bias[: sensing.count] = -sensing.encoder_bias
-        self._simulator.reset(self._feasible(rows, position), twist=twist, worlds=rows)
+        length = self._lengths(rows, position)
+        self._simulator.reset(unstrained_length=length, twist=twist, worlds=rows)
         if sensing is not None:
             sensing.begin(rows)
         return self._reached()
@@ -136,15 +138,17 @@ class MovingWorlds:
     def _normal(self, sigma: float, shape: tuple[int, int]) -> Array:
         return sigma * self._rng.standard_normal(shape)
 
-    def _feasible(self, rows: NDArray[Any], position: Array) -> Array:
-        """Positions at which the plants of some worlds can rest, near the given ones."""
+    def _lengths(self, rows: NDArray[Any], position: Array) -> Array:
+        """True lengths on which the plants of some worlds can rest, near the given positions."""
         fleet = self._simulator.fleet.rows(np.asarray(rows, dtype=np.int32))
         where = np.array(position)
         for _ in range(ATTEMPTS):
-            rest = statics.inverse_kinematics(fleet, where, device=self._device)
-            bad = ~(rest.converged & rest.stable)
+            asked = statics.inverse_kinematics(self.robot, where, device=self._device)
+            length = asked.unstrained_length + self._length_bias[rows]
+            rest = statics.forward_kinematics(fleet, length, device=self._device)
+            bad = ~(asked.converged & rest.converged & rest.stable)
             if not bad.any():
-                return where
+                return length
             where[bad] += RETREAT * (self.robot.home_position - where[bad])
         raise CarosacError(f"{self.robot.name}: a plant that was drawn cannot rest near its home")
 

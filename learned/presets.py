@@ -259,7 +259,11 @@ PRESETS = {
                         reward=RewardSettings(
                             terms=("tracking", "effort", "jerk"), effort=0.3, jerk=5.0
                         ),
-                        moving=MovingSettings(cables="particles"),  # fast modes count, too
+                        moving=MovingSettings(
+                            cables="particles",  # fast modes count, too
+                            estimator="dynamic_estimator",  # and what is late or too lively
+                            estimated=0.25,
+                        ),
                         lost=0.5,
                         path=PathSettings(
                             kind="minimum_snap",

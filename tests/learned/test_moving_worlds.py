@@ -45,6 +45,18 @@ def test_a_platform_without_disturbance_stays_at_rest_on_held_lengths(cables):
     assert not reached.failed.any()
 
 
+def test_platforms_start_at_rest_on_the_lengths_that_are_asked_for():
+    """As a robot does that waits where its path begins: no cable jerks when it goes on."""
+    worlds = made(MovingSettings(start_speed=0.0, length_bias=0.02))
+    asked = statics.inverse_kinematics(simple_robot(), START).unstrained_length
+    start = worlds.reset(np.arange(3), START)
+    np.testing.assert_allclose(start.length, asked, atol=1e-9)
+    assert (np.linalg.norm(start.position - START, axis=1) > 5e-3).all()
+    reached = worlds.advance(asked)
+    np.testing.assert_allclose(reached.position, start.position, atol=2e-3)  # wind blows
+    np.testing.assert_allclose(reached.tension, start.tension, atol=3.0)
+
+
 def test_winches_lag_behind_what_they_are_asked_for():
     worlds = made(CALM)
     start = worlds.reset(np.arange(3), START)
