@@ -144,7 +144,7 @@ class MovingWorlds:
         where = np.array(position)
         for _ in range(ATTEMPTS):
             asked = statics.inverse_kinematics(self.robot, where, device=self._device)
-            length = asked.unstrained_length + self._length_bias[rows]
+            length: Array = asked.unstrained_length + self._length_bias[rows]
             rest = statics.forward_kinematics(fleet, length, device=self._device)
             bad = ~(asked.converged & rest.converged & rest.stable)
             if not bad.any():

@@ -261,8 +261,8 @@ PRESETS = {
                         ),
                         moving=MovingSettings(
                             cables="particles",  # fast modes count, too
-                            estimator="dynamic_estimator",  # and what is late or too lively
-                            estimated=0.25,
+                            estimator="dynamic_estimator",  # and beliefs that are late or too lively
+                            estimated=0.5,
                         ),
                         lost=0.5,
                         path=PathSettings(
