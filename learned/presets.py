@@ -261,7 +261,7 @@ PRESETS = {
                         ),
                         moving=MovingSettings(
                             cables="particles",  # fast modes count, too
-                            estimator="dynamic_estimator",  # and beliefs that are late or too lively
+                            estimator="dynamic_estimator",  # and beliefs as when driving
                             estimated=0.5,
                         ),
                         lost=0.5,
