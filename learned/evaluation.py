@@ -15,9 +15,9 @@ from carosac_toolkit.robot import Robot
 from carosac_toolkit.trajectories import Trajectory, random_minimum_snap
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.episodes import ATTEMPTS, Path, PathSettings, sampled
-from learned.moving_worlds import MovingSettings
+from learned.moving_worlds import MovingSettings, MovingWorlds
 from learned.policy_file import Policy
-from learned.scores import Act, Scores, score
+from learned.scores import AT_LIMIT, Act, Scores, score
 from learned.settings_data import environment_settings
 from sim_warp import Simulator
 
@@ -86,6 +86,36 @@ def evaluate_inverse_kinematics(
         )  # fmt: skip
         return trial.follow(still, lambda seen: np.zeros((len(seen), 3)))
     return settled_particles(trial.robot, solved(trial.robot, trial.paths))
+
+
+def slack_at_rest(policy: Policy, *, paths: int, seed: int) -> float:
+    """How often the plants of ``realtime`` have a cable below its least tension without any motion.
+
+    They hang at rest on the lengths of catenary inverse kinematics of each target. Nothing but the
+    errors of robot file and encoders takes their tension away.
+
+    Args:
+        policy: As in `evaluate`.
+        paths: As there.
+        seed: The same.
+
+    Returns:
+        Share of the points.
+    """
+    trial = _trial(policy, "realtime", paths, seed)
+    environment = CableEnvironment(trial.robot, trial.settings, size=paths, seed=UNSEEN + seed)
+    environment.reset(trial.paths)
+    worlds, robot = environment.worlds, trial.robot
+    assert isinstance(worlds, MovingWorlds)
+    found = []
+    points = [path.position for path in trial.paths]
+    for step in range(1, max(len(one) for one in points)):
+        there = np.array([step < len(one) for one in points])
+        target = np.stack([one[min(step, len(one) - 1)] for one in points])
+        asked = statics.inverse_kinematics(robot, target).unstrained_length
+        slack = worlds.hung(asked).tension < robot.tension_min - AT_LIMIT
+        found.append(slack[there].any(axis=1))
+    return float(np.concatenate(found).mean())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -116,6 +116,12 @@ class MovingWorlds:
             self._sensing.advance(length, asked, self._period)
         return self._reached()
 
+    def hung(self, length: Array) -> statics.Equilibrium:
+        """The rest of all plants on lengths that encoders say [m], shape (B, n); nothing moves."""
+        return statics.forward_kinematics(
+            self._simulator.fleet, length + self._length_bias, device=self._device
+        )
+
     def state(self) -> dict[str, Any]:
         """Simulator, biases and their source, sensors and beliefs."""
         return {

@@ -172,6 +172,15 @@ def test_what_comes_after_the_end_of_a_path_is_no_part_of_its_errors(resting):
         np.testing.assert_allclose(rmse[k], expected, rtol=1e-12)
 
 
+def test_cables_that_errors_leave_slack_at_rest_are_counted_without_motion(monkeypatch):
+    tried = policy(IN_MOTION, still)
+    exact = replace(evaluation.MOVING, perturbation="none", length_bias=0.0)
+    monkeypatch.setattr(evaluation, "MOVING", exact)
+    assert evaluation.slack_at_rest(tried, paths=4, seed=1) == 0.0
+    monkeypatch.setattr(evaluation, "MOVING", replace(exact, length_bias=0.3))
+    assert 0.1 < evaluation.slack_at_rest(tried, paths=4, seed=1) <= 1.0
+
+
 def test_a_ratio_is_of_the_steps_that_count_for_both(resting):
     failed = np.zeros_like(resting.failed)
     failed[0, 5] = True
