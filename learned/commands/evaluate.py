@@ -26,9 +26,11 @@ from carosac_toolkit.robot import Robot
 from carosac_toolkit.robot_file import load_robot
 from learned.evaluation import (
     PATHS,
+    Protocol,
     evaluate,
     evaluate_inverse_kinematics,
     rmse_ratio,
+    slack_at_rest,
     trajectory_rmse,
 )
 from learned.policy_controller import check_robot, find_policy
@@ -87,6 +89,7 @@ def run(options: Options) -> CommandResult:
             del data["inverse_kinematics"][name]
     if protocol == "realtime":
         data["rmse_ratio"] = rmse_ratio(scores["policy"], scores[SOLVER])
+        data["slack_share_at_rest"] = slack_at_rest(policy, **arguments)
     if protocol == "realtime" and trained.action == "push" and trained.feedforward:
         pushed = evaluate_inverse_kinematics(policy, protocol, feedforward=True, **arguments)
         scores[FEEDFORWARD] = pushed
@@ -94,7 +97,7 @@ def run(options: Options) -> CommandResult:
             "rmse_ratio": rmse_ratio(pushed, scores[SOLVER])
         }
     print(_table(data))
-    folder = options.output or _default_folder(description, protocol)
+    folder = options.output or _default_folder(description, protocol, count, options.seed)
     data["pictures"] = draw(scores["policy"], robot, folder)
     saved = SavedScores(policy=options.policy, protocol=protocol, robot=robot, scores=scores)
     saved.write(folder)
@@ -104,10 +107,16 @@ def run(options: Options) -> CommandResult:
     return CommandResult(data, status=1 if data["failures"] else 0)
 
 
-def _default_folder(description: PolicyDescription, protocol: str) -> Path:
-    """Where pictures go that were not sent anywhere."""
+def _default_folder(
+    description: PolicyDescription, protocol: Protocol, count: int, seed: int
+) -> Path:
+    """Where pictures go that were not sent anywhere; other paths than usual are in its name."""
     trained = f"seed{description.seed}-{description.steps}steps"
-    parts = (description.preset, description.robot.name, trained, protocol)
+    parts = [description.preset, description.robot.name, trained, protocol]
+    if count != PATHS[protocol]:
+        parts.append(f"{count}paths")
+    if seed != 0:
+        parts.append(f"of-seed{seed}")
     return Path("carosac-results") / "evaluate" / "-".join(parts)
 
 
@@ -149,6 +158,7 @@ ROWS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
     ("median tilt against rest", "median_tilt_rad", lambda x: f"{np.degrees(x):.2f} degrees"),
     ("median inconsistency", "inconsistency_m", _millimetres),
     ("points with a slack cable", "slack_share", _percent),
+    ("with one at rest, on IK's lengths", "slack_share_at_rest", _percent),
     ("points with one overloaded", "overload_share", _percent),
     ("tensions", "tension_range_N", lambda ends: f"{ends[0]:.0f} to {ends[1]:.0f} N"),
     ("paths that failed", "failures", str),

@@ -70,3 +70,13 @@ def test_a_policy_that_never_pushes_adds_nothing(feedforward, tmp_path, capsys):
     (ratio,) = (row for row in printed.splitlines() if row.startswith("RMSE over"))
     assert ratio.count(f"{data['rmse_ratio']:.2f}") == 1 + feedforward
     assert (tmp_path / "pictures" / "rmse.png").exists()
+    assert data["slack_share_at_rest"] <= 1.0 and "at rest, on IK's lengths" in printed
+
+
+def test_other_paths_go_to_another_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for words in ((), ("--seed", "3")):
+        main(["evaluate", "carosac-no-sag", "--trajectories", "2", *words])
+    first, second = sorted((tmp_path / "carosac-results" / "evaluate").iterdir())
+    assert first.name.endswith("no-sag-2paths")
+    assert second.name == f"{first.name}-of-seed3"
