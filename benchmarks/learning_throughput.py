@@ -101,11 +101,12 @@ def ratio(steps: float, name: str) -> str:
 
 
 def settings_of(name: str) -> EnvironmentSettings:
-    """Of a world; estimators are in all of those that are named for them, and in no others."""
+    """Of a world."""
     preset, stage = STAGES[name]
     found = find_preset(preset).stage(stage).environment
-    estimator = found.moving.estimator if name == ESTIMATED else None
-    return replace(found, moving=replace(found.moving, estimator=estimator, estimated=1.0))
+    if name != ESTIMATED:
+        return found
+    return replace(found, moving=replace(found.moving, estimator="dynamic_estimator"))
 
 
 def throughput() -> str:
@@ -132,9 +133,9 @@ def throughput() -> str:
     )  # fmt: skip
     return (
         f"Robot `{ROBOT}`, CPU time of one core, medians of {REPEATS} repeats. Actions are those "
-        "of a policy that has learned: inverse kinematics of the targets (no push in "
-        "`realtime`, where preset `residual` has the dynamic estimator in half of the worlds, "
-        f"`{ESTIMATED}` in all) and noise of {NOISE:g} of their range; paths were drawn before, "
+        "of a policy that has learned: inverse kinematics of the targets (no push in real time; "
+        f"`{ESTIMATED}` has the dynamic estimator in each world) and noise of {NOISE:g} of their "
+        "range; paths were drawn before, "
         f"episodes begin anew in that time; {100 * failures / walked:.2f} % of the steps failed. "
         "`settle` solves for the equilibrium that the paper's simulator probably had to wait for. "
         "The paper's figures count learning, too, and are of its own computer with a GPU; it has "

@@ -79,10 +79,11 @@ class SensorSuite:
         for bias, drawn in zip(mine, self._biases(), strict=True):
             bias[rows] = drawn[rows]
 
-    def restart(self, rows: NDArray[Any], plant: Plant) -> None:
+    def restart(self, rows: NDArray[Any], plant: Plant, now: float) -> None:
         """Let the sensors of some robots forget all before now: they rest where they were set down.
 
-        Others go on, but all draw noise.
+        Others go on, but all draw noise. The next measurement, at the same time, is for the robots
+        that were set down alone: it may have samples for all that the others have had before.
         """
         encoded = quantised(
             plant.read_lengths() + self.encoder_bias, self._settings.encoder_resolution
@@ -90,7 +91,7 @@ class SensorSuite:
         self._reading[rows] = encoded[rows]
         state, kept = plant.truth(), self._reading
         for name, line in self._lines.items():
-            line.overwrite(rows, self._sampled(name, state, plant))
+            line.overwrite(rows, now, self._sampled(name, state, plant))
         kept[rows] = self._reading[rows]
         self._reading = kept
         self._measured = None

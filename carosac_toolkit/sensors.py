@@ -121,8 +121,10 @@ class DelayLine:
         self._samples.append((now, sample))
         self._count += 1
 
-    def overwrite(self, rows: NDArray[Any], sample: Array) -> None:
-        """Let some robots have one sample in place of all that are on the way."""
+    def overwrite(self, rows: NDArray[Any], now: float, sample: Array) -> None:
+        """Let some robots have one sample in place of all that are on the way, and one at least."""
+        if not self._samples:
+            self._samples.append((now, sample))
         for _, kept in self._samples:
             kept[rows] = sample[rows]
 

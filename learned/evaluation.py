@@ -100,7 +100,7 @@ def slack_at_rest(policy: Policy, *, paths: int, seed: int) -> float:
         seed: The same.
 
     Returns:
-        Share of the points.
+        Share of the points at which the plants can rest.
     """
     trial = _trial(policy, "realtime", paths, seed)
     environment = CableEnvironment(trial.robot, trial.settings, size=paths, seed=UNSEEN + seed)
@@ -113,8 +113,9 @@ def slack_at_rest(policy: Policy, *, paths: int, seed: int) -> float:
         there = np.array([step < len(one) for one in points])
         target = np.stack([one[min(step, len(one) - 1)] for one in points])
         asked = statics.inverse_kinematics(robot, target).unstrained_length
-        slack = worlds.hung(asked).tension < robot.tension_min - AT_LIMIT
-        found.append(slack[there].any(axis=1))
+        rest = worlds.hung(asked)
+        slack = rest.tension < robot.tension_min - AT_LIMIT
+        found.append(slack[there & rest.converged & rest.stable].any(axis=1))
     return float(np.concatenate(found).mean())
 
 

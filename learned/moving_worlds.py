@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -35,8 +34,10 @@ class MovingSettings:
         length_bias: What the encoders err by in an episode, one sigma per cable [m].
         start_speed: With which the platform starts, one sigma per axis [m/s].
         estimator: Name of the estimator whose belief is observed in some worlds; None: in none.
-        estimated: Share of the worlds in which it is. They start at rest, and have the sensors of
-            driver `simulator`: their encoders and belief err as these do.
+            All worlds then move in the time steps between the samples of its sensors, as those of
+            driver `simulator` do. Its beliefs must hold all that it remembers.
+        estimated: Share of the worlds in which it is, one at least. They start at rest, and have
+            the sensors of driver `simulator`: their encoders and belief err as these do.
         suite: Sensors that the estimator measures with, one of `carosac_toolkit.sensors.SUITES`.
     """
 
@@ -81,7 +82,7 @@ class MovingWorlds:
         self._length_bias = np.zeros((size, robot.n))
         self._sensing: Sensing | None = None
         if settings.estimator is not None:
-            count = math.ceil(settings.estimated * size)
+            count = max(1, round(settings.estimated * size))
             self._sensing = Sensing(
                 robot, self._simulator, settings.suite, settings.estimator, count, seed
             )

@@ -259,11 +259,7 @@ PRESETS = {
                         reward=RewardSettings(
                             terms=("tracking", "effort", "jerk"), effort=0.3, jerk=5.0
                         ),
-                        moving=MovingSettings(
-                            cables="particles",  # fast modes count, too
-                            estimator="dynamic_estimator",  # and beliefs as when driving
-                            estimated=0.5,
-                        ),
+                        moving=MovingSettings(cables="particles"),  # fast modes count, too
                         lost=0.5,
                         path=PathSettings(
                             kind="minimum_snap",

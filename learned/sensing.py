@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 
 from carosac_toolkit import registry
 from carosac_toolkit.arrays import Array
+from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.protocols import Estimator
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.sensor_suite import SensorSuite
 from carosac_toolkit.sensors import SensorSettings
-from carosac_toolkit.values import Belief, Command
+from carosac_toolkit.values import Belief, Command, Measurement
 from sim_warp import Simulator
 from sim_warp.driver import SimPlant
+
+LATER = 0.01  # [s] after which an estimator is tried
 
 
 class Sensing:
@@ -39,15 +42,17 @@ class Sensing:
             robot: The nominal one, which the estimator knows.
             simulator: With the plants; it may have more worlds.
             suite: One of `carosac_toolkit.sensors.SUITES`.
-            estimator: By its name as a plug-in.
+            estimator: By its name as a plug-in; its beliefs hold all that it remembers.
             count: In how many worlds.
             seed: Of the sensors.
         """
+        self._name = estimator
         self.count = count
         self._beliefs: list[Belief | None] = [None] * count
         self._plant = SimPlant.around(simulator)
         self._sensors = SensorSuite(suite, SensorSettings(), self._plant, seed)
         self._estimator: Estimator = registry.load("estimators", estimator).build(robot)
+        self._tried = False
         self._now = 0.0
         self._sensors.sample(self._plant, self._now)
 
@@ -61,12 +66,31 @@ class Sensing:
         self._sensors.renew(rows)
 
     def begin(self, rows: NDArray[Any]) -> None:
-        """Let the estimators of some worlds start, where these have just been set down."""
+        """Let the estimators of some worlds start, where these have just been set down.
+
+        Raises:
+            InvalidField: The estimator remembers something beside its beliefs.
+        """
         self._plant.look()
-        self._sensors.restart(rows, self._plant)
+        self._sensors.restart(rows, self._plant, self._now)
         measured = self._sensors.measure(self._now)
+        if not self._tried:
+            self._try(one_row(measured, 0))
         for row in rows[rows < self.count]:
             self._beliefs[row] = self._estimator.reset(one_row(measured, row))
+
+    def _try(self, measured: Measurement) -> None:
+        """Make sure that a belief can go on after another one has begun, or been restored."""
+        first = self._estimator.reset(measured)
+        self._estimator.reset(measured)
+        sent = Command(time=measured.time, unstrained_length=measured.unstrained_length)
+        later = replace(measured, time=measured.time + LATER, imu=None)
+        try:
+            self._estimator.update(first, sent, later)
+        except CarosacError as error:
+            allowed = f"one whose beliefs hold all that it remembers; this one says: {error}"
+            raise InvalidField("estimator", repr(self._name), allowed) from error
+        self._tried = True
 
     def advance(self, command: Array, asked: Array, duration: float) -> None:
         """Let time pass with a stop at each sample, then let the estimators measure.

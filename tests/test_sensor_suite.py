@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -190,3 +191,49 @@ def test_impossible_numbers_are_refused(name, value):
 
 def test_noise_and_bias_that_are_named_like_rates_may_be_zero():
     assert SensorSettings(angular_rate_noise=0.0, angular_rate_bias=0.0).angular_rate_bias == 0.0
+
+
+def set_down_anew(rows, *, imu_delay=0.0):
+    """Measurements of three moving robots each 25 ms; some are set down anew after 75 ms."""
+    settings = replace(
+        NOISY, encoder_noise=0.0, position_noise=0.0, rotation_noise=0.0, angular_rate_noise=0.0,
+        specific_force_noise=0.0, tension_noise=0.0, imu_delay=imu_delay, encoder_delay=0.02,
+    )  # fmt: skip
+    plant = TurningPlant(size=3)
+    plant.reset(None)
+    sensors = SensorSuite(ALL, settings, plant, 4)
+    sensors.sample(plant, 0.0)
+    now, found = 0.0, []
+    for k in range(1, 9):
+        while now < 0.025 * k - 1e-9:
+            step = min(sensors.next_due, 0.025 * k) - now
+            plant.advance(None, step)
+            now += step
+            sensors.sample(plant, now)
+        found.append(sensors.measure(now))
+        if k == 3 and rows is not None:
+            sensors.renew(np.array(rows))
+            sensors.restart(np.array(rows), plant, now)
+            found.append(sensors.measure(now))
+    return found, sensors
+
+
+def biases(sensors):
+    return sensors.encoder_bias, sensors._tension_bias, sensors._imu_bias
+
+
+@pytest.mark.parametrize("imu_delay", [0.0, 0.012])
+def test_a_robot_that_is_set_down_anew_leaves_the_sensors_of_others_alone(imu_delay):
+    alone, one = set_down_anew(None, imu_delay=imu_delay)
+    found, other = set_down_anew([1], imu_delay=imu_delay)
+    fresh = found.pop(3)
+    for mine, theirs in zip(biases(one), biases(other), strict=True):
+        np.testing.assert_array_equal(mine[[0, 2]], theirs[[0, 2]])
+        assert (mine[1] != theirs[1]).all()
+    for a, b in zip(alone, found, strict=True):
+        for channel in ("unstrained_length", "length_rate.value", "pose.position", "tension.value",
+                        "imu.angular_rate", "imu.specific_force"):  # fmt: skip
+            first, second = (attrgetter(channel)(x) for x in (a, b))
+            np.testing.assert_array_equal(first[[0, 2]], second[[0, 2]])
+    assert (fresh.imu is None) == (imu_delay > 0.0)  # its samples are on the way
+    assert not fresh.length_rate.value[1].any()

@@ -126,7 +126,8 @@ def _check_suites(driver: Any, name: str, suites: Sequence[str]) -> None:
 
 def _check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any]) -> None:
     """Refuse settings that a plug-in does not have."""
-    if not wanted:
+    check = getattr(plugin, "check_settings", None)
+    if not wanted and check is None:
         return
     kinds = getattr(plugin, "Settings", None)
     if not is_dataclass(kinds):
@@ -138,8 +139,19 @@ def _check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any
         chosen = filled(where, usual, wanted)
     except TypeError as error:
         raise InvalidField(field, repr(dict(wanted)), f"settings of {name}: {error}") from error
-    if callable(check := getattr(plugin, "check_settings", None)):
+    if check is not None:
+        _ask(name, check, chosen)
+
+
+def _ask(name: str, check: Any, chosen: Any) -> None:
+    """Let a plug-in check its settings; whatever that raises is one message."""
+    try:
         check(chosen)
+    except CarosacError:
+        raise
+    except Exception as error:
+        said = f"{name}: check_settings raised {type(error).__name__}: {error}"
+        raise CarosacError(said) from error
 
 
 def _check_truth(driver: Any, name: str) -> None:

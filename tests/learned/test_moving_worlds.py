@@ -52,6 +52,9 @@ def test_platforms_start_at_rest_on_the_lengths_that_are_asked_for():
     start = worlds.reset(np.arange(3), START)
     np.testing.assert_allclose(start.length, asked, atol=1e-9)
     assert (np.linalg.norm(start.position - START, axis=1) > 5e-3).all()
+    rest = worlds.hung(asked)
+    np.testing.assert_allclose(start.position, rest.position, atol=1e-4)
+    np.testing.assert_allclose(start.tension, rest.tension, atol=0.1)
     reached = worlds.advance(asked)
     np.testing.assert_allclose(reached.position, start.position, atol=2e-3)  # wind blows
     np.testing.assert_allclose(reached.tension, start.tension, atol=3.0)

@@ -69,6 +69,10 @@ def test_command_and_encoders_agree():
     asked = statics.inverse_kinematics(simple_robot(), START).unstrained_length
     for _ in range(40):
         reached = worlds.advance(asked)
+    sensing = worlds._sensing
+    read = sensing._sensors.newest_lengths(sensing._now)
+    np.testing.assert_allclose(read, asked, atol=1.2e-3)  # six times the noise of a reading
+    assert np.abs(sensing.encoder_bias).max() > 4e-3
     np.testing.assert_allclose(reached.length, asked, atol=1e-6)
 
 
@@ -149,6 +153,24 @@ def test_a_belief_is_what_driver_and_loop_would_give(monkeypatch):
 def test_settings_that_make_no_sense_are_refused(changes, message):
     with pytest.raises(InvalidField, match=message):
         MovingSettings(**changes)
+
+
+def test_an_estimator_that_remembers_beside_its_beliefs_is_refused():
+    worlds = made(MovingSettings(estimator="simulator"))
+    with pytest.raises(InvalidField, match="'simulator'; allowed: one whose beliefs hold all"):
+        worlds.reset(np.arange(3), START)
+
+
+def test_later_episodes_begin_with_all_sensors_as_the_first_one_does():
+    worlds = made(CALM)
+    seen = []
+    sensing = worlds._sensing
+    estimator, reset = sensing._estimator, sensing._estimator.reset
+    estimator.reset = lambda measured: seen.append(measured) or reset(measured)
+    worlds.reset(np.arange(3), START)
+    moved(worlds, 3)
+    worlds.reset(np.array([1]), START[1:2])
+    assert all(one.imu is not None and one.imu.time.shape == (1, 1) for one in seen)
 
 
 def test_an_estimator_that_is_not_there_is_refused():

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -53,6 +54,27 @@ def series(scale: float, rest: bool = True) -> str:
 
 def study(rows: list[Row], folder: Path = Path("nowhere")) -> StudyResults:
     return StudyResults(rows=tuple(rows), folder=folder)
+
+
+@dataclass(frozen=True)
+class ModelSettings:
+    """Settings of `ModelController`."""
+
+    model: str = "model.onnx"
+
+
+class ModelController:
+    """A controller with a file that is not there."""
+
+    Settings: ClassVar = ModelSettings
+
+    @staticmethod
+    def check_settings(settings: ModelSettings) -> None:
+        Path(settings.model).read_bytes()
+
+    @classmethod
+    def build(cls, robot: Any, settings: Any = None, *, seed: int = 0) -> ModelController:
+        return cls()
 
 
 class PlainDriver:

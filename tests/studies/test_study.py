@@ -196,6 +196,10 @@ def test_cases_are_all_combinations_with_the_settings_of_their_own_plugins():
             {"controllers": ["td3"], "controller_settings": {"td3": {"policy": "none.onnx"}}},
             "none.onnx: no such file",
         ),
+        (
+            {"controllers": ["tests.studies.tables:ModelController"]},
+            "check_settings raised FileNotFoundError",
+        ),
         ({"retry": ["broken"]}, "retry: got 'broken'"),
         ({"timeout": 0.0}, "timeout: got 0.0 s"),
         ({"workers": -1}, "workers: got -1"),
