@@ -158,7 +158,7 @@ ROWS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
     ("median tilt against rest", "median_tilt_rad", lambda x: f"{np.degrees(x):.2f} degrees"),
     ("median inconsistency", "inconsistency_m", _millimetres),
     ("points with a slack cable", "slack_share", _percent),
-    ("with one at rest, on IK's lengths", "slack_share_at_rest", _percent),
+    ("of plants at rest, on IK's lengths", "slack_share_at_rest", _percent),
     ("points with one overloaded", "overload_share", _percent),
     ("tensions", "tension_range_N", lambda ends: f"{ends[0]:.0f} to {ends[1]:.0f} N"),
     ("paths that failed", "failures", str),
