@@ -29,6 +29,7 @@ LATER: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
     ),
     (("td3",), {"target_rate": 0.005}),
 )
+SAID = 3  # of the settings that differ, in an error
 SHARED = (  # with the stage that a later one starts from
     ("preset",), ("robot_digest",), ("seed",),
     ("environment", "observation"), ("environment", "preview"), ("environment", "units"),
@@ -122,9 +123,9 @@ def check_settings(settings: dict[str, Any], folder: Path) -> TrainingRecord | N
     if known is None:
         return None
     if known.settings != settings:
-        both = settings | known.settings
-        names = [name for name in both if settings.get(name) != known.settings.get(name)]
-        allowed = f"a folder of the same settings; {', '.join(names)} differ"
+        found = _differences(known.settings, settings)
+        more = f", and {len(found) - SAID} more differ" if len(found) > SAID else ""
+        allowed = f"a folder of the same settings; there {', '.join(found[:SAID])}{more}"
         raise InvalidField("output", f"'{folder}'", allowed)
     return known
 
@@ -178,6 +179,16 @@ def digest(values: Iterable[Any]) -> str:
     """What stands for all of some numbers and texts."""
     parts = [x.tobytes() if isinstance(x, np.ndarray) else repr(x).encode() for x in values]
     return hashlib.sha256(b"|".join(parts)).hexdigest()[:16]
+
+
+def _differences(known: Any, asked: Any, path: str = "") -> list[str]:
+    """What differs between nested settings, in words: ``td3.steps is 400000, not 20000``."""
+    if isinstance(known, dict) or isinstance(asked, dict):
+        one, other = (x if isinstance(x, dict) else {} for x in (known, asked))
+        both = ((name, f"{path}.{name}" if path else name) for name in one | other)
+        parts = [_differences(one.get(name), other.get(name), where) for name, where in both]
+        return [said for part in parts for said in part]
+    return [] if known == asked else [f"{path} is {known!r}, not {asked!r}"]
 
 
 def _at(settings: dict[str, Any], keys: Iterable[str]) -> Any:
