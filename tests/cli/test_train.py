@@ -165,7 +165,7 @@ def test_a_device_that_is_not_there_is_refused(tmp_path, capsys):
 
 def test_a_folder_of_another_training_is_refused(trained, capsys):
     assert main(["train", "--steps", "1300", "--output", str(trained / "out")]) == 2
-    assert "td3 differ" in capsys.readouterr().err
+    assert "there td3.steps is 700, not 1300" in capsys.readouterr().err
 
 
 def test_evaluation_says_errors_beside_inconsistency(trained, capsys):
