@@ -36,8 +36,8 @@ class MovingSettings:
         estimator: Name of the estimator whose belief is observed in some worlds; None: in none.
             All worlds then move in the time steps between the samples of its sensors, as those of
             driver `simulator` do. Its beliefs must hold all that it remembers.
-        estimated: Share of the worlds in which it is, one at least. They start at rest, and have
-            the sensors of driver `simulator`: their encoders and belief err as these do.
+        estimated: Share of the worlds in which it is, one at least. They have the sensors of driver
+            `simulator`: their encoders and belief err as these do.
         suite: Sensors that the estimator measures with, one of `carosac_toolkit.sensors.SUITES`.
     """
 
@@ -99,7 +99,6 @@ class MovingWorlds:
         speed = self._normal(self._settings.start_speed, (count, 3))
         twist = np.concatenate([speed, np.zeros((count, 3))], axis=1)
         if sensing is not None:
-            twist[rows < sensing.count] = 0.0
             sensing.renew(rows)
             self._length_bias[: sensing.count] = -sensing.encoder_bias
         length = self._lengths(rows, position)
