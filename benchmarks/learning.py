@@ -9,6 +9,8 @@ Run by hand, from the project's root, each part a section of ``benchmarks/RESULT
 --output DIR/NAME-SEED`` left behind.
 ``python -m benchmarks.learning --parts drive --policies FILE ... --seeds N``: policies, model
 predictive control, input shaping and inverse kinematics on the same moves.
+``python -m benchmarks.learning --parts low [--policies FILE ...]``: whether platforms calm down low
+in the box, behind two estimators.
 ``python -m benchmarks.learning --parts recording --recording FILE --robot FILE --policies FILE``:
 lengths commanded to a simulator that was fitted to the recorded robot.
 """
@@ -66,6 +68,13 @@ def drive_part(asked: argparse.Namespace) -> tuple[str, str]:
     return part.TITLE, part.drive(asked.policies, asked.seeds, asked.robots, asked.processes)
 
 
+def low_part(asked: argparse.Namespace) -> tuple[str, str]:
+    """Title and text."""
+    from benchmarks import learning_low as part
+
+    return part.TITLE, part.low(asked.policies, asked.processes)
+
+
 def recording_part(asked: argparse.Namespace) -> tuple[str, str]:
     """Title and text."""
     from benchmarks import learning_recording as part
@@ -81,6 +90,7 @@ PARTS: dict[str, tuple[Part, tuple[str, ...]]] = {  # with the options that it n
     "curves": (curves_part, ("runs",)),
     "bars": (bars_part, ("runs",)),
     "drive": (drive_part, ()),
+    "low": (low_part, ()),
     "recording": (recording_part, ("recording", "robot", "policies")),
 }
 

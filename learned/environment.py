@@ -74,9 +74,7 @@ class EnvironmentSettings:
             raise InvalidField("world", repr(self.world), "'no_sag', 'settle' or 'realtime'")
         if self.action not in ("absolute", "push"):
             raise InvalidField("action", repr(self.action), "'absolute' or 'push'")
-        if (self.world == "realtime") != (self.path.period is not None):
-            allowed = "a number of seconds with world 'realtime', none with the others"
-            raise InvalidField("path.period", self.path.period, allowed)
+        self._check_motion()
         if self.world == "realtime" and "fit" in self.reward.terms:
             allowed = "terms without 'fit', whose inconsistency nobody knows in real time"
             raise InvalidField("reward.terms", self.reward.terms, allowed)
@@ -94,6 +92,15 @@ class EnvironmentSettings:
             raise InvalidField("share", self.share, "0 < share <= 1")
         if self.lost is not None:
             check_positive("lost", self.lost, "m")
+
+    def _check_motion(self) -> None:
+        """Refuse what belongs to real time alone in other worlds."""
+        if (self.world == "realtime") != (self.path.period is not None):
+            allowed = "a number of seconds with world 'realtime', none with the others"
+            raise InvalidField("path.period", self.path.period, allowed)
+        if self.moving.estimator is not None and self.world != "realtime":
+            allowed = "None, but in world 'realtime'"
+            raise InvalidField("moving.estimator", repr(self.moving.estimator), allowed)
 
     def _check_observation(self) -> None:
         """Refuse parts that are not there."""

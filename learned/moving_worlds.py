@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -59,6 +59,16 @@ class MovingSettings:
         if not 0.0 < self.estimated <= 1.0:
             raise InvalidField("estimated", self.estimated, "0 < estimated <= 1")
         check_suite(self.suite, inertial=True)
+        for name in ("estimated", "suite"):
+            usual = MovingSettings.__dataclass_fields__[name].default
+            if self.estimator is None and getattr(self, name) != usual:
+                allowed = f"{usual!r}, or an estimator"
+                raise InvalidField(name, repr(getattr(self, name)), allowed)
+
+    def without_estimator(self) -> MovingSettings:
+        """The same with beliefs that err by a constant."""
+        usual = MovingSettings()
+        return replace(self, estimator=None, estimated=usual.estimated, suite=usual.suite)
 
 
 class MovingWorlds:

@@ -69,7 +69,7 @@ class Sensing:
         """Let the estimators of some worlds start, where these have just been set down.
 
         Raises:
-            InvalidField: The estimator remembers something beside its beliefs.
+            InvalidField: The estimator remembers something beside its beliefs, or gives no twist.
         """
         self._plant.look()
         self._sensors.restart(rows, self._plant, self._now)
@@ -86,10 +86,13 @@ class Sensing:
         sent = Command(time=measured.time, unstrained_length=measured.unstrained_length)
         later = replace(measured, time=measured.time + LATER, imu=None)
         try:
-            self._estimator.update(first, sent, later)
+            belief = self._estimator.update(first, sent, later)
         except CarosacError as error:
             allowed = f"one whose beliefs hold all that it remembers; this one says: {error}"
             raise InvalidField("estimator", repr(self._name), allowed) from error
+        if belief.twist is None:
+            allowed = "one that gives velocities, such as dynamic_estimator"
+            raise InvalidField("estimator", repr(self._name), allowed)
         self._tried = True
 
     def advance(self, command: Array, asked: Array, duration: float) -> None:
@@ -117,7 +120,7 @@ class Sensing:
     def believed(self, truth: Belief) -> Belief:
         """A belief of all worlds: that of the estimators, and of another one where there is none.
 
-        Without a twist an estimator believes that the platform stands still.
+        While an estimator stands nowhere it believes in the last pose, at rest.
         """
         position, rotation = np.array(truth.position), np.array(truth.rotation)
         assert truth.twist is not None

@@ -8,6 +8,7 @@ checkpoint as if it had not been, bit by bit.
 from __future__ import annotations
 
 import json
+import shutil
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
@@ -17,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.report_page import commit_of_code
 from carosac_toolkit.robot import Robot
 from learned.curve import (
@@ -122,7 +123,13 @@ def train(
         return folder / POLICY  # as the code that trained it wrote it
     torch.set_num_threads(1)  # small networks: a second thread costs more than it gives
     run = _Run(job, folder, report)
-    run.begin()
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        run.begin()
+    except CarosacError:
+        if missing:
+            shutil.rmtree(missing[-1], ignore_errors=True)
+        raise
     if not run.go(stop_after):
         return None
     return run.export()
@@ -342,7 +349,7 @@ def curve_settings(settings: EnvironmentSettings) -> EnvironmentSettings:
     """
     if settings.path.period is not None:
         return replace(
-            settings, lost=None, moving=replace(settings.moving, estimator=None),
+            settings, lost=None, moving=settings.moving.without_estimator(),
             path=replace(settings.path, pool=TEST_PATHS),
         )  # fmt: skip
     return replace(settings, path=replace(settings.path, steps=TEST_STEPS, pool=TEST_PATHS))

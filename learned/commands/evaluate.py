@@ -97,6 +97,8 @@ def run(options: Options) -> CommandResult:
             "rmse_ratio": rmse_ratio(pushed, scores[SOLVER])
         }
     print(_table(data))
+    for line in _legend(data):
+        print(line)
     folder = options.output or _default_folder(description, protocol, count, options.seed)
     data["pictures"] = draw(scores["policy"], robot, folder)
     saved = SavedScores(policy=options.policy, protocol=protocol, robot=robot, scores=scores)
@@ -135,6 +137,25 @@ def _table(data: dict[str, Any]) -> str:
     return format_table(["what", *columns], rows)
 
 
+def _legend(data: dict[str, Any]) -> list[str]:
+    """What the rows and columns of a table mean."""
+    lines = []
+    if "slack_share" in data:
+        lines.append("slack: below the least tension that the robot file allows, in some cable")
+    if "slack_share_at_rest" in data:
+        lines.append(
+            f"at rest: plants that hang still on the lengths of {SOLVER}, without any motion"
+        )
+    if "feedforward" in data:
+        lines.append(
+            f"{FEEDFORWARD}: {SOLVER} that also pushes for the acceleration of the target, as "
+            "the policy does before it acts"
+        )
+    if data.get("rmse_ratio", 0.0) > 1.0:
+        lines.append(f"the policy is worse than {SOLVER}: it has not learned yet, or not this")
+    return lines
+
+
 def _millimetres(value: float) -> str:
     return f"{1e3 * value:.1f} mm"
 
@@ -158,7 +179,7 @@ ROWS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
     ("median tilt against rest", "median_tilt_rad", lambda x: f"{np.degrees(x):.2f} degrees"),
     ("median inconsistency", "inconsistency_m", _millimetres),
     ("points with a slack cable", "slack_share", _percent),
-    ("of plants at rest, on IK's lengths", "slack_share_at_rest", _percent),
+    ("slack at rest, on IK's lengths", "slack_share_at_rest", _percent),
     ("points with one overloaded", "overload_share", _percent),
     ("tensions", "tension_range_N", lambda ends: f"{ends[0]:.0f} to {ends[1]:.0f} N"),
     ("paths that failed", "failures", str),

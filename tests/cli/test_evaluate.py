@@ -70,7 +70,10 @@ def test_a_policy_that_never_pushes_adds_nothing(feedforward, tmp_path, capsys):
     (ratio,) = (row for row in printed.splitlines() if row.startswith("RMSE over"))
     assert ratio.count(f"{data['rmse_ratio']:.2f}") == 1 + feedforward
     assert (tmp_path / "pictures" / "rmse.png").exists()
-    assert data["slack_share_at_rest"] <= 1.0 and "at rest, on IK's lengths" in printed
+    assert data["slack_share_at_rest"] <= 1.0 and "slack at rest, on IK's lengths" in printed
+    assert "at rest: plants that hang still" in printed and "slack: below the least" in printed
+    assert ("with feedforward: catenary IK that also" in printed) == feedforward
+    assert "has not learned yet" not in printed
 
 
 def test_other_paths_go_to_another_folder(tmp_path, monkeypatch):

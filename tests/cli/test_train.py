@@ -163,6 +163,14 @@ def test_a_device_that_is_not_there_is_refused(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+def test_an_estimator_that_cannot_be_trained_behind_leaves_no_folder(tmp_path, capsys):
+    words = ["train", "--preset", "residual", "--set", "td3.environments=4"]
+    words += ["--set", "environment.moving.estimator=simulator", "--output", str(tmp_path / "out")]
+    assert main(words) == 2
+    assert "estimator: got 'simulator'; allowed: one whose beliefs" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_folder_of_another_training_is_refused(trained, capsys):
     assert main(["train", "--steps", "1300", "--output", str(trained / "out")]) == 2
     assert "there td3.steps is 700, not 1300" in capsys.readouterr().err

@@ -368,6 +368,10 @@ def test_a_step_before_the_reset_is_refused():
         ({"observation": ("wind",)}, r"observation\[0\]: got 'wind'"),
         ({"world": "realtime"}, "path.period: got None"),
         ({"path": PathSettings(period=0.1)}, "path.period: got 0.1"),
+        (
+            {"moving": MovingSettings(estimator="ks_ekf")},
+            "moving.estimator: got 'ks_ekf'; allowed: None",
+        ),
         ({"preview": (2,)}, r"preview: got \(2,\)"),
         ({"observation": ("target", "preview")}, r"preview: got \(\)"),
         ({"observation": ("preview",), "preview": (0,)}, r"preview\[0\]: got 0"),

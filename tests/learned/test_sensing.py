@@ -149,6 +149,8 @@ def test_a_belief_is_what_driver_and_loop_would_give(monkeypatch):
     [
         ({"estimated": 0.0}, "estimated: got 0.0; allowed: 0 < estimated <= 1"),
         ({"suite": "imu"}, "suite: got 'imu'"),
+        ({"estimated": 0.5}, "estimated: got '?0.5'?; allowed: 1.0, or an estimator"),
+        ({"suite": "lengths"}, "suite: got 'lengths'; allowed: 'lengths\\+imu', or an estimator"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(changes, message):
@@ -159,6 +161,12 @@ def test_settings_that_make_no_sense_are_refused(changes, message):
 def test_an_estimator_that_remembers_beside_its_beliefs_is_refused():
     worlds = made(MovingSettings(estimator="simulator"))
     with pytest.raises(InvalidField, match="'simulator'; allowed: one whose beliefs hold all"):
+        worlds.reset(np.arange(3), START)
+
+
+def test_an_estimator_without_velocities_is_refused():
+    worlds = made(MovingSettings(estimator="kinematic_solver"))
+    with pytest.raises(InvalidField, match="'kinematic_solver'; allowed: one that gives veloc"):
         worlds.reset(np.arange(3), START)
 
 
