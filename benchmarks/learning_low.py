@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import multiprocessing
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.controllers import SUITE
+from benchmarks.controllers import SUITE, Task, make
 from benchmarks.learning_drive import named, td3
 from benchmarks.results import table
-from carosac_toolkit import registry, trajectories
+from carosac_toolkit import trajectories
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import CarosacError
 from carosac_toolkit.loop import run
-from carosac_toolkit.perturbations import draw_plant, find_condition
 from carosac_toolkit.physics import statics
 from carosac_toolkit.robot import Robot
 from learned.policy_controller import DEFAULTS, find_policy
@@ -70,19 +69,12 @@ def sway(place: Place) -> tuple[float, float] | str:
     """Sway soon after the move and later [m], or the error that the run ended in."""
     robot = Policy.load(Path(place.policy)).description.robot
     start, end = drawn(robot, place.number)
-    plant = draw_plant(
-        robot, find_condition("nominal-1"), np.random.default_rng([place.number, 11])
-    )
-    chosen = registry.load("controllers", td3())
-    controller = chosen.build(robot, chosen.Settings(policy=place.policy))
-    kind = registry.load("drivers", "simulator")
-    settings = replace(
-        kind.Settings(), suite=SUITE, period=controller.period,
-        start_position=tuple(float(x) for x in start),
-    )  # fmt: skip
-    driver = kind.build(plant, settings, seed=place.number)
-    estimator = registry.load("estimators", place.estimator).build(robot)
     path = trajectories.line(start, end, speed_max=SPEED, acceleration_max=ACCELERATION)
+    task = Task(
+        robot=robot.name, controller=td3(), policy=place.policy, estimator=place.estimator,
+        path=TITLE, seed=place.number, wind=False,
+    )  # fmt: skip
+    driver, estimator, controller = make(task, robot, path)
     try:
         log = run(driver, estimator, controller, path, duration=path.duration + WATCHED)
     except CarosacError as failure:

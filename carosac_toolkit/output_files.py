@@ -7,7 +7,7 @@ import math
 import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,18 @@ def try_folder(option: str, path: Path, folder: Path) -> None:
     except OSError as error:
         allowed = f"a path in a folder that can be written; {folder}/: {error.strerror}"
         raise InvalidField(option, f"'{path}'", allowed) from error
+
+
+def missing_folders(folder: Path) -> list[Path]:
+    """A folder and those above it, as far as they are not there, the innermost first."""
+    return [each for each in (folder, *folder.parents) if not each.exists()]
+
+
+def remove_empty(folders: Sequence[Path]) -> None:
+    """Remove folders in their order; those that somebody else uses by now stay."""
+    for each in folders:
+        with suppress(OSError):
+            each.rmdir()
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -48,15 +48,24 @@ class SensorSuite:
         self._rng = _streams(seed, self._size)
         self.encoder_bias, self._tension_bias, self._imu_bias = self._biases()
         self._lines = _delay_lines(suite, settings)
-        self._reading = quantised(
-            plant.read_lengths() + self.encoder_bias, settings.encoder_resolution
-        )
+        self._reading = self._encoded(plant)
         self._measured: Measurement | None = None
 
     @property
     def next_due(self) -> float:
         """When the next sample of any sensor is to be taken [s]."""
         return min(line.next_due for line in self._lines.values())
+
+    def steps(self, now: float, duration: float) -> Iterator[float]:
+        """Parts of a time that begins now, each up to where the next sample is due or to its end.
+
+        Advance the plant by each and take the samples before asking for the next one [s].
+        """
+        end = now + duration
+        while now < end - 1e-9:
+            step = min(end, self.next_due) - now
+            yield step
+            now += step
 
     def sample(self, plant: Plant, now: float) -> None:
         """Take the samples that are due at this time [s]."""
@@ -85,10 +94,7 @@ class SensorSuite:
         Others go on, but all draw noise. The next measurement, at the same time, is for the robots
         that were set down alone: it may have samples for all that the others have had before.
         """
-        encoded = quantised(
-            plant.read_lengths() + self.encoder_bias, self._settings.encoder_resolution
-        )
-        self._reading[rows] = encoded[rows]
+        self._reading[rows] = self._encoded(plant)[rows]
         state, kept = plant.truth(), self._reading
         for name, line in self._lines.items():
             line.overwrite(rows, now, self._sampled(name, state, plant))
@@ -140,13 +146,15 @@ class SensorSuite:
             return self._pose(state)
         return self._imu(state, plant) if name == "imu" else self._tension(state)
 
+    def _encoded(self, plant: Plant, noise: Array | float = 0.0) -> Array:
+        """What the encoders read of the plant [m], shape (B, n)."""
+        said = plant.read_lengths() + self.encoder_bias + noise
+        return quantised(said, self._settings.encoder_resolution)
+
     def _lengths(self, plant: Plant) -> Array:
         """Readings of the encoders [m], then their rates [m/s], shape (B, 2 n)."""
         sensors = self._settings
-        noise = sensors.encoder_noise * self._draw("encoders", self._n)
-        reading = quantised(
-            plant.read_lengths() + self.encoder_bias + noise, sensors.encoder_resolution
-        )
+        reading = self._encoded(plant, sensors.encoder_noise * self._draw("encoders", self._n))
         # The rate is what two readings say, their noise included.
         rate = (reading - self._reading) * sensors.encoder_rate
         self._reading = reading

@@ -103,12 +103,12 @@ def slack_at_rest(policy: Policy, *, paths: int, seed: int) -> float:
         Share of the points at which the plants can rest.
     """
     trial = _trial(policy, "realtime", paths, seed)
-    environment = CableEnvironment(trial.robot, trial.settings, size=paths, seed=UNSEEN + seed)
-    environment.reset(trial.paths)
-    worlds, robot = environment.worlds, trial.robot
-    assert isinstance(worlds, MovingWorlds)
-    found = []
+    robot, moving, period = trial.robot, trial.settings.moving, trial.settings.path.period
+    assert period is not None
+    worlds = MovingWorlds(robot, moving, period, paths, UNSEEN + seed)
     points = [path.position for path in trial.paths]
+    worlds.reset(np.arange(paths), np.stack([one[0] for one in points]))
+    found = []
     for step in range(1, max(len(one) for one in points)):
         there = np.array([step < len(one) for one in points])
         target = np.stack([one[min(step, len(one) - 1)] for one in points])

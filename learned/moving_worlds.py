@@ -20,6 +20,7 @@ from learned.worlds import Reached
 from sim_warp import Simulator
 
 ATTEMPTS = 10  # to find a start near a position at which a plant can rest
+OF_ESTIMATOR = ("estimated", "suite")  # settings that mean nothing without one
 RETREAT = 0.1  # share of the way home that each attempt goes
 
 
@@ -59,16 +60,16 @@ class MovingSettings:
         if not 0.0 < self.estimated <= 1.0:
             raise InvalidField("estimated", self.estimated, "0 < estimated <= 1")
         check_suite(self.suite, inertial=True)
-        for name in ("estimated", "suite"):
-            usual = MovingSettings.__dataclass_fields__[name].default
+        for name in OF_ESTIMATOR:
+            usual = getattr(MovingSettings, name)
             if self.estimator is None and getattr(self, name) != usual:
                 allowed = f"{usual!r}, or an estimator"
                 raise InvalidField(name, repr(getattr(self, name)), allowed)
 
     def without_estimator(self) -> MovingSettings:
         """The same with beliefs that err by a constant."""
-        usual = MovingSettings()
-        return replace(self, estimator=None, estimated=usual.estimated, suite=usual.suite)
+        usual = {name: getattr(MovingSettings, name) for name in OF_ESTIMATOR}
+        return replace(self, estimator=None, **usual)
 
 
 class MovingWorlds:

@@ -103,12 +103,10 @@ class Sensing:
             asked: What that comes to as lengths that are wound [m], shape (B, n).
             duration: [s].
         """
-        end = self._now + duration
-        while self._now < end - 1e-9:
-            until = min(end, self._sensors.next_due)
-            self._plant.simulator.step(asked, until - self._now)
+        for step in self._sensors.steps(self._now, duration):
+            self._plant.simulator.step(asked, step)
             self._plant.look()
-            self._now = until
+            self._now += step
             self._sensors.sample(self._plant, self._now)
         measured = self._sensors.measure(self._now)
         sent = Command(time=measured.time - duration, unstrained_length=command)

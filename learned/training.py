@@ -19,6 +19,7 @@ import numpy as np
 
 from carosac_toolkit.arrays import Array
 from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.output_files import missing_folders, remove_empty
 from carosac_toolkit.report_page import commit_of_code
 from carosac_toolkit.robot import Robot
 from learned.curve import (
@@ -123,12 +124,13 @@ def train(
         return folder / POLICY  # as the code that trained it wrote it
     torch.set_num_threads(1)  # small networks: a second thread costs more than it gives
     run = _Run(job, folder, report)
-    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    made = missing_folders(folder)
     try:
         run.begin()
     except CarosacError:
-        if missing:
-            shutil.rmtree(missing[-1], ignore_errors=True)
+        if made:
+            shutil.rmtree(folder, ignore_errors=True)
+            remove_empty(made[1:])  # another training may have begun in one of them
         raise
     if not run.go(stop_after):
         return None

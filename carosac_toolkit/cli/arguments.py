@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
-from difflib import get_close_matches
 from pathlib import Path
 from types import ModuleType, NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
@@ -13,7 +12,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.errors import CarosacError, InvalidField, did_you_mean
 
 _WORDS: dict[type, tuple[str, str]] = {
     int: ("INT", "a whole number"),
@@ -101,8 +100,7 @@ def _unrecognized(event: Any, options: type, words: list[str]) -> CarosacError:
         return InvalidField("argument", repr(token), f"nothing more; see '{event.prog} --help'")
     known = ["--help", *(f"--{name.replace('_', '-')}" for name in _names(options))]
     taken = [flag for flag in known if flag not in _positionals(options)]
-    close = get_close_matches(token.partition("=")[0], taken, n=1)
-    hint = f"; did you mean '{close[0]}'?" if close else ""
+    hint = did_you_mean(token.partition("=")[0], taken)
     return InvalidField("option", repr(token), f"{', '.join(taken)}{hint}")
 
 
@@ -119,8 +117,7 @@ def _bad_value(event: Any, options: type, words: list[str]) -> CarosacError:
 
 def _invalid_choice(event: Any, options: type, words: list[str]) -> CarosacError:
     """A value that is none of those there are."""
-    close = get_close_matches(str(event.value), event.choices, n=1)
-    hint = f"; did you mean '{close[0]}'?" if close else ""
+    hint = did_you_mean(event.value, event.choices)
     allowed = f"one of {', '.join(event.choices)}{hint}"
     return InvalidField(_spelling(event.argument), repr(event.value), allowed)
 

@@ -6,14 +6,13 @@ import ast
 import os
 import sys
 from collections.abc import Sequence
-from difflib import get_close_matches
 from importlib.metadata import EntryPoint
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
 from carosac_toolkit import __version__
-from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.errors import CarosacError, InvalidField, did_you_mean
 from carosac_toolkit.registry import entry_points_of, load
 
 _USAGE = """usage: carosac {group}COMMAND [options]
@@ -91,8 +90,7 @@ def _command(words: list[str]) -> tuple[str | None, list[str]]:
         return group + words[1], words[2:]
     if len(words) == 1 or words[1] in ("-h", "--help"):
         return None, words[1:]
-    close = get_close_matches(words[1], members, n=1)
-    hint = f"; did you mean '{close[0]}'?" if close else ""
+    hint = did_you_mean(words[1], members)
     raise InvalidField(f"command after '{words[0]}'", repr(words[1]), f"{', '.join(members)}{hint}")
 
 
@@ -100,8 +98,7 @@ def _run(name: str, words: list[str]) -> int:
     """Run one command with its own arguments."""
     if name not in _commands():
         spoken = [command.replace(".", " ") for command in _commands()]
-        close = get_close_matches(name, spoken, n=1)
-        hint = f"; did you mean '{close[0]}'?" if close else ""
+        hint = did_you_mean(name, spoken)
         raise InvalidField("command", repr(name), f"{', '.join(spoken)}{hint}")
     from carosac_toolkit.cli.arguments import parse_options
     from carosac_toolkit.cli.common import CommandResult

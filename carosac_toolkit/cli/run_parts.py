@@ -21,6 +21,7 @@ from carosac_toolkit.live.course import NEAR, with_approach
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.keyboard import check_input
 from carosac_toolkit.loop import Path as Followed
+from carosac_toolkit.output_files import missing_folders, remove_empty
 from carosac_toolkit.protocols import replays
 from carosac_toolkit.robot import Robot
 from carosac_toolkit.studies.chosen_settings import check_types
@@ -129,10 +130,11 @@ def _move(
 @contextlib.contextmanager
 def recorded(options: Options) -> Iterator[CrashSafeRecorder]:
     """Where the run is recorded; nothing is left of it where nothing was measured."""
-    path, made = options.recording, []
+    path = options.recording
+    made: list[Path] = []
     if path is None:
         folder = Path("carosac-results/run")
-        made = [x for x in (folder, folder.parent) if not x.exists()]
+        made = missing_folders(folder)
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / time.strftime("%Y%m%d-%H%M%S.jsonl")
     words = f"{options.controller} with {options.estimator} on {options.driver}"
@@ -142,9 +144,7 @@ def recorded(options: Options) -> Iterator[CrashSafeRecorder]:
     except BaseException:
         if recorder.samples == 0:
             recorder.discard()
-            for each in made:
-                with contextlib.suppress(OSError):  # somebody else uses it now
-                    each.rmdir()
+            remove_empty(made)
         raise
     finally:
         recorder.close()

@@ -182,11 +182,9 @@ class SimulatedDriver:
         """Advance the plant, with a stop at each sample."""
         # A winch closes its loop on its own encoder: what that says too much is missing.
         asked = self._command - self._sensors.encoder_bias
-        end = self._time + duration
-        while self._time < end - 1e-9:
-            h = min(end, self._sensors.next_due) - self._time
-            self._plant.advance(asked, h)
-            self._time += h
+        for step in self._sensors.steps(self._time, duration):
+            self._plant.advance(asked, step)
+            self._time += step
             self._sensors.sample(self._plant, self._time)
 
     def _brake(self) -> None:

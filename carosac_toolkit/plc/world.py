@@ -84,11 +84,9 @@ class World:
         """One PLC cycle with constant set positions, free of `shift` [unit], shape (n,)."""
         number = self._down_standing + self._drive_sign * (number - self._down_standing)
         asked = self._hardware.length(number) - self._suite.encoder_bias[0]
-        end = self.time + self._settings.cycle
-        while self.time < end - 1e-9:
-            h = min(end, self._suite.next_due) - self.time
-            self.plant.advance(asked[None], h)
-            self.time += h
+        for step in self._suite.steps(self.time, self._settings.cycle):
+            self.plant.advance(asked[None], step)
+            self.time += step
             self._read()
 
     @property

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.errors import InvalidField, did_you_mean
 
 _SUFFIX = ".parquet"
 
@@ -36,8 +35,7 @@ def find_recording(name_or_path: str | Path) -> Path:
         return _folder() / f"{text}{_SUFFIX}"
     if path.exists():
         return path
-    close = get_close_matches(text, names, n=1)
-    hint = f"; did you mean '{close[0]}'?" if close else ""
+    hint = did_you_mean(text, names)
     allowed = f"one of {list(names)}, or a path to a .parquet, .csv or .mat file{hint}"
     raise InvalidField("recording", f"'{text}'", allowed)
 

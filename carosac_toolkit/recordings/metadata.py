@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from difflib import get_close_matches
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.errors import InvalidField, did_you_mean
 
 LENGTH_KINDS = ("unstrained", "relative")
 FRAMES = (
@@ -70,7 +69,6 @@ class RecordingMetadata:
         names = [field.name for field in fields(cls)]
         for key in record:
             if key not in names:
-                close = get_close_matches(str(key), names, n=1)
-                hint = f"; did you mean {close[0]!r}?" if close else ""
+                hint = did_you_mean(key, names)
                 raise InvalidField(f"metadata.{key}", "an unknown key", f"one of {names}{hint}")
         return cls(**record)

@@ -12,7 +12,7 @@ pytest.importorskip("onnxruntime")
 
 import torch
 
-from carosac_toolkit.errors import InvalidField, MissingFile
+from carosac_toolkit.errors import CarosacError, InvalidField, MissingFile
 from carosac_toolkit.robot_file import load_robot
 from learned import training
 from learned.curve import CURVE, EPISODES, read_curve, read_episodes
@@ -221,6 +221,20 @@ def test_paths_that_fail_are_counted_beside_the_errors_that_leave_them_out(tmp_p
     assert [row["failed_paths"] for row in rows] == [0.0, 2.0, 2.0]
     errors = [row["median_error_m"] for row in rows]
     assert errors[0] != errors[1] == errors[2]  # whatever the failing ones would have reached
+
+
+def test_a_training_that_cannot_begin_takes_no_folder_but_its_own_away(tmp_path, monkeypatch):
+    folder, other = tmp_path / "new" / "mine", tmp_path / "new" / "other"
+
+    def begin(run):
+        folder.mkdir(parents=True)
+        other.mkdir()  # of another training, which began meanwhile
+        raise CarosacError("no place to rest")
+
+    monkeypatch.setattr(training._Run, "begin", begin)
+    with pytest.raises(CarosacError, match="no place"):
+        train(job(), folder)
+    assert not folder.exists() and other.exists()
 
 
 def test_a_folder_with_other_settings_is_refused(tmp_path):
