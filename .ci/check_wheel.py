@@ -12,7 +12,7 @@ ROBOTS = ("carosac", "cogiro", "hangprinter", "ipanema1", "scampi")
 DATA = (
     "py.typed",
     "recordings/data/synthetic.parquet",
-    *(f"robots/{name}.yaml" for name in ROBOTS),
+    *(f"robot/bundled/{name}.yaml" for name in ROBOTS),
 )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 FOUND = 0.8  # of the deviation at the start: below it, measurements have said something
 

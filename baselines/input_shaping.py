@@ -34,12 +34,12 @@ from baselines.reference_ahead import AheadSettings, delay_of, interpolated
 from baselines.shaped_signal import Past, ShapedSignal
 from baselines.shapers import SHAPERS, Shaper, impulses, mean_delay
 from baselines.sway_modes import SwayModes, sway_modes
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import statics
-from carosac_toolkit.physics.statics import Equilibrium
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Belief, Command, Reference
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Belief, Command, Reference
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.robot.robot import Robot
 
 Directions = Literal["modal", "all"]
 FADE = 2e-3  # epsilon: share of the platform's mass below which a mode counts as not excited

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.solve_record import SolveRecord, empty_record
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics.statics import Equilibrium, forward_kinematics
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Belief, Command, Measurement, Pose
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Belief, Command, Measurement, Pose
+from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
+from carosac_toolkit.robot.robot import Robot
 
 Seed = Literal["belief", "cold", "pose"]
 

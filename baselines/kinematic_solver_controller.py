@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from baselines.reference_ahead import AheadController
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.physics import statics
-from carosac_toolkit.values import Belief, Command, Reference
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.loop.values import Belief, Command, Reference
+from carosac_toolkit.physics.rest import statics
 
 
 class UnreachableReference(CarosacError):

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from baselines.reference_ahead import interpolated
 from baselines.shapers import Shaper, impulses
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 
 class Past:

@@ -23,8 +23,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
 
 Shaper = Literal["zv", "zvd"]
 SHAPERS: tuple[str, ...] = get_args(Shaper)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

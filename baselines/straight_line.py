@@ -8,10 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from baselines.solve_record import SolveRecord, empty_record
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics.straight_line import forward_kinematics
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Belief, Command, Measurement
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Belief, Command, Measurement
+from carosac_toolkit.physics.cable.straight_line import forward_kinematics
+from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from baselines.reference_ahead import AheadController
-from carosac_toolkit.physics import straight_line
-from carosac_toolkit.values import Belief, Command, Reference
+from carosac_toolkit.loop.values import Belief, Command, Reference
+from carosac_toolkit.physics.cable import straight_line
 
 
 class StraightLineController(AheadController):

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics.modes import mass_matrix, natural_modes
-from carosac_toolkit.physics.statics import Equilibrium
-from carosac_toolkit.physics.structure import structure_matrix
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.rest.modes import mass_matrix, natural_modes
+from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.physics.rest.structure import structure_matrix
+from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

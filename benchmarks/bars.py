@@ -14,9 +14,9 @@ import numpy as np
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from carosac_toolkit.physics import statics
+from carosac_toolkit.physics.rest import statics
 from tests import reference
-from tests.physics.test_catenary import KNOWN, random_cables
+from tests.physics.cable.test_catenary import KNOWN, random_cables
 from tests.warm_kernels import kernel_modules
 
 COUNT = 10_000

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from typing import Any
 
 from benchmarks.results import table, write_section
-from carosac_toolkit.studies.case import Case
-from carosac_toolkit.studies.run_case import run_case
-from carosac_toolkit.studies.run_together import run_together
+from carosac_toolkit.studies.run.case import Case
+from carosac_toolkit.studies.run.run_case import run_case
+from carosac_toolkit.studies.run.run_together import run_together
 
 SIZES = (2, 10)
 WAYS = {

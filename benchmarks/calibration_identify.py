@@ -21,8 +21,8 @@ from calibration.identification.open_loop import simulate
 from calibration.identification.procedure import poses_of
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.synthetic import simulate_run
-from carosac_toolkit.length_path import LengthPath
-from carosac_toolkit.parameters import values_of
+from carosac_toolkit.recordings.length_path import LengthPath
+from carosac_toolkit.robot.parameters import values_of
 
 TITLE = "Identification of the dynamics"
 HEADER = (

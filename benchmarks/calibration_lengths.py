@@ -15,8 +15,8 @@ from calibration.lengths import LengthCalibration, MixUp, calibrate
 from calibration.lengths.settings import Settings
 from calibration.lengths.synthetic import Scene, SceneSettings, draw_scene
 from calibration.observability import Unobservable
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
 
 COMMAND = "python -m benchmarks.calibration_lengths"
 SCENES = 50

@@ -20,8 +20,8 @@ from benchmarks.results import table, write_section
 from calibration.tachymeter import Sighting, calibrate
 from calibration.tachymeter.observations import READINGS
 from calibration.tachymeter.synthetic import SurveyPlan, draw_survey
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
 
 COMMAND = "python -m benchmarks.calibration_tachymeter"
 SCENARIOS = 100

@@ -20,15 +20,16 @@ import numpy as np
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from carosac_toolkit import registry, trajectories
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.loop import run
-from carosac_toolkit.perturbations import draw_plant, find_condition
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.studies.run_case import Truth
+from carosac_toolkit import trajectories
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.loop.values import Belief, Command, Measurement
+from carosac_toolkit.robot.perturbations import draw_plant, find_condition
+from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.studies.run.run_case import Truth
 from carosac_toolkit.trajectories import Trajectory
-from carosac_toolkit.values import Belief, Command, Measurement
 
 COMMAND = "python -m benchmarks.controllers"
 FIGURE = Path(__file__).parent / "controllers_sweep.png"
@@ -119,10 +120,10 @@ def plant_of(task: Task, robot: Robot) -> Robot:
 
 def make(task: Task, robot: Robot, path: Trajectory, **options: Any) -> tuple[Any, Any, Any]:
     """Driver, estimator and controller of a task."""
-    chosen = registry.load("controllers", CONTROLLERS.get(task.controller, task.controller))
+    chosen = plugins.load("controllers", CONTROLLERS.get(task.controller, task.controller))
     given = None if task.policy is None else chosen.Settings(policy=task.policy)
     controller = chosen.build(robot, given)
-    kind = registry.load("drivers", "simulator")
+    kind = plugins.load("drivers", "simulator")
     force = find_condition("nominal-1").wind_force if task.wind and task.wrong is None else 0.0
     start = tuple(float(x) for x in path.sample(np.zeros(1)).position[0])
     settings = replace(
@@ -132,7 +133,7 @@ def make(task: Task, robot: Robot, path: Trajectory, **options: Any) -> tuple[An
     driver = kind.build(plant_of(task, robot), settings, seed=task.seed)
     if task.estimator == "truth":
         return driver, Truth(driver), controller
-    return driver, registry.load("estimators", task.estimator).build(robot), controller
+    return driver, plugins.load("estimators", task.estimator).build(robot), controller
 
 
 def score(task: Task) -> dict[str, Any]:
@@ -419,7 +420,7 @@ def available() -> list[str]:
     found = []
     for name, where in CONTROLLERS.items():
         try:
-            registry.load("controllers", where)
+            plugins.load("controllers", where)
             found.append(name)
         except CarosacError as error:
             print(f"skipped: {name}: {error}", flush=True)

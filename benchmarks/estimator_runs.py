@@ -18,11 +18,11 @@ import carosac_toolkit as ct
 from baselines.kinematic_solver import KinematicSolver
 from baselines.kinematic_solver_controller import KinematicSolverController
 from carosac_toolkit import trajectories
-from carosac_toolkit.loop import run
-from carosac_toolkit.perturbations import draw_plant, find_condition
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.loop.values import Belief, Command, Measurement, State
+from carosac_toolkit.robot.perturbations import draw_plant, find_condition
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories import Trajectory
-from carosac_toolkit.values import Belief, Command, Measurement, State
 from sim_warp.driver import SimDriver, SimDriverSettings
 
 SPEED, ACCELERATION = 2.0, 2.0  # [m/s], [m/s^2]

@@ -27,12 +27,12 @@ from benchmarks.estimator_runs import (
     record,
     robot_of,
 )
-from carosac_toolkit import registry
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.consistency import POSE_SIZE, normalised_square, state_error
-from carosac_toolkit.physics.straight_line import straight_length
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Belief, Measurement, State
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.consistency import POSE_SIZE, normalised_square, state_error
+from carosac_toolkit.loop.values import Belief, Measurement, State
+from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.robot.robot import Robot
 
 Edit = Callable[[Measurement, State], Measurement]
 
@@ -40,7 +40,7 @@ Edit = Callable[[Measurement, State], Measurement]
 def build(estimator: str, robot: Robot) -> Any:
     """An estimator by name or module:Class, with settings such as ``coupling=tight`` behind it."""
     name, *pairs = estimator.split()
-    plugin = registry.load("estimators", name)
+    plugin = plugins.load("estimators", name)
     values = {key: number(text) for key, text in (pair.split("=") for pair in pairs)}
     return plugin.build(robot, plugin.Settings(**values) if values else None, seed=0)
 

@@ -24,8 +24,8 @@ from benchmarks.estimator_runs import (
 )
 from benchmarks.estimator_scores import rms, work
 from benchmarks.results import table, write_section
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.consistency import band
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.consistency import band
 
 COMMAND = "python -m benchmarks.estimators"
 KS = "kinematic_solver"

@@ -16,15 +16,15 @@ import numpy as np
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from carosac_toolkit import registry
 from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
 from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.drivers.guarded_ads import GuardedAds, GuardedAdsSettings
 from carosac_toolkit.live.real_time import quick_threads, take_priority
-from carosac_toolkit.loop import Step, run
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.loop import Step, run
+from carosac_toolkit.loop.values import State
 from carosac_toolkit.plc.client import PlcClient
 from carosac_toolkit.trajectories.arcs import circle
-from carosac_toolkit.values import State
 
 SECONDS = 600.0
 FAST = 0.002  # [s], 500 Hz
@@ -65,8 +65,8 @@ def quantiles(values: list[float] | np.ndarray) -> list[str]:
 def controlled(seconds: float) -> tuple[dict[str, list[float]], GuardedDriver, float]:
     """A circle at 100 Hz with the kinematic solver; wall times per cycle [s]."""
     robot = ct.load_robot("carosac")
-    controller = registry.load("controllers", "kinematic_solver")
-    estimator = registry.load("estimators", "kinematic_solver")
+    controller = plugins.load("controllers", "kinematic_solver")
+    estimator = plugins.load("estimators", "kinematic_solver")
     made = controller.build(robot, controller.Settings(period=0.01), seed=0)
     center = 0.5 * (robot.workspace_min + robot.workspace_max)
     turns = max(1, round(SPEED * seconds / (2.0 * np.pi * RADIUS)))

@@ -30,18 +30,18 @@ import carosac_toolkit as ct
 from baselines.kinematic_solver import KinematicSolver
 from baselines.kinematic_solver_controller import KinematicSolverController
 from benchmarks.results import table, write_section
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.cli import run as run_command
-from carosac_toolkit.crash_safe import read_run
-from carosac_toolkit.drivers.drive_state import Fault
-from carosac_toolkit.errors import CarosacError
 from carosac_toolkit.live.real_time import quick_threads, take_priority
+from carosac_toolkit.loop.drive_state import Fault
+from carosac_toolkit.loop.values import Belief, Command, Measurement, Reference
 from carosac_toolkit.plc import machine_blocks
 from carosac_toolkit.plc.client import PlcClient
 from carosac_toolkit.plc.emulator import Emulator
 from carosac_toolkit.plc.machine_blocks import Injection
 from carosac_toolkit.plc.settings import PlcSettings
-from carosac_toolkit.robot_file import parse_robot, robot_text
-from carosac_toolkit.values import Belief, Command, Measurement, Reference
+from carosac_toolkit.recordings.crash_safe import read_run
+from carosac_toolkit.robot.file import parse_robot, robot_text
 
 TIMES = 20
 PATIENCE = 12.0  # [s] for anything to happen
@@ -390,12 +390,13 @@ def main() -> None:
 
 def warm_up() -> None:
     """Load what both processes need before they are forked."""
-    from carosac_toolkit import registry, trajectories
-    from carosac_toolkit.loop import run as loop
+    from carosac_toolkit import trajectories
+    from carosac_toolkit.loop import plugins
+    from carosac_toolkit.loop.loop import run as loop
 
     robot = ct.load_robot("carosac")
     made = Wrong.build(robot, Wrong.Settings(period=0.01), seed=0)
-    kind = registry.load("drivers", "simulator")
+    kind = plugins.load("drivers", "simulator")
     driver = kind.build(robot, kind.Settings(period=0.01, cables="catenary"), seed=0)
     path = trajectories.build("circle", robot, 0)
     loop(driver, Diverging.build(robot, None, seed=0), made, path, duration=0.3)

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.results import table, write_section
 from carosac_toolkit.cli import run as run_command
-from carosac_toolkit.studies.study import Study
+from carosac_toolkit.studies.compare.study import Study
 from tests.plc_process import PlcProcess, plc_process
 
 DRIVERS = ("simulator", "ads", "replay")

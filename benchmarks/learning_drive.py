@@ -24,8 +24,8 @@ from benchmarks.controllers import (
     score,
 )
 from benchmarks.results import table
-from carosac_toolkit import registry
-from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.loop import plugins
 from learned.policy_file import Policy, PolicyDescription
 
 TITLE = "Learned control beside model predictive control and input shaping"
@@ -66,7 +66,7 @@ class Entry:
 def td3() -> str:
     """How the registry finds the policies' controller."""
     try:
-        registry.load("controllers", TD3[0])
+        plugins.load("controllers", TD3[0])
     except CarosacError:
         return TD3[1]
     return TD3[0]

@@ -12,9 +12,9 @@ import carosac_toolkit as ct
 from benchmarks.controllers import SMOOTH, Task, path_of
 from benchmarks.learning_drive import LIMIT_LATENCY, MS, td3
 from benchmarks.results import table
-from carosac_toolkit import registry
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Belief, Reference
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.values import Belief, Reference
+from carosac_toolkit.robot.robot import Robot
 from learned.policy_controller import DEFAULTS, find_policy, list_policies
 from learned.policy_file import Policy
 
@@ -55,7 +55,7 @@ def inference() -> str:
 
 
 def _controller(robot: Robot, name: str, **settings: Any) -> Any:
-    chosen = registry.load("controllers", name)
+    chosen = plugins.load("controllers", name)
     return chosen.build(robot, chosen.Settings(**settings) if settings else None)
 
 

@@ -13,11 +13,11 @@ from benchmarks.controllers import SUITE, Task, make
 from benchmarks.learning_drive import named, td3
 from benchmarks.results import table
 from carosac_toolkit import trajectories
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.loop import run
-from carosac_toolkit.physics import statics
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.robot import Robot
 from learned.policy_controller import DEFAULTS, find_policy
 from learned.policy_file import Policy
 

@@ -15,13 +15,14 @@ import numpy as np
 import carosac_toolkit as ct
 from benchmarks.results import table
 from calibration.identification.open_loop import simulate
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.encoders import readings, unstrained_lengths
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.length_path import LengthPath
-from carosac_toolkit.physics import statics, straight_line
-from carosac_toolkit.recording import Recording
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.physics.cable import straight_line
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.recordings.encoders import readings, unstrained_lengths
+from carosac_toolkit.recordings.length_path import LengthPath
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.phases import find_phases
 from learned.environment import empty_look, make_actions
 from learned.observation import Scales, observe

@@ -13,9 +13,10 @@ import warp as wp
 
 import carosac_toolkit as ct
 from benchmarks.results import table
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics import statics, straight_line
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.device import check_device
+from carosac_toolkit.physics.rest import statics
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.episodes import Path
 from learned.presets import Stage, find_preset

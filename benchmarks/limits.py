@@ -9,10 +9,10 @@ import numpy as np
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from carosac_toolkit.limits import Limiter
-from carosac_toolkit.physics.straight_line import inverse_kinematics
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Command
+from carosac_toolkit.loop.values import Command
+from carosac_toolkit.physics.cable.straight_line import inverse_kinematics
+from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.limiter import Limiter
 
 STEPS = 1500
 

@@ -1,7 +1,7 @@
 """The limits under 1e5 random command sequences; the figures go to RESULTS.md.
 
-The property is that of `tests/test_limits.py`: nothing that leaves breaks a limit, a stop from a
-random instant stays possible and is exact, and what needed no change is bit-identical.
+The property is that of `tests/safety/test_limiter.py`: nothing that leaves breaks a limit, a stop
+from a random instant stays possible and is exact, and what needed no change is bit-identical.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import itertools
 import time
 
 from benchmarks.results import table, write_section
-from tests import test_limits
+from tests.safety import test_limiter
 
 SEQUENCES = 100_000
 SIZE, STEPS = 1000, 25
@@ -18,11 +18,11 @@ SIZE, STEPS = 1000, 25
 
 def main() -> None:
     """Run the property on all combinations of robot, period, jerk and box in turn."""
-    test_limits.SIZE, test_limits.STEPS = SIZE, STEPS
-    prove = test_limits.test_nothing_that_leaves_breaks_a_limit_and_stopping_stays_possible
+    test_limiter.SIZE, test_limiter.STEPS = SIZE, STEPS
+    prove = test_limiter.test_nothing_that_leaves_breaks_a_limit_and_stopping_stays_possible
     combinations = itertools.cycle(
         itertools.product(
-            sorted(test_limits.ROBOTS), (0.004, 0.01, 0.02), (30.0, 200.0, 5000.0), (True, False)
+            sorted(test_limiter.ROBOTS), (0.004, 0.01, 0.02), (30.0, 200.0, 5000.0), (True, False)
         )
     )
     start = time.process_time()

@@ -25,12 +25,12 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics.modes import mass_matrix
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.values import Stamped
+from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Stamped
+from carosac_toolkit.robot.robot import Robot
 
 TARGET = Path("carosac_toolkit/recordings/data/synthetic.parquet")
 DESCRIPTION = (

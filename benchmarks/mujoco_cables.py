@@ -24,8 +24,8 @@ import numpy as np
 
 import carosac_toolkit as ct
 from benchmarks.results import table
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
 
 INSTALL = "MuJoCo 4 is needed for this benchmark only: pip install 'mujoco>=4.0'"
 CONTROL_PERIOD = 0.01  # s between new lengths

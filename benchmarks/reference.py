@@ -13,10 +13,10 @@ import shutil
 import sys
 from pathlib import Path
 
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.studies.reference import LATEST, ReferenceSuite
-from carosac_toolkit.studies.reference_check import FLOOR, SHARE, agreement
-from carosac_toolkit.studies.reference_results import (
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.studies.reference.cases import LATEST, ReferenceSuite
+from carosac_toolkit.studies.reference.check import FLOOR, SHARE, agreement
+from carosac_toolkit.studies.reference.results import (
     RECORD,
     RESULTS,
     TABLES,

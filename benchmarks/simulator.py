@@ -17,8 +17,8 @@ import carosac_toolkit as ct
 from benchmarks import mujoco_cables
 from benchmarks.mujoco_cables import CABLE_DRAG, cpu_time, rms, settle_errors, swing_path
 from benchmarks.results import table, write_section
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
 from sim_warp import Simulator
 
 COMMAND = "python -m benchmarks.simulator"

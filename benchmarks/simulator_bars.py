@@ -11,10 +11,10 @@ import numpy as np
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics import statics
-from carosac_toolkit.physics.statics import Equilibrium
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.robot.robot import Robot
 from sim_warp import Simulator
 from tests.reference import equilibrium
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot.robot import Robot
 
 REPEATS = 300
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from benchmarks.results import table, write_section
 from carosac_toolkit.studies import Case, read_rows, run_cases
-from carosac_toolkit.studies.parts import part_files, read_part
+from carosac_toolkit.studies.run.row_files import part_files, read_part
 from tests.studies.functions import some_cases, without_times
 from tests.studies.processes import alive, descendants, start, workers_of
 

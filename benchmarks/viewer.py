@@ -19,10 +19,10 @@ import numpy as np
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from carosac_toolkit import registry
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.real_time import take_priority
-from carosac_toolkit.loop import Step, run
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.loop import Step, run
 from carosac_toolkit.viewer.live import follow
 from carosac_toolkit.viewer.page_process import PageOptions, PageProcess
 
@@ -88,11 +88,11 @@ class Timed:
 def parts() -> tuple[Any, Any, Any, HandTarget]:
     """Driver in real time, estimator, controller and target of the robot."""
     robot = ct.load_robot(ROBOT)
-    kind = registry.load("drivers", "simulator")
+    kind = plugins.load("drivers", "simulator")
     driver = kind.build(robot, kind.Settings(period=PERIOD, real_time=True, cables="catenary"))
-    controller = registry.load("controllers", "kinematic_solver")
+    controller = plugins.load("controllers", "kinematic_solver")
     made = controller.build(robot, controller.Settings(period=PERIOD))
-    estimator = registry.load("estimators", "kinematic_solver").build(robot)
+    estimator = plugins.load("estimators", "kinematic_solver").build(robot)
     target = HandTarget(robot, robot.home_position, speed_max=0.5, acceleration_max=0.5)
     return Timed(driver), estimator, made, target
 

@@ -22,8 +22,8 @@ from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from carosac_toolkit.physics import tension_margin
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.physics.rest import tension_margin
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.workspace import WorkspaceSettings, box_grid, compute, judge
 
 UNSURE = 1e-6  # [N]: a margin this small may fall on either side

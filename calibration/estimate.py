@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array, set_frozen
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.parameters import unit_of
+from carosac_toolkit.base.arrays import Array, set_frozen
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.robot.parameters import unit_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """k parameters; units are those of `carosac_toolkit.parameters.unit_of`.
+    """k parameters; units are those of `carosac_toolkit.robot.parameters.unit_of`.
 
     Attributes:
-        names: As in `carosac_toolkit.parameters`.
+        names: As in `carosac_toolkit.robot.parameters`.
         value: Estimated, shape (k,).
         covariance: Of the estimate, prior knowledge included, shape (k, k).
         start: Before the calibration, shape (k,).

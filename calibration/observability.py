@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
 
 BLIND = 1e-9  # of the largest eigenvalue of the scaled information: smaller ones may be none
 ROUNDING = 1e-14  # of the largest one: smaller ones are none

@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.estimate import Estimate
 from calibration.observability import Observability
-from carosac_toolkit.report_page import (
+from carosac_toolkit.reports.page import (
     bullets,
     definitions,
     made_with,

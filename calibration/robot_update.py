@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from calibration.estimate import Estimate
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.output_files import check_writable, replacing
-from carosac_toolkit.parameters import point_names, with_values
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.robot_file import parse_robot, robot_path, robot_text
+from carosac_toolkit.robot.file import parse_robot, robot_path, robot_text
+from carosac_toolkit.robot.parameters import point_names, with_values
+from carosac_toolkit.robot.robot import Robot
 
 
 def prior_covariance(robot: Robot, names: tuple[str, ...], sigma: Array) -> Array:
@@ -112,7 +112,7 @@ def write_robot(
     Raises:
         InvalidField: The output is the old file, or a value is one that no robot can have.
     """
-    from carosac_toolkit.robot_writer import robot_document
+    from carosac_toolkit.robot.writer import robot_document
 
     check_output("output", output, source)
     text = robot_text(source)

@@ -11,56 +11,51 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from carosac_toolkit import loop, trajectories, workspace
-    from carosac_toolkit.errors import CarosacError, InvalidField, InvalidFile
-    from carosac_toolkit.physics import (
-        catenary,
-        modes,
-        statics,
-        straight_line,
-        tension_distribution,
-    )
-    from carosac_toolkit.physics.structure import structure_matrix
-    from carosac_toolkit.recording import Recording, load_recording
+    from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
+    from carosac_toolkit.loop.values import Belief, Command, Measurement, Pose, Reference, State
+    from carosac_toolkit.physics.cable import catenary, straight_line
+    from carosac_toolkit.physics.rest import modes, statics, tension_distribution
+    from carosac_toolkit.physics.rest.structure import structure_matrix
     from carosac_toolkit.recordings.metadata import RecordingMetadata
     from carosac_toolkit.recordings.poses import PoseSamples
-    from carosac_toolkit.robot import Robot
-    from carosac_toolkit.robot_file import list_robots, load_robot
-    from carosac_toolkit.studies.results import StudyResults
-    from carosac_toolkit.studies.study import Study
+    from carosac_toolkit.recordings.recording import Recording, load_recording
+    from carosac_toolkit.robot.file import list_robots, load_robot
+    from carosac_toolkit.robot.robot import Robot
+    from carosac_toolkit.studies.compare.results import StudyResults
+    from carosac_toolkit.studies.compare.study import Study
     from carosac_toolkit.validation import validate
-    from carosac_toolkit.values import Belief, Command, Measurement, Pose, Reference, State
 
 __version__ = "0.1.0"
 
 _HOME = {
-    "Belief": "values",
-    "CarosacError": "errors",
-    "Command": "values",
-    "InvalidField": "errors",
-    "InvalidFile": "errors",
-    "Measurement": "values",
-    "Pose": "values",
+    "Belief": "loop.values",
+    "CarosacError": "base.errors",
+    "Command": "loop.values",
+    "InvalidField": "base.errors",
+    "InvalidFile": "base.errors",
+    "Measurement": "loop.values",
+    "Pose": "loop.values",
     "PoseSamples": "recordings.poses",
-    "Recording": "recording",
+    "Recording": "recordings.recording",
     "RecordingMetadata": "recordings.metadata",
-    "Reference": "values",
-    "Robot": "robot",
-    "State": "values",
-    "Study": "studies.study",
-    "StudyResults": "studies.results",
-    "list_robots": "robot_file",
-    "load_recording": "recording",
-    "load_robot": "robot_file",
-    "structure_matrix": "physics.structure",
+    "Reference": "loop.values",
+    "Robot": "robot.robot",
+    "State": "loop.values",
+    "Study": "studies.compare.study",
+    "StudyResults": "studies.compare.results",
+    "list_robots": "robot.file",
+    "load_recording": "recordings.recording",
+    "load_robot": "robot.file",
+    "structure_matrix": "physics.rest.structure",
     "validate": "validation",
 }
 _MODULES = {
-    "catenary": "physics.catenary",
+    "catenary": "physics.cable.catenary",
     "loop": "loop",
-    "modes": "physics.modes",
-    "statics": "physics.statics",
-    "straight_line": "physics.straight_line",
-    "tension_distribution": "physics.tension_distribution",
+    "modes": "physics.rest.modes",
+    "statics": "physics.rest.statics",
+    "straight_line": "physics.cable.straight_line",
+    "tension_distribution": "physics.rest.tension_distribution",
     "trajectories": "trajectories",
     "workspace": "workspace",
 }

@@ -11,7 +11,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.errors import InvalidField, MissingFile
+from carosac_toolkit.base.errors import InvalidField, MissingFile
 
 
 def write_npz(path: str | Path, key: str, rest: Any, arrays: dict[str, NDArray[Any]]) -> None:

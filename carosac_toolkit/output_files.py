@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 
 
 def check_writable(option: str, path: Path | None, suffixes: Sequence[str] = ()) -> None:

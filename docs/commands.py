@@ -152,7 +152,7 @@ def bring(folder: Path) -> None:
     """Put into a folder what readers bring: robot files, a survey, runs, a bag."""
     import carosac_toolkit as ct
     from carosac_toolkit.recordings.bundled import find_recording
-    from carosac_toolkit.robot_file import robot_text
+    from carosac_toolkit.robot.file import robot_text
 
     for file in (DOCS / "files").iterdir():
         shutil.copy(file, folder)

@@ -17,7 +17,7 @@ import numpy as np
 import carosac_toolkit as ct
 from calibration.identification import identify
 from calibration.identification.synthetic import RunSettings, simulate_run
-from carosac_toolkit.parameters import values_of
+from carosac_toolkit.robot.parameters import values_of
 
 robot = ct.load_robot("carosac")
 run = simulate_run(robot, seed=6, settings=RunSettings(moves=6, rate=20.0))

@@ -21,8 +21,8 @@ from baselines.kinematic_solver import KinematicSolver
 from baselines.kinematic_solver_controller import KinematicSolverController
 from baselines.mpc import Mpc
 from carosac_toolkit import trajectories
-from carosac_toolkit.loop import run
-from carosac_toolkit.perturbations import CONDITIONS, draw_plant
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.robot.perturbations import CONDITIONS, draw_plant
 from sim_warp.driver import SimDriver, SimDriverSettings
 
 SEED = 3

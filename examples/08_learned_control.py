@@ -20,8 +20,8 @@ import carosac_toolkit as ct
 from baselines.dynamic_estimator import DynamicEstimator
 from baselines.kinematic_solver_controller import KinematicSolverController
 from carosac_toolkit import trajectories
-from carosac_toolkit.loop import run
-from carosac_toolkit.perturbations import CONDITIONS, draw_plant
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.robot.perturbations import CONDITIONS, draw_plant
 from learned.policy_controller import PolicyController, PolicySettings
 from sim_warp.driver import SimDriver, SimDriverSettings
 

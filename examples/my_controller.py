@@ -63,7 +63,7 @@ def main():
         suites=["lengths"], trajectories=["circle"], perturbations=["nominal-1"], seeds=SEEDS,
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        function = "carosac_toolkit.studies.run_case:run_case"
+        function = "carosac_toolkit.studies.run.run_case:run_case"
         rows = run_cases(cases, function, folder=folder, workers=0, progress=False)
     assert all(row["status"] == "ok" for row in rows), [row["reason"] for row in rows]
     error = {

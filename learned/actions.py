@@ -6,8 +6,8 @@ from typing import Protocol
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
 from learned.length_map import LengthMap
 from learned.observation import Look, Scales
 

@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import Any
 
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.filled_settings import filled
-from carosac_toolkit.studies.chosen_settings import OPTION, check_types, put_field, value_of
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.settings import filled
+from carosac_toolkit.loop.plugin_settings import OPTION, check_types, put_field, value_of
 from learned.presets import Stage
 
 SET, VARY = OPTION, "--vary"

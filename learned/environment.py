@@ -8,12 +8,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.number_checks import check_fields, check_positive, check_whole
-from carosac_toolkit.physics import statics, straight_line
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_fields, check_positive, check_whole
+from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.device import check_device
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.robot import Robot
 from learned.actions import Absolute, ActionMap, Push
 from learned.episodes import Path, PathPool, PathSettings
 from learned.moving_worlds import MovingSettings, MovingWorlds

@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.number_checks import check_positive, check_whole
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.numbers import check_positive, check_whole
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories import Trajectory, random_minimum_snap, random_spline
 
 ATTEMPTS = 100  # to draw a feasible path

@@ -7,11 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.number_checks import check_whole
-from carosac_toolkit.physics import statics
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.numbers import check_whole
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories import Trajectory, random_minimum_snap
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.episodes import ATTEMPTS, Path, PathSettings, sampled

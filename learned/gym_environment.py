@@ -10,8 +10,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.robot import Robot
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.presets import PRESETS
 from learned.vector_environment import spaces_of

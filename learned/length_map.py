@@ -21,11 +21,13 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from carosac_toolkit.arrays import Array, batch
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.physics import statics, straight_line, warp_setup
+from carosac_toolkit.base.arrays import Array, batch
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.physics import warp_setup
+from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.device import Buffers
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.robot import Robot
 from learned import length_map_kernels
 
 DEGREE = 6

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from carosac_toolkit.physics.straight_line_kernels import straight_cable
+from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

@@ -8,13 +8,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.perturbations import find_condition
-from carosac_toolkit.physics import statics
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.sensors import check_suite
-from carosac_toolkit.values import Belief
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.drivers.sensors import check_suite
+from carosac_toolkit.loop.values import Belief
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.perturbations import find_condition
+from carosac_toolkit.robot.robot import Robot
 from learned.sensing import Sensing
 from learned.worlds import Reached
 from sim_warp import Simulator
@@ -39,7 +39,8 @@ class MovingSettings:
             driver `simulator` do. Its beliefs must hold all that it remembers.
         estimated: Share of the worlds in which it is, one at least. They have the sensors of driver
             `simulator`: their encoders and belief err as these do.
-        suite: Sensors that the estimator measures with, one of `carosac_toolkit.sensors.SUITES`.
+        suite: Sensors that the estimator measures with, one of
+            `carosac_toolkit.drivers.sensors.SUITES`.
     """
 
     cables: Literal["particles", "catenary"] = "catenary"

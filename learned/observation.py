@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.number_checks import check_fields
-from carosac_toolkit.physics.straight_line import inverse_kinematics
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_fields
+from carosac_toolkit.physics.cable.straight_line import inverse_kinematics
+from carosac_toolkit.robot.robot import Robot
 
 MARGIN = 0.02  # share of its range by which lengths may go beyond those of the workspace box
 GRID = 9  # points along each edge of the box at which lengths are looked at

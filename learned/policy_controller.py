@@ -11,12 +11,12 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField, did_you_mean
-from carosac_toolkit.number_checks import check_positive
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.robot_differences import same
-from carosac_toolkit.values import Belief, Command, Reference
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField, did_you_mean
+from carosac_toolkit.base.numbers import check_positive
+from carosac_toolkit.loop.values import Belief, Command, Reference
+from carosac_toolkit.robot.differences import same
+from carosac_toolkit.robot.robot import Robot
 from learned.environment import EnvironmentSettings, empty_look, lead_of, make_actions
 from learned.observation import OF_TWIST, Look, Scales, fading, observe
 from learned.policy_file import Policy
@@ -115,7 +115,7 @@ class PolicyController:
 
     def reset(self, belief: Belief) -> None:
         """Forget the last action, and past errors."""
-        from carosac_toolkit.physics.straight_line import straight_length
+        from carosac_toolkit.physics.cable.straight_line import straight_length
 
         self._length = straight_length(self._robot, belief.position, belief.rotation).length
         self._last_action = np.zeros((len(belief.position), self._actions.size))

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from carosac_toolkit.arrays import Array, batch
-from carosac_toolkit.errors import CarosacError, InvalidField, MissingFile
+from carosac_toolkit.base.arrays import Array, batch
+from carosac_toolkit.base.errors import CarosacError, InvalidField, MissingFile
 from carosac_toolkit.output_files import replacing
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot.robot import Robot
 from learned.probe import check_probe, make_probe
 from learned.settings_data import environment_settings
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from carosac_toolkit.errors import InvalidField, did_you_mean
-from carosac_toolkit.number_checks import check_fields, check_whole
+from carosac_toolkit.base.errors import InvalidField, did_you_mean
+from carosac_toolkit.base.numbers import check_fields, check_whole
 from learned.environment import EnvironmentSettings
 from learned.episodes import PathSettings
 from learned.exploration_settings import ExplorationSettings

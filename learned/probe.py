@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import straight_line
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.cable import straight_line
+from carosac_toolkit.robot.robot import Robot
 from learned.environment import EnvironmentSettings, empty_look, make_actions
 from learned.observation import Look, Scales, observe
 

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.number_checks import check_fields
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_fields
 from learned.transition import Transition
 
 DISTANCE_FLOOR = 0.01  # [m] below which the distance in `action_ratio` is not counted smaller

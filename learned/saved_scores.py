@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.npz import read_npz, write_npz
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot.robot import Robot
 from learned.scores import Scores
 
 SCORES, ROBOT = "scores.npz", "robot.npz"

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import statics, straight_line
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.cable import straight_line
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.robot import Robot
 from learned.environment import CableEnvironment
 from learned.episodes import Path
 

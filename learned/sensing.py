@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit import registry
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.protocols import Estimator
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.sensor_suite import SensorSuite
-from carosac_toolkit.sensors import SensorSettings
-from carosac_toolkit.values import Belief, Command, Measurement
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.drivers.sensor_suite import SensorSuite
+from carosac_toolkit.drivers.sensors import SensorSettings
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.protocols import Estimator
+from carosac_toolkit.loop.values import Belief, Command, Measurement
+from carosac_toolkit.robot.robot import Robot
 from sim_warp import Simulator
 from sim_warp.driver import SimPlant
 
@@ -41,7 +41,7 @@ class Sensing:
         Args:
             robot: The nominal one, which the estimator knows.
             simulator: With the plants; it may have more worlds.
-            suite: One of `carosac_toolkit.sensors.SUITES`.
+            suite: One of `carosac_toolkit.drivers.sensors.SUITES`.
             estimator: By its name as a plug-in; its beliefs hold all that it remembers.
             count: In how many worlds.
             seed: Of the sensors.
@@ -51,7 +51,7 @@ class Sensing:
         self._beliefs: list[Belief | None] = [None] * count
         self._plant = SimPlant.around(simulator)
         self._sensors = SensorSuite(suite, SensorSettings(), self._plant, seed)
-        self._estimator: Estimator = registry.load("estimators", estimator).build(robot)
+        self._estimator: Estimator = plugins.load("estimators", estimator).build(robot)
         self._tried = False
         self._now = 0.0
         self._sensors.sample(self._plant, self._now)

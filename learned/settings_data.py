@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Any
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 from learned.environment import EnvironmentSettings
 from learned.episodes import PathSettings
 from learned.moving_worlds import MovingSettings

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.output_files import missing_folders, remove_empty
-from carosac_toolkit.report_page import commit_of_code
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.reports.page import commit_of_code
+from carosac_toolkit.robot.robot import Robot
 from learned.curve import (
     CURVE,
     EPISODES,

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.errors import InvalidField, MissingFile
+from carosac_toolkit.base.errors import InvalidField, MissingFile
 from carosac_toolkit.output_files import replacing
 
 SETTINGS = "settings.json"

@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.number_checks import check_whole
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_whole
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies import Case, Row, run_cases
-from carosac_toolkit.studies.cluster import usable_cores
-from carosac_toolkit.studies.folder import free_folder
-from carosac_toolkit.studies.rows import STATUSES
-from carosac_toolkit.studies.run_case import digest_of, robot_digest, robot_of
+from carosac_toolkit.studies.run.cluster import usable_cores
+from carosac_toolkit.studies.run.folder import free_folder
+from carosac_toolkit.studies.run.rows import STATUSES
+from carosac_toolkit.studies.run.run_case import digest_of, robot_digest, robot_of
 from learned.changes import changed, concerned, label_of
 from learned.curve import COLUMNS, CURVE, read_curve
 from learned.presets import Stage, find_preset

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.robot.robot import Robot
 
 
 def as_robots(given: object) -> list[Robot]:

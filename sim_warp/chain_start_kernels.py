@@ -7,11 +7,18 @@ as each node hangs from the one above. So a chain has the closure and the stiffn
 
 import warp as wp
 
-from carosac_toolkit.physics.body_kernels import System, attach, solve_system
-from carosac_toolkit.physics.cable_kernels import HALF, ONE, ZERO, Cable, inverse33, pulley_wrap
-from carosac_toolkit.physics.platform_kernels import orthonormal, rotation_of
-from carosac_toolkit.physics.straight_line_kernels import straight_cable
-from carosac_toolkit.physics.world_kernels import Plants, Worlds
+from carosac_toolkit.physics.cable.catenary_kernels import (
+    HALF,
+    ONE,
+    ZERO,
+    Cable,
+    inverse33,
+    pulley_wrap,
+)
+from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
+from carosac_toolkit.physics.motion.body_kernels import System, attach, solve_system
+from carosac_toolkit.physics.motion.world_kernels import Plants, Worlds
+from carosac_toolkit.physics.rest.platform_kernels import orthonormal, rotation_of
 from sim_warp.particle_kernels import Chains, Feed, length_share, node_mass, run_strain, share_out
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 SHORTEST = 1e-9  # [s]: less is rounding
 

@@ -8,13 +8,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array, as_floats
+from carosac_toolkit.base.arrays import Array, as_floats
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.numbers import check_not_negative, check_positive
 from carosac_toolkit.drivers.simulated import SimulatedDriver, SimulatedSettings
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.number_checks import check_not_negative, check_positive
-from carosac_toolkit.physics.winch import Encoders, WinchSettings
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import State
+from carosac_toolkit.loop.values import State
+from carosac_toolkit.physics.motion.winch import Encoders, WinchSettings
+from carosac_toolkit.robot.robot import Robot
 from sim_warp.arguments import as_seeds
 from sim_warp.options import CableOptions
 from sim_warp.simulator import STEPS, Simulator

@@ -8,11 +8,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.number_checks import check_not_negative, check_positive
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Belief, Command, Measurement
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.numbers import check_not_negative, check_positive
+from carosac_toolkit.loop.values import Belief, Command, Measurement
+from carosac_toolkit.robot.robot import Robot
 from sim_warp.delayed_lengths import DelayedLengths
 from sim_warp.options import CableOptions
 from sim_warp.simulator import Simulator

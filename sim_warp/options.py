@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, get_args
 
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.number_checks import check_not_negative, check_positive, check_whole
-from carosac_toolkit.physics.dynamics import CABLE_DRAG
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_not_negative, check_positive, check_whole
+from carosac_toolkit.physics.motion.dynamics import CABLE_DRAG
 from sim_warp.simulator import SEGMENTS_MAX, Cables
 
 

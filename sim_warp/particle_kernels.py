@@ -21,7 +21,9 @@ A segment drops out while its predicted tension and its stretch say that it is s
 
 import warp as wp
 
-from carosac_toolkit.physics.body_kernels import (
+from carosac_toolkit.physics.cable.catenary_kernels import HALF, ONE, ZERO, Cable, density_of
+from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
+from carosac_toolkit.physics.motion.body_kernels import (
     ROUGH,
     SMOOTH,
     Gusts,
@@ -40,9 +42,7 @@ from carosac_toolkit.physics.body_kernels import (
     scheme_of,
     solve_system,
 )
-from carosac_toolkit.physics.cable_kernels import HALF, ONE, ZERO, Cable, density_of
-from carosac_toolkit.physics.straight_line_kernels import straight_cable
-from carosac_toolkit.physics.world_kernels import (
+from carosac_toolkit.physics.motion.world_kernels import (
     LIMIT,
     STEP,
     Plants,

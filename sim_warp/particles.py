@@ -9,10 +9,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics import warp_setup
-from carosac_toolkit.physics.dynamics import Advance, place_worlds
-from carosac_toolkit.physics.statics import Equilibrium
+from carosac_toolkit.physics.motion.dynamics import Advance, place_worlds
+from carosac_toolkit.physics.rest.statics import Equilibrium
 from sim_warp import chain_start_kernels, particle_kernels
 
 

@@ -5,7 +5,8 @@ Four models of the cables share one interface:
 * ``particles``: chains of masses and unilateral springs, advanced by implicit Newton steps
   (`sim_warp.particle_kernels`): sag, sway, slack and waves.
 * ``catenary``: quasi-static elastic catenaries on a rigid platform
-  (`carosac_toolkit.physics.dynamics`): sag, sway and slack without waves, several times faster.
+  (`carosac_toolkit.physics.motion.dynamics`): sag, sway and slack without waves, several times
+  faster.
 * ``straight``: straight massless springs: the baseline without sag.
 * ``xpbd``: chains by extended position-based dynamics (`sim_warp.xpbd_kernels`), the method of game
   engines, for comparison.
@@ -21,18 +22,19 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from carosac_toolkit.arrays import Array, batch, check_rotations
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.number_checks import check_not_negative, check_positive, check_whole
-from carosac_toolkit.perturbations import Condition, draw_plant, find_condition
-from carosac_toolkit.physics import statics, warp_setup
+from carosac_toolkit.base.arrays import Array, batch, check_rotations
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_not_negative, check_positive, check_whole
+from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.device import check_call
-from carosac_toolkit.physics.dynamics import CABLE_DRAG, NodelessDynamics
 from carosac_toolkit.physics.fleet import Fleet
-from carosac_toolkit.physics.statics import Equilibrium
-from carosac_toolkit.physics.winch import WinchSettings
-from carosac_toolkit.physics.worlds import STATE, allocate_worlds, upload_plants
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.physics.motion.dynamics import CABLE_DRAG, NodelessDynamics
+from carosac_toolkit.physics.motion.winch import WinchSettings
+from carosac_toolkit.physics.motion.worlds import STATE, allocate_worlds, upload_plants
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.robot.perturbations import Condition, draw_plant, find_condition
+from carosac_toolkit.robot.robot import Robot
 from sim_warp.arguments import (
     as_robots,
     as_seeds,
@@ -86,7 +88,7 @@ class Simulator:
             seed: Of the plants and the wind: one number, from which each world gets its own, or
                 one for each world.
             perturbation: Condition from which each world's plant and wind are drawn; see
-                `carosac_toolkit.perturbations`.
+                `carosac_toolkit.robot.perturbations`.
             wind_force: Standard deviation of the force of the wind on the platform per horizontal
                 axis [N]; None: as the condition says.
             wind_time: Its correlation time [s]; None: as the condition says.

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

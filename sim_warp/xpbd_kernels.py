@@ -12,11 +12,17 @@ References:
 
 import warp as wp
 
-from carosac_toolkit.physics.body_kernels import Motion, RigidBody, blow, world_inertia
-from carosac_toolkit.physics.cable_kernels import HALF, ONE, ZERO, Cable, density_of, inverse33
-from carosac_toolkit.physics.platform_kernels import orthonormal, rotation_of
-from carosac_toolkit.physics.straight_line_kernels import straight_cable
-from carosac_toolkit.physics.world_kernels import (
+from carosac_toolkit.physics.cable.catenary_kernels import (
+    HALF,
+    ONE,
+    ZERO,
+    Cable,
+    density_of,
+    inverse33,
+)
+from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
+from carosac_toolkit.physics.motion.body_kernels import Motion, RigidBody, blow, world_inertia
+from carosac_toolkit.physics.motion.world_kernels import (
     Plants,
     Worlds,
     is_lost,
@@ -25,6 +31,7 @@ from carosac_toolkit.physics.world_kernels import (
     turn_back,
     turn_winches,
 )
+from carosac_toolkit.physics.rest.platform_kernels import orthonormal, rotation_of
 from sim_warp.particle_kernels import (
     Chains,
     Feed,

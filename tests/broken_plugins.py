@@ -13,7 +13,7 @@ from baselines.straight_line import StraightLine
 from baselines.straight_line_controller import StraightLineController
 from carosac_toolkit.drivers.quasi_static import QuasiStaticDriver, QuasiStaticSettings
 from carosac_toolkit.drivers.replay import ReplayDriver
-from carosac_toolkit.values import Command
+from carosac_toolkit.loop.values import Command
 
 
 class Wrapped:

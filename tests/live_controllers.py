@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 
 from baselines.kinematic_solver_controller import KinematicSolverController
-from carosac_toolkit.live import ending
-from carosac_toolkit.values import Command
+from carosac_toolkit.live import exit_reasons
+from carosac_toolkit.loop.values import Command
 
 AFTER = 0.8  # [s] on the way, where a target is moved by hand
 
@@ -34,7 +34,7 @@ class Stubborn(_Failing):
     """Hangs and cannot be interrupted."""
 
     def fail(self, command):
-        ending.PATIENCE = 0.3
+        exit_reasons.PATIENCE = 0.3
         while True:
             try:
                 time.sleep(1000.0)

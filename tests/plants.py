@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio
 
-from carosac_toolkit.values import State
+from carosac_toolkit.loop.values import State
 from tests.robots import simple_robot
 
 CENTRE = np.array([0.4, -1.8, 2.2])

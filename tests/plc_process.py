@@ -15,10 +15,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import carosac_toolkit as ct
+from carosac_toolkit.loop.values import State
 from carosac_toolkit.plc.client import PlcClient
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.robot_file import robot_text
-from carosac_toolkit.values import State
+from carosac_toolkit.robot.file import robot_text
+from carosac_toolkit.robot.robot import Robot
 
 _ADDRESSES = count(1)
 

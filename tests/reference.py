@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares, nnls
 from scipy.spatial.transform import Rotation
 
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot.robot import Robot
 
 Array = NDArray[Any]
 LONG = np.longdouble

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot.robot import Robot
 
 
 def simple_robot(**changes: Any) -> Robot:

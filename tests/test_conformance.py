@@ -9,9 +9,10 @@ from functools import partial
 import pytest
 
 import carosac_toolkit as ct
-from carosac_toolkit import conformance, registry
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.robot import Robot
+from carosac_toolkit import conformance
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.loop import plugins as registry
+from carosac_toolkit.robot.robot import Robot
 from tests import broken_plugins as broken
 from tests.robots import eight_cable_robot, simple_robot, with_pulleys
 

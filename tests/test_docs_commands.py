@@ -10,7 +10,7 @@ import pytest
 
 from carosac_toolkit.cli.arguments import parse_options
 from carosac_toolkit.cli.main import main
-from carosac_toolkit.registry import load
+from carosac_toolkit.loop.plugins import load
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "docs"))

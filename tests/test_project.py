@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 import carosac_toolkit
-from carosac_toolkit.robot_file import parse_robot
+from carosac_toolkit.robot.file import parse_robot
 from tests.programs import run_here
 from tests.warm_kernels import kernel_modules
 

@@ -182,4 +182,4 @@ def test_reference_uses_none_of_our_physics():
     modules = [n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]
     modules += [a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
     ours = {m for m in modules if m.startswith("carosac_toolkit")}
-    assert ours == {"carosac_toolkit.robot"}
+    assert ours == {"carosac_toolkit.robot.robot"}

@@ -12,11 +12,11 @@ from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.state import FilterState
 from baselines.dynamic_estimator.track import Track, Tracker
 from baselines.found_center import found_center
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.consistency import Innovations
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Belief, Command, Measurement
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.consistency import Innovations
+from carosac_toolkit.loop.values import Belief, Command, Measurement
+from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

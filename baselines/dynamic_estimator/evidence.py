@@ -9,7 +9,7 @@ import numpy as np
 from baselines.dynamic_estimator.model import Model, Transition
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.state import FilterState
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 
 class Felt(NamedTuple):

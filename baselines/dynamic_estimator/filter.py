@@ -10,7 +10,7 @@ from baselines.dynamic_estimator.evidence import Felt, Sensors
 from baselines.dynamic_estimator.model import Model, NoMotion
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.state import FilterState
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 SWEPT = (2.0, 5.0)  # [m/s^2, rad/s^2] by which twists change while a pose is late
 

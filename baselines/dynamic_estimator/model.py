@@ -9,10 +9,10 @@ import numpy as np
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.state import Errors, FilterState
 from baselines.dynamic_estimator.sway import sway_at
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.physics.propagation import Arrived, Motions, Propagation
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.physics.motion.propagation import Arrived, Motions, Propagation
+from carosac_toolkit.robot.robot import Robot
 
 STEP = 1e-4  # [m] and [m/s] of the centre of mass, for differences
 WIND_STEP = 1e-2  # [N]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from carosac_toolkit.arrays import frozen_array
-from carosac_toolkit.number_checks import check_fields, check_not_negative
+from carosac_toolkit.base.arrays import frozen_array
+from carosac_toolkit.base.numbers import check_fields, check_not_negative
 
 Mount = tuple[float, float, float]
 

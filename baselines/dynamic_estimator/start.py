@@ -9,10 +9,10 @@ import numpy as np
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.state import Errors, FilterState
 from baselines.dynamic_estimator.sway import Sway, sway_at
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.fleet import Fleet
-from carosac_toolkit.physics.statics import Equilibrium, forward_kinematics
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
+from carosac_toolkit.robot.robot import Robot
 
 STEPS = (1e-3, 1e-4, 1e-4, 1e-4)  # of the differences: logarithm of the mass, centre of mass [m]
 LENGTH_STEP = 1e-4  # [m]

@@ -8,7 +8,7 @@ import numpy as np
 
 from baselines.dynamic_estimator.sway import Sway
 from baselines.length_readings import SLIP_DOUBT
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 
 class Errors:

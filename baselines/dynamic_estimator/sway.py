@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics.modes import mass_matrix
-from carosac_toolkit.physics.structure import constrained_motion, structure_matrix
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.rest.modes import mass_matrix
+from carosac_toolkit.physics.rest.structure import constrained_motion, structure_matrix
+from carosac_toolkit.robot.robot import Robot
 
 
 class Sway(NamedTuple):

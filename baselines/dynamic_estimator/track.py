@@ -18,9 +18,9 @@ from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.dynamic_estimator.start import Rest
 from baselines.dynamic_estimator.state import FilterState
 from baselines.length_readings import SHORTEST, Readings
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Measurement
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.values import Measurement
+from carosac_toolkit.robot.robot import Robot
 
 SHORT = 2.0  # time steps: a stretch of lengths that may be taken as straight
 ALIKE = 0.6  # of a time step: IMU samples so close together are taken as one

@@ -18,11 +18,11 @@ from baselines.ks_ekf.cable_swing import Strings, Swing
 from baselines.ks_ekf.filter_state import FilterState, cross
 from baselines.ks_ekf.platform_motion import origin, pose_map
 from baselines.ks_ekf.settings import KsEkfSettings
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics.cable_lengths import length_at_tension
-from carosac_toolkit.physics.straight_line import StraightCables, straight_length
-from carosac_toolkit.physics.structure import structure_matrix
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.cable.lengths import length_at_tension
+from carosac_toolkit.physics.cable.straight_line import StraightCables, straight_length
+from carosac_toolkit.physics.rest.structure import structure_matrix
+from carosac_toolkit.robot.robot import Robot
 
 TAUT = 2.0  # times its own error: a smaller tension does not say how much the cable sags
 

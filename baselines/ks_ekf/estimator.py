@@ -25,9 +25,9 @@ from baselines.ks_ekf.rest_detection import Quiet, Window, detect_rest
 from baselines.ks_ekf.rest_pose import RestPose, find_rest
 from baselines.ks_ekf.settings import KsEkfSettings
 from baselines.length_readings import Readings
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Belief, Command, Measurement
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.loop.values import Belief, Command, Measurement
+from carosac_toolkit.robot.robot import Robot
 
 LAG = 0.2  # [s]: the filter never stands further behind, even where no lengths come
 DOUBT = 2.0  # by what standard deviations grow where nothing fits any more

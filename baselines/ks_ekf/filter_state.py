@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.length_readings import SLIP_DOUBT
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics.statics import Equilibrium
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.rest.statics import Equilibrium
 
 POSITION = slice(0, 3)  # of the error state, all in W unless said otherwise [m]
 ROTATION = slice(3, 6)  # log(R R_hat^T) [rad]

@@ -32,8 +32,8 @@ from baselines.ks_ekf.filter_state import (
 )
 from baselines.ks_ekf.readings import SHORTEST
 from baselines.ks_ekf.settings import KsEkfSettings
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.values import Measurement
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.values import Measurement
 
 MINUTE = 60.0  # [s]
 

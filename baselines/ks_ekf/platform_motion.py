@@ -16,7 +16,7 @@ from baselines.ks_ekf.filter_state import (
     cross,
 )
 from baselines.ks_ekf.settings import KsEkfSettings
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 
 def origin(state: FilterState, lever: Array) -> Array:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.values import Measurement
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.values import Measurement
 
 SHORTEST = 1e-9  # [s]: less is rounding
 

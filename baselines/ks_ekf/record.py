@@ -9,8 +9,8 @@ from baselines.ks_ekf.filter_state import FilterState
 from baselines.ks_ekf.readings import Reading
 from baselines.ks_ekf.rest_detection import Window
 from baselines.length_readings import Readings
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.consistency import Innovations
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.consistency import Innovations
 
 NO_SWING = Swing()
 

@@ -10,7 +10,7 @@ import numpy as np
 from baselines.ks_ekf.filter_state import NO_SAMPLES, Samples
 from baselines.ks_ekf.readings import Reading
 from baselines.ks_ekf.settings import KsEkfSettings
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.ks_ekf.filter_state import cross
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics.modes import mass_matrix
-from carosac_toolkit.physics.statics import Equilibrium, forward_kinematics
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.rest.modes import mass_matrix
+from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
+from carosac_toolkit.robot.robot import Robot
 
 STEP = 1e-3  # [m]: difference of lengths for derivatives
 

@@ -7,9 +7,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array, check_rotations, frozen_array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.number_checks import check_fields, check_fraction
+from carosac_toolkit.base.arrays import Array, check_rotations, frozen_array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_fields, check_fraction
 
 Coupling = Literal["loose", "tight"]
 CHECKED_APART = ("coupling", "imu_position", "imu_rotation", "gate")

@@ -21,8 +21,8 @@ from baselines.ks_ekf.platform_motion import moved_to_imu
 from baselines.ks_ekf.readings import Reading
 from baselines.ks_ekf.rest_pose import RestPose
 from baselines.ks_ekf.settings import KsEkfSettings
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
 
 LOST = (1.0, 0.5, 1.0)  # position [m], rotation [rad], velocity [m/s] where no pose was found
 

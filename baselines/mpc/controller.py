@@ -18,10 +18,10 @@ from baselines.mpc.settings import MpcSettings
 from baselines.mpc.target import Targets
 from baselines.mpc.unknown_load import Motion
 from baselines.mpc.winch_reference import WinchReference
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Belief, Command, Reference
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.loop.values import Belief, Command, Reference
+from carosac_toolkit.robot.robot import Robot
 
 SOFTENED = 0.01  # share of a limit beyond which a plan counts as softened
 

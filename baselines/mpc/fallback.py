@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics import statics
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.robot import Robot
 
 PULL = 2.0  # [1/s]: rate at which the lengths approach those of rest
 SHARE = 0.5  # of the winches' acceleration that is used

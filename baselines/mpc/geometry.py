@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics.cable_lengths import length_at_tension
-from carosac_toolkit.physics.straight_line import straight_length
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.cable.lengths import length_at_tension
+from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -25,8 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import RigidBody, Robot, combine_bodies
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import RigidBody, Robot, combine_bodies
 
 STATES = 12
 PATH = 3  # kinds of quantities that limits are on: length, its rate, its acceleration

@@ -19,11 +19,11 @@ from scipy.spatial.transform import Rotation
 from baselines.mpc.geometry import Geometry, geometry_at
 from baselines.mpc.settings import MpcSettings
 from baselines.mpc.unknown_load import Motion, UnknownLoad
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics.modes import mass_matrix
-from carosac_toolkit.physics.structure import constrained_motion
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Belief
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.values import Belief
+from carosac_toolkit.physics.rest.modes import mass_matrix
+from carosac_toolkit.physics.rest.structure import constrained_motion
+from carosac_toolkit.robot.robot import Robot
 
 STEPS = 5  # of Newton's method
 CLOSE = 1e-6  # [m]: lengths that agree

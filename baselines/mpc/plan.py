@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.mpc import model
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

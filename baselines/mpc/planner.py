@@ -14,8 +14,8 @@ from baselines.mpc.settings import MpcSettings
 from baselines.mpc.stage_function import StageFunction
 from baselines.mpc.unknown_load import UnknownLoad
 from baselines.mpc.winch_reference import Range
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
 
 COLD = 3  # iterations where there is no plan to start from
 TURN = 0.35  # of the Rodrigues parameters: beyond it (80 degrees) R_0 moves along

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 FAR = 1e4  # stands for no limit on a scaled row
 GAP = 1e-5  # of the dynamics in a solution: more is none

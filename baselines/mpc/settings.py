@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 
 Compiled = Literal["auto", "always", "never"]
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from baselines.mpc import model
 from baselines.mpc.settings import Compiled
-from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.base.errors import CarosacError
 
 FLAGS = ("-O1", "-fPIC", "-shared")
 COMPILERS = ("cc", "gcc", "clang")

@@ -8,10 +8,10 @@ import numpy as np
 
 from baselines.mpc.planner import Target
 from baselines.reference_ahead import interpolated
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics import statics
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Pose, Reference
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.values import Pose, Reference
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.robot import Robot
 
 REACH = 0.3  # [m]: from farther away the reference is not chased, but approached
 APPROACH = 0.7  # [m/s]

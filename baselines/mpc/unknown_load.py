@@ -25,8 +25,8 @@ import numpy as np
 
 from baselines.mpc.geometry import Geometry
 from baselines.mpc.model import moving_body
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
 
 NOISE = 0.012  # [m/s], of the speed gained in a command, for all of the platform alike
 MOST = 0.25  # [m/s^2], of the acceleration: at the start, and in ways that are not seen for long

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
 
 STOPPED = 5e-3  # [m/s]
 MARGIN = 1e-3  # of the limits, kept clear of rounding

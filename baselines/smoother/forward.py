@@ -12,7 +12,7 @@ from baselines.dynamic_estimator.model import Model
 from baselines.dynamic_estimator.state import Errors, FilterState
 from baselines.smoother.measured import Measured
 from baselines.smoother.settings import SmootherSettings
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 FLOOR = 1e-4  # of the scale of an error, per root of a second: noise of what is constant
 

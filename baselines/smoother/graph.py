@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from baselines.dynamic_estimator.evidence import Evidence
 from baselines.dynamic_estimator.state import Errors
 from baselines.smoother.forward import Passed
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
 
 FOREVER = 1e12  # [s]
 FLOOR = 1e-4  # of the scale of an error: what counts as known

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from baselines.dynamic_estimator.evidence import Felt
 from baselines.length_readings import SHORTEST, Readings
 from baselines.smoother.settings import SmootherSettings
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.encoders import calibrated
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.length_path import LengthPath
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.recordings.columns import POSES_WANTED
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Pose
+from carosac_toolkit.recordings.encoders import calibrated
+from carosac_toolkit.recordings.length_path import LengthPath
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.robot import Robot
 
 GAP = 0.5  # [s] between two poses, at most, to interpolate
 BEFORE = 0.01  # [s] before an inertial sample, at most, where the step to it begins

@@ -11,11 +11,11 @@ import numpy as np
 from baselines.smoother.pictures import draw_estimate, draw_unknowns
 from baselines.smoother.result import Smoothed
 from carosac_toolkit import __version__
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.recordings.poses import PoseSamples
-from carosac_toolkit.report_page import png, write_files
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.reports.page import png, write_files
+from carosac_toolkit.robot.robot import Robot
 
 TABLE = "estimate.parquet"
 PICTURES = ("estimate.png", "unknowns.png")

@@ -9,10 +9,10 @@ import numpy as np
 
 from baselines.smoother.scores import Scores
 from baselines.smoother.settings import SmootherSettings
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.recording import Recording
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Pose
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.robot import Robot
 
 AXES = ("x", "y", "z")
 CLEARLY = 0.7  # of a sigma that was taken for granted: what is less was told by the data

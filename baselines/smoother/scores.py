@@ -9,13 +9,13 @@ import numpy as np
 
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from baselines.smoother.measured import nearest
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.consistency import normalised_square
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.consistency import normalised_square
+from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.validation.phases import find_phases
 from carosac_toolkit.validation.scores import PoseScores, rotation_angle, score_poses
-from carosac_toolkit.values import Pose
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

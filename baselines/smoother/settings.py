@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.number_checks import check_fields, check_positive, check_whole
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_fields, check_positive, check_whole
 
 POSES = ("withheld", "half", "used")
 

@@ -18,12 +18,12 @@ from baselines.smoother.measured import Measured, arrange
 from baselines.smoother.result import Smoothed
 from baselines.smoother.scores import score
 from baselines.smoother.settings import SmootherSettings
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.recording import Recording
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.plausibility import find_misfits
-from carosac_toolkit.values import Pose
 
 WEIGHINGS = 6  # of poses, at most, in one pass
 SAME_WEIGHT = 0.05

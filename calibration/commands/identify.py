@@ -23,13 +23,13 @@ from calibration.identification import Identification, identify
 from calibration.identification.report import write_identification
 from calibration.report import print_parameters, print_sentences
 from calibration.robot_update import check_output, write_robot
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.recording import Recording, load_recording
 from carosac_toolkit.recordings.bundled import find_recording
+from carosac_toolkit.recordings.recording import Recording, load_recording
 from carosac_toolkit.recordings.robot import FoundRobot, find_robot
-from carosac_toolkit.report_page import check_folder
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.reports.page import check_folder
+from carosac_toolkit.robot.robot import Robot
 
 Range = tuple[int, int]
 _SHARE = 2.0 / 3.0  # of the samples that are fitted, where nothing else is asked for

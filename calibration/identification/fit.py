@@ -13,10 +13,10 @@ from calibration.identification.noise import Noise, look_at
 from calibration.identification.open_loop import OpenLoop, simulate
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.unknowns import Unknowns
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.length_path import LengthPath
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.recordings.length_path import LengthPath
+from carosac_toolkit.robot.robot import Robot
 
 STEP = 0.005  # of the coordinates, for differences
 SETTLED = 0.1  # what a step must promise to lower the cost by, which is in squared sigmas

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.recordings.recording import Recording
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

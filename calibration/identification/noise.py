@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 # Least sigma, positions [m] and rotations [rad]: noise of readings, what smoothing takes away, and
 # cables without inertia make an error of this size whatever the parameters are.

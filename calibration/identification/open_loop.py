@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.encoders import unstrained_lengths
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.length_path import LengthPath
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.recordings.encoders import unstrained_lengths
+from carosac_toolkit.recordings.length_path import LengthPath
+from carosac_toolkit.robot.robot import Robot
 from sim_warp import Simulator
 
 GRID = 0.05  # [s]: lengths go straight over no longer time

@@ -9,7 +9,7 @@ import numpy as np
 from calibration.identification.result import Identification
 from calibration.pictures import AFTER, BEFORE
 from carosac_toolkit.pictures.drawing import COLORS, REST, new_figure
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.validation.phases import find_phases
 
 if TYPE_CHECKING:

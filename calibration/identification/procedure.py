@@ -13,17 +13,17 @@ from calibration.identification.settings import IdentificationSettings
 from calibration.identification.unknowns import Unknowns, choose_unknowns
 from calibration.observability import Observability, Unobservable, judge
 from calibration.robot_update import updated
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.encoders import calibrated
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.length_path import LengthPath
-from carosac_toolkit.physics import statics
-from carosac_toolkit.recording import Recording
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.recordings.encoders import calibrated
+from carosac_toolkit.recordings.length_path import LengthPath
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.phases import find_phases
 from carosac_toolkit.validation.plausibility import find_mix_ups
 from carosac_toolkit.validation.scores import PoseScores, score_poses
-from carosac_toolkit.values import Pose
 
 Range = tuple[int, int]
 FEWEST = 5.0  # seconds of motion, below which no dynamics are identified

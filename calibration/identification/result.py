@@ -10,9 +10,9 @@ import numpy as np
 from calibration.estimate import Estimate
 from calibration.identification.measured import MeasuredPoses
 from calibration.observability import Observability
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.parameters import field_of
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.parameters import field_of
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.scores import PoseScores
 
 AGAINST_PRIOR = 2.0  # sigmas: a parameter that moved further contradicts what was known

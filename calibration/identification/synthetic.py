@@ -6,15 +6,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.perturbations import draw_plant, find_condition
-from carosac_toolkit.physics import statics
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import from_matrix
+from carosac_toolkit.drivers.sensors import SensorSettings
+from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples
-from carosac_toolkit.recordings.quaternions import from_matrix
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.sensors import SensorSettings
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.perturbations import draw_plant, find_condition
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories.draws import draw_points
 from carosac_toolkit.trajectories.moves import waypoints
 from sim_warp.driver import SimDriverSettings, SimPlant

@@ -15,10 +15,10 @@ import numpy as np
 from calibration.estimate import Estimate
 from calibration.identification.settings import IdentificationSettings
 from calibration.robot_update import prior_covariance
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.parameters import field_of, point_names, values_of, with_values
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.robot.parameters import field_of, point_names, values_of, with_values
+from carosac_toolkit.robot.robot import Robot
 
 STEP = 1e-6  # of the coordinates, for the derivatives of parameters
 _SPREADS = ("inertia.xx", "inertia.yy", "inertia.zz")

@@ -16,12 +16,12 @@ from calibration.lengths.settings import TYPICAL_NOISE, TYPICAL_SWAY, Settings
 from calibration.lengths.unknowns import LOOSE, Unknowns, find_unknowns
 from calibration.observability import Unobservable, judge
 from calibration.robot_update import updated
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.parameters import field_of
-from carosac_toolkit.recording import Recording
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Pose
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.parameters import field_of
+from carosac_toolkit.robot.robot import Robot
 
 SAMPLES_MAX = 2000  # used, evenly spread: more of the same run tell hardly more
 TILTED = 3e-3  # [rad]: a frame that is more level than that needs no mention

@@ -6,12 +6,12 @@ import numpy as np
 
 from calibration.lengths.unknowns import Unknowns
 from calibration.observability import Unobservable
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.physics.straight_line import straight_length
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.plausibility import find_mix_ups
-from carosac_toolkit.values import Pose
 
 CLEAR = 0.5  # a mix-up is named where putting it right leaves less than this of the misfit
 MOVED = 0.1  # [m]: cables that move less tell no order

@@ -17,9 +17,9 @@ from calibration.lengths.model import correction, in_world, predict, tensions, u
 from calibration.lengths.samples import PosePath, PosesAt
 from calibration.lengths.settings import Settings
 from calibration.lengths.unknowns import Unknowns
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics.straight_line import straight_length
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.robot.robot import Robot
 
 Mask = NDArray[np.bool_]
 CUT = 3.7  # standard deviations: farther readings are blunders

@@ -8,12 +8,12 @@ import numpy as np
 
 from calibration.lengths.samples import PosesAt
 from calibration.lengths.wrench import Balance, balance
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.encoders import readings
-from carosac_toolkit.physics import statics
-from carosac_toolkit.physics.cable_lengths import length_at_tension
-from carosac_toolkit.physics.straight_line import StraightCables, straight_length
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.cable.lengths import length_at_tension
+from carosac_toolkit.physics.cable.straight_line import StraightCables, straight_length
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.recordings.encoders import readings
+from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

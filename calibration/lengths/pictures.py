@@ -10,7 +10,7 @@ from calibration.lengths.planning import SuggestedPoses
 from calibration.lengths.result import LengthCalibration
 from calibration.pictures import AFTER, OUTLIER, draw_exit_points, draw_learnt, draw_residuals
 from carosac_toolkit.pictures.drawing import COLORS, MEASURED, new_figure, put_legend, views
-from carosac_toolkit.report_page import png
+from carosac_toolkit.reports.page import png
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,11 +13,11 @@ from calibration.lengths.result import LengthCalibration
 from calibration.lengths.samples import PosesAt
 from calibration.lengths.settings import TYPICAL_NOISE, TYPICAL_SWAY, Settings
 from calibration.lengths.unknowns import Unknowns, find_unknowns
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import statics
-from carosac_toolkit.recordings.quaternions import from_matrix
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.rotations import from_matrix
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.robot import Robot
 
 CANDIDATES = 400
 COUNT_MAX = 40

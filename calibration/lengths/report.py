@@ -12,7 +12,7 @@ from calibration.lengths.planning import SuggestedPoses
 from calibration.lengths.result import LengthCalibration
 from calibration.report import blunders_html, observability_html, parameters_html
 from calibration.report import write_report as write_page
-from carosac_toolkit.report_page import bullets, table
+from carosac_toolkit.reports.page import bullets, table
 from carosac_toolkit.text_tables import Rows
 
 CABLE_HEADER = (

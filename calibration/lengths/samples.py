@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.rotations import to_matrix
 from carosac_toolkit.recordings.columns import POSES_WANTED
-from carosac_toolkit.recordings.quaternions import to_matrix
+from carosac_toolkit.recordings.recording import Recording
 
 GAP_MAX = 0.5  # [s]: across a longer one nothing is interpolated
 TOGETHER = 0.05  # [s]: a lone pose belongs to readings this near

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 
 TYPICAL_NOISE = 2e-3  # [m], of a reading, to judge a set-up before its noise is known
 TYPICAL_SWAY = 0.01  # [rad], of the balance of a platform

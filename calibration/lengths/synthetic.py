@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from calibration.lengths.settings import Settings
 from calibration.lengths.unknowns import Unknowns, find_unknowns
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.encoders import readings
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.parameters import with_values
-from carosac_toolkit.physics import statics
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.recordings.encoders import readings
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.parameters import with_values
+from carosac_toolkit.robot.robot import Robot
 
 MOVE = 4.0  # [s] from stop to stop
 CHECKS = 41  # poses of a move that have to be equilibria

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from calibration.lengths.settings import Settings
 from calibration.robot_update import prior_covariance
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.parameters import field_of, point_names, values_of, with_values
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.parameters import field_of, point_names, values_of, with_values
+from carosac_toolkit.robot.robot import Robot
 
 LOOSE = 1e3  # [m]: prior of an offset that nothing is known of
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics.straight_line import StraightCables
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.cable.straight_line import StraightCables
+from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

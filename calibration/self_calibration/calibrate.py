@@ -16,8 +16,8 @@ from calibration.self_calibration.result import Blunder, LeftOut, SelfCalibratio
 from calibration.self_calibration.settings import Settings
 from calibration.self_calibration.solver import Fit, Trust, equations, fit
 from calibration.self_calibration.start import LINE, starts
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
 
 LOOSE = 0.05  # of the longest cable: an exit point less sure than that was not calibrated
 FLAT = 1e-3  # of their extent: known positions that close to a line or plane lie in it

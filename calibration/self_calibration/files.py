@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from calibration.self_calibration.motor_angles import MotorAngles
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidFile, MissingFile
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidFile, MissingFile
 from carosac_toolkit.output_files import replacing
 from carosac_toolkit.recordings.table import shortened
 

@@ -13,7 +13,7 @@ from gtsam.symbol_shorthand import S, X
 from calibration.self_calibration.noise import Settled
 from calibration.self_calibration.problem import Problem
 from calibration.self_calibration.solver import FAR
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

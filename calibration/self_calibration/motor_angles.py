@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array, set_frozen
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array, set_frozen
+from carosac_toolkit.base.errors import InvalidField
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -14,8 +14,8 @@ import numpy as np
 from calibration.self_calibration.problem import Problem
 from calibration.self_calibration.settings import Settings
 from calibration.self_calibration.solver import Fit, Mask, Trust, Whitened, equations, fit, whiten
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
 
 CHECKED = 0.05  # share of its own noise that a combination must show for a test of it
 ROUNDS = 20

@@ -8,8 +8,8 @@ import numpy as np
 
 from calibration.pictures import AFTER, BEFORE, OUTLIER, QUANTILE_95
 from calibration.self_calibration.result import SelfCalibration
-from carosac_toolkit.parameters import point_names
 from carosac_toolkit.pictures.drawing import COLORS, new_figure
+from carosac_toolkit.robot.parameters import point_names
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from calibration.robot_update import prior_covariance
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.settings import Settings
-from carosac_toolkit.arrays import Array, frozen_array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.parameters import point_names
-from carosac_toolkit.physics.drum import drums_of
-from carosac_toolkit.physics.straight_line import straight_length
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array, frozen_array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.cable.drum import drums_of
+from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.robot.parameters import point_names
+from carosac_toolkit.robot.robot import Robot
 
 ALIKE = 2e-5  # [m] between the radii of drums that are of one make
 Rows = slice | NDArray[np.intp]

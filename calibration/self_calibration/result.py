@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from calibration.estimate import Estimate
 from calibration.observability import Observability
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array, frozen_array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array, frozen_array
+from carosac_toolkit.base.errors import InvalidField
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.self_calibration.problem import Problem
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 SOFT = 3.0  # standard deviations from which on a robust fit lets go of a sample
 FAR = 20.0  # times the longest cable: one standard deviation of a position before any data

@@ -13,7 +13,7 @@ import numpy as np
 
 from calibration.self_calibration.problem import Problem
 from calibration.self_calibration.solver import Fit, Trust, fit
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 DIRECTIONS = 24  # from which the places of one exit point are looked for
 ROUGH = 0.01  # [m] of a length, with drums as they are known before

@@ -10,11 +10,11 @@ import numpy as np
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.problem import Problem
 from calibration.self_calibration.settings import Settings
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics.drum import drums_of
-from carosac_toolkit.physics.straight_line import inverse_kinematics
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.cable.drum import drums_of
+from carosac_toolkit.physics.cable.straight_line import inverse_kinematics
+from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

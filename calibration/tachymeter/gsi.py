@@ -18,7 +18,7 @@ from geocompy.gsi.gsiformat import GsiPPMPrismConstantWord, GsiUnit, parse_gsi_w
 
 from calibration.tachymeter.observations import face_one, polar
 from calibration.tachymeter.records import MILLIMETRE, Record, few, plain_name, read_lines
-from carosac_toolkit.errors import InvalidFile
+from carosac_toolkit.base.errors import InvalidFile
 
 _ANGLES = {21: "Hz", 22: "V"}
 _LENGTHS = {

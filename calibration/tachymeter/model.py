@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.tachymeter.observations import polar
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 STATION_SIZE = 6  # position, heading, tilt about x, tilt about y
 _SMALLEST = 1e-9  # [m] from the vertical axis, where Hz has no derivative

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from calibration.tachymeter.model import STATION_SIZE, difference, predict
 from calibration.tachymeter.observations import Reference, Shot, Survey
 from calibration.tachymeter.sightings import Pulley, SightedPoint, sighted_point
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 Blocks = dict[int, Array]  # Jacobian blocks by key
 _SIZES = {"s": STATION_SIZE, "p": 3, "w": 1, "t": 2}  # of the unknowns, by the letter of their keys

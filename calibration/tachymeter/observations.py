@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array, set_frozen
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array, set_frozen
+from carosac_toolkit.base.errors import InvalidField
 
 SIGHTINGS = ("centre", "axle", "rim", "tangent")
 READINGS = ("Hz", "V", "distance")

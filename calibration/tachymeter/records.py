@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from carosac_toolkit.errors import InvalidFile, MissingFile
+from carosac_toolkit.base.errors import InvalidFile, MissingFile
 
 MILLIMETRE = 1e-3
 

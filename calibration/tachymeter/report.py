@@ -23,8 +23,8 @@ from calibration.tachymeter.tables import (
     setup_rows,
     shot_rows,
 )
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.report_page import png, table
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.reports.page import png, table
 
 
 def write_survey_report(

@@ -13,8 +13,8 @@ from scipy.stats import chi2 as chi2_law
 from calibration.estimate import Estimate
 from calibration.observability import Observability
 from calibration.tachymeter.observations import ARCSEC, READINGS, Survey
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
 
 PROBABILITY = 0.99  # of the band in which chi2 falls if all noise is as stated
 MANY = 0.1  # share of readings left out above which they are no blunders: the accuracy is wrong

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from calibration.observability import Unobservable
 from calibration.tachymeter.network import Network
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 BLUNDER = 4.0  # test value from which a row is left out: 1 in 16000 good rows is
 BACK = 3.0  # test value under which a row that was left out is used again

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.tachymeter.observations import Sighting
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,10 +16,10 @@ from calibration.tachymeter.result import Blunder, Residuals, Station, Tachymete
 from calibration.tachymeter.robust import CHECKED, Fit, fit
 from calibration.tachymeter.sightings import Pulley, elevation
 from calibration.tachymeter.start import first_values
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.parameters import point_names, values_of
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.robot.parameters import point_names, values_of
+from carosac_toolkit.robot.robot import Robot
 
 PLAUSIBLE = 0.05  # [m] by which an exit point may be off before it is surveyed: a scale, no prior
 EDGE_ON = 0.03  # [rad], beside what the swivel may be off, within which a wheel shows no side

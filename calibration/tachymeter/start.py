@@ -12,7 +12,7 @@ import numpy as np
 
 from calibration.observability import Unobservable
 from calibration.tachymeter.observations import Reference, Survey, cartesian
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 SPREAD_MIN = 0.2  # [m] across, seen from above, below which two points tell no heading
 _CAP = 0.1  # [m] beyond which a point does not agree

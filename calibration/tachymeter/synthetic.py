@@ -9,9 +9,9 @@ import numpy as np
 from calibration.tachymeter.model import predict
 from calibration.tachymeter.observations import Instrument, Reference, Shot, Sighting, Survey
 from calibration.tachymeter.sightings import Pulley, elevation, sighted_point
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)

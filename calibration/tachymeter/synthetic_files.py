@@ -18,7 +18,7 @@ from geocompy.gsi.gsiformat import (
 from calibration.tachymeter.csv_file import ANGLES
 from calibration.tachymeter.observations import ARCSEC, Instrument, Reference, Shot, Survey
 from calibration.tachymeter.targets import SCHEMA
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 
 def gsi_line(

@@ -12,7 +12,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from carosac_toolkit.errors import CarosacError, InvalidField, did_you_mean
+from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
 
 _WORDS: dict[type, tuple[str, str]] = {
     int: ("INT", "a whole number"),

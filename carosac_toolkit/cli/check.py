@@ -17,9 +17,9 @@ import tyro
 
 from carosac_toolkit.cli.check_tables import describe
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
+from carosac_toolkit.inspection.report import report_robot
 from carosac_toolkit.output_files import check_writable, replacing
-from carosac_toolkit.robot_file import parse_file, robot_text
-from carosac_toolkit.robot_report import report_robot
+from carosac_toolkit.robot.file import parse_file, robot_text
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.cli.calibration_tables import describe_calibration
 from carosac_toolkit.cli.common import format_table
-from carosac_toolkit.robot_report import RobotReport
+from carosac_toolkit.inspection.report import RobotReport
 
 if TYPE_CHECKING:
-    from carosac_toolkit.robot_schema import Payload, Platform
+    from carosac_toolkit.robot.schema import Payload, Platform
 
 
 def describe(report: RobotReport) -> Iterator[str]:

@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 
 RATE_MAX = 1000.0  # [Hz]
 OutputFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]

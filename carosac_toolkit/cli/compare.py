@@ -15,19 +15,17 @@ from typing import Annotated
 
 import tyro
 
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.report_page import check_folder
-from carosac_toolkit.studies.chosen_settings import chosen_settings
-from carosac_toolkit.studies.engine import TIMEOUT
-from carosac_toolkit.studies.findings import conclusions
-from carosac_toolkit.studies.paired import Block, check_baseline, paired_blocks, ways_of
-from carosac_toolkit.studies.paper_tables import text_tables
-from carosac_toolkit.studies.report import TABLES_LATEX, TABLES_MARKDOWN, write_report
-from carosac_toolkit.studies.resampling import FEWEST
-from carosac_toolkit.studies.results import StudyResults
-from carosac_toolkit.studies.run_case import DRIVER
-from carosac_toolkit.studies.study import (
+from carosac_toolkit.loop.plugin_settings import chosen_settings
+from carosac_toolkit.reports.page import check_folder
+from carosac_toolkit.reports.study import TABLES_LATEX, TABLES_MARKDOWN, write_report
+from carosac_toolkit.studies.compare.findings import conclusions
+from carosac_toolkit.studies.compare.paired import Block, check_baseline, paired_blocks, ways_of
+from carosac_toolkit.studies.compare.paper_tables import text_tables
+from carosac_toolkit.studies.compare.resampling import FEWEST
+from carosac_toolkit.studies.compare.results import StudyResults
+from carosac_toolkit.studies.compare.study import (
     CONTROLLERS,
     ESTIMATORS,
     QUICK_SEEDS,
@@ -35,7 +33,9 @@ from carosac_toolkit.studies.study import (
     TRAJECTORIES,
     Study,
 )
-from carosac_toolkit.studies.tables import failures, text_table, units
+from carosac_toolkit.studies.compare.tables import failures, text_table, units
+from carosac_toolkit.studies.run.engine import TIMEOUT
+from carosac_toolkit.studies.run.run_case import DRIVER
 from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 
 PAIRED_UNITS = (

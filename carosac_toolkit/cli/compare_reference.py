@@ -10,16 +10,18 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.output_files import write_json
-from carosac_toolkit.report_page import check_folder, made_with, write_files
-from carosac_toolkit.studies.chosen_settings import chosen_settings
-from carosac_toolkit.studies.findings import conclusions
-from carosac_toolkit.studies.paper_tables import text_errors, text_tables
-from carosac_toolkit.studies.reference import ReferenceSuite, Task
-from carosac_toolkit.studies.reference_check import Agreement, agreement
-from carosac_toolkit.studies.reference_results import (
+from carosac_toolkit.reports.page import check_folder, made_with, write_files
+from carosac_toolkit.reports.study import write_report
+from carosac_toolkit.studies.compare.findings import conclusions
+from carosac_toolkit.studies.compare.paper_tables import text_errors, text_tables
+from carosac_toolkit.studies.compare.tables import failures
+from carosac_toolkit.studies.reference.cases import ReferenceSuite, Task
+from carosac_toolkit.studies.reference.check import Agreement, agreement
+from carosac_toolkit.studies.reference.results import (
     RECORD,
     RESULTS,
     TABLES,
@@ -31,9 +33,7 @@ from carosac_toolkit.studies.reference_results import (
     with_published,
     write_rows,
 )
-from carosac_toolkit.studies.report import write_report
-from carosac_toolkit.studies.rows import Row
-from carosac_toolkit.studies.tables import failures
+from carosac_toolkit.studies.run.rows import Row
 from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 
 if TYPE_CHECKING:

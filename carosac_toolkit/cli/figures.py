@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from carosac_toolkit import registry
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.report_page import write_files
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.reports.page import write_files
 from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 
 if TYPE_CHECKING:
@@ -74,8 +74,8 @@ def all_figures() -> list[PaperFigure]:
     """The figures of all installed packages, in the order of the paper."""
     found = [
         figure
-        for name in registry.names("figures")
-        for figure in registry.load("figures", name).FIGURES
+        for name in plugins.names("figures")
+        for figure in plugins.load("figures", name).FIGURES
     ]
     return sorted(found, key=lambda figure: figure.place)
 

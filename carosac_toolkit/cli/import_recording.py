@@ -16,8 +16,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, format_table
-from carosac_toolkit.errors import InvalidField
 from carosac_toolkit.interchange.bag import Bag, Topic, open_bag
 from carosac_toolkit.interchange.bag_channels import (
     IMU,

@@ -18,8 +18,8 @@ from typing import Annotated
 
 import tyro
 
+from carosac_toolkit.base.errors import CarosacError, MissingFile
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, format_table
-from carosac_toolkit.errors import CarosacError, MissingFile
 from carosac_toolkit.interchange.completion import (
     Completed,
     complete,
@@ -30,7 +30,7 @@ from carosac_toolkit.interchange.completion import (
 from carosac_toolkit.interchange.robots import read_robot
 from carosac_toolkit.interchange.source_file import SourceFile
 from carosac_toolkit.output_files import check_writable, replacing
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.text_tables import terminal_width, wrapped
 from carosac_toolkit.yaml_lines import format_path
 
@@ -125,7 +125,7 @@ def _say(completed: Completed) -> None:
 
 def _straight_lengths(robot: Robot) -> list[float]:
     """Lengths at home of straight cables, with the arcs on pulleys [m]."""
-    from carosac_toolkit.physics import straight_line
+    from carosac_toolkit.physics.cable import straight_line
 
     found = straight_line.inverse_kinematics(robot, robot.home_position[None])
     return [float(length) for length in found[0]]

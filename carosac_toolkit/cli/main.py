@@ -12,8 +12,8 @@ from pathlib import Path
 from types import ModuleType
 
 from carosac_toolkit import __version__
-from carosac_toolkit.errors import CarosacError, InvalidField, did_you_mean
-from carosac_toolkit.registry import entry_points_of, load
+from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
+from carosac_toolkit.loop.plugins import entry_points_of, load
 
 _USAGE = """usage: carosac {group}COMMAND [options]
 

@@ -21,16 +21,16 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions
-from carosac_toolkit.cli.place import Place
-from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.cli.position_option import Place
 from carosac_toolkit.live.real_time import quick_threads, take_priority
-from carosac_toolkit.perturbations import draw_plant, find_condition
 from carosac_toolkit.plc.emulator import Emulator
 from carosac_toolkit.plc.machine_blocks import Injection
 from carosac_toolkit.plc.settings import PlcSettings
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.perturbations import draw_plant, find_condition
+from carosac_toolkit.robot.robot import Robot
 
 WIRED = ("wrong_sign", "reversed_drive")
 _MISSED = 0.1  # share of late cycles above which it was no PLC

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, format_table
-from carosac_toolkit.robot_file import list_robots, load_robot
+from carosac_toolkit.robot.file import list_robots, load_robot
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,26 +24,26 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, period_of_rate
-from carosac_toolkit.cli.place import Place
-from carosac_toolkit.cli.run_parts import LINE, REST, make_guard, make_path, recorded
-from carosac_toolkit.crash_safe import CrashSafeRecorder
+from carosac_toolkit.cli.position_option import Place
+from carosac_toolkit.cli.run_builder import LINE, REST, make_guard, make_path, recorded
 from carosac_toolkit.drivers.guarded import GuardedDriver
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.live.ending import Ending, ending_of
+from carosac_toolkit.live.exit_reasons import Ending, ending_of
 from carosac_toolkit.live.hand_target import HELP
 from carosac_toolkit.live.library_noise import without_ads_lines
+from carosac_toolkit.live.messages import say
 from carosac_toolkit.live.plugins import build_controller, build_estimator
 from carosac_toolkit.live.real_time import quick_threads, take_priority
 from carosac_toolkit.live.rehearsal import rehearse
-from carosac_toolkit.live.saying import say
 from carosac_toolkit.live.statistics import Statistics
 from carosac_toolkit.live.steering import place, steered
-from carosac_toolkit.loop import Path as Followed
-from carosac_toolkit.loop import run as run_loop
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.robot_file import load_robot
-from carosac_toolkit.studies.chosen_settings import chosen_settings
+from carosac_toolkit.loop.loop import Path as Followed
+from carosac_toolkit.loop.loop import run as run_loop
+from carosac_toolkit.loop.plugin_settings import chosen_settings
+from carosac_toolkit.recordings.crash_safe import CrashSafeRecorder
+from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,20 +26,20 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from carosac_toolkit import registry
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.settings import filled
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, period_of_rate
 from carosac_toolkit.drivers.simulated import SimulatedDriver
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.filled_settings import filled
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.plugins import build_controller, build_estimator
 from carosac_toolkit.live.real_time import take_priority
 from carosac_toolkit.live.rehearsal import rehearse
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.plugin_settings import check_types, chosen_settings
 from carosac_toolkit.output_files import check_writable
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.robot_file import list_robots, load_robot
-from carosac_toolkit.studies.chosen_settings import check_types, chosen_settings
-from carosac_toolkit.studies.run_case import own_settings
+from carosac_toolkit.robot.file import list_robots, load_robot
+from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.studies.run.run_case import own_settings
 from carosac_toolkit.viewer.live import LiveWatch, follow
 from carosac_toolkit.viewer.page import LOOPBACK, MOST_ENLARGED, PORT, Page, is_loopback
 from carosac_toolkit.viewer.page_process import PageOptions, PageProcess
@@ -266,7 +266,7 @@ def _ended(
 
 def _driver(options: Options, robot: Robot, asked: Any, period: float) -> SimulatedDriver:
     """The simulated driver, in real time."""
-    plugin = registry.load("drivers", options.driver)
+    plugin = plugins.load("drivers", options.driver)
     if not (isinstance(plugin, type) and issubclass(plugin, SimulatedDriver)):
         allowed = (
             "a simulated driver: simulator, quasi_static; what is real is moved by carosac run"

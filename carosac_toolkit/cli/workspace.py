@@ -22,14 +22,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder, format_table
-from carosac_toolkit.cli.place import Place
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.cli.position_option import Place
 from carosac_toolkit.output_files import replacing
-from carosac_toolkit.report_page import check_folder
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.reports.page import check_folder
+from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.workspace.grid import AXES, Grid, box_grid, box_of, slice_grid
 from carosac_toolkit.workspace.limits import cable_of, words_of
 from carosac_toolkit.workspace.maps import Maps, maps

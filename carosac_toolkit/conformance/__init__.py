@@ -21,7 +21,7 @@ from carosac_toolkit.conformance.controllers import CONTROLLER_CHECKS
 from carosac_toolkit.conformance.drivers import DRIVER_CHECKS
 from carosac_toolkit.conformance.estimators import ESTIMATOR_CHECKS
 from carosac_toolkit.conformance.verdicts import Check, Factory, NotConforming, run_all
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot.robot import Robot
 
 __all__ = [
     "CONTROLLER_CHECKS",

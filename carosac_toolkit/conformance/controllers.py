@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.conformance.scenes import (
     Playback,
     make_scene,
@@ -28,9 +28,9 @@ from carosac_toolkit.conformance.verdicts import (
     require_close,
     require_same,
 )
-from carosac_toolkit.loop import run
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Belief, Command, Measurement, Reference
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.loop.values import Belief, Command, Measurement, Reference
+from carosac_toolkit.robot.robot import Robot
 
 
 def period_and_horizon(factory: Factory, robot: Robot) -> None:

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.conformance.scenes import PERIOD, other_robot
 from carosac_toolkit.conformance.verdicts import (
     SEED,
@@ -19,10 +20,9 @@ from carosac_toolkit.conformance.verdicts import (
     require_close,
     require_same,
 )
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.protocols import TruthSource, replays
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Command, Measurement, State
+from carosac_toolkit.loop.protocols import TruthSource, replays
+from carosac_toolkit.loop.values import Command, Measurement, State
+from carosac_toolkit.robot.robot import Robot
 
 SPEED = 0.25  # share of the speed limit that checks ask for
 PATIENCE = 20_000  # cycles after which a driver counts as endless

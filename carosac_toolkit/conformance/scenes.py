@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit import trajectories
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import statics
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Belief, Command, Measurement, Reference
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories import Trajectory
-from carosac_toolkit.values import Belief, Command, Measurement, Reference
 
 STEPS = 5
 PERIOD = 0.02  # [s], where the plug-in does not say

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.robot.robot import Robot
 
 Factory = Callable[..., Any]  # factory(robot, seed=...) makes a plug-in
 Check = Callable[[Factory, Robot], None]

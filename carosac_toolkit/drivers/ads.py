@@ -15,19 +15,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.numbers import check_period
 from carosac_toolkit.drivers import ads_reader
 from carosac_toolkit.drivers.ads_block import Answer, DriveStatus, Request
 from carosac_toolkit.drivers.ads_link import AdsLink
 from carosac_toolkit.drivers.ads_reader import AdsReader
 from carosac_toolkit.drivers.ads_settings import AdsSettings, Point
-from carosac_toolkit.drivers.drive_state import DriveState, Fault
 from carosac_toolkit.drivers.guard_inner import homing_lengths
 from carosac_toolkit.drivers.imu_udp import ImuListener
-from carosac_toolkit.drivers.tick_schedule import TickSchedule
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.number_checks import check_period
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Command, LimitHit, State
+from carosac_toolkit.drivers.ticks import TickSchedule
+from carosac_toolkit.loop.drive_state import DriveState, Fault
+from carosac_toolkit.loop.values import Command, LimitHit, State
+from carosac_toolkit.robot.robot import Robot
 
 __all__ = ["AdsDriver", "AdsSettings"]
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.base.errors import CarosacError
 
 LAYOUT = 2  # version of the layout; both sides refuse another one
 

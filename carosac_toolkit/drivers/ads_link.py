@@ -15,13 +15,13 @@ import threading
 import time
 from typing import Any
 
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.drivers import ads_block
 from carosac_toolkit.drivers.ads_block import Answer, Request
 from carosac_toolkit.drivers.ads_reading import LinkCounters, Reading
 from carosac_toolkit.drivers.clock_offset import ClockOffset
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.hardware import TCP_PORT, AdsAddress
 from carosac_toolkit.plc.machine_blocks import TRUTH, truth
+from carosac_toolkit.robot.hardware import TCP_PORT, AdsAddress
 
 _AGAIN = 0.2  # [s] between two attempts to connect
 _REOPEN = 4  # calls in a row that failed, after which the connection is opened anew

@@ -8,18 +8,18 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.drivers.ads_block import DriveStatus
 from carosac_toolkit.drivers.ads_link import AdsLink
 from carosac_toolkit.drivers.ads_reading import LinkCounters, Reading
 from carosac_toolkit.drivers.ads_settings import DESK, PLANT, AdsSettings
-from carosac_toolkit.drivers.drive_state import DriveState, Fault, fault_of, state_of
 from carosac_toolkit.drivers.imu_udp import ImuListener
-from carosac_toolkit.drivers.tick_schedule import TickSchedule
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.hardware import Hardware
-from carosac_toolkit.limits import Limiter
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Measurement, Stamped, State
+from carosac_toolkit.drivers.ticks import TickSchedule
+from carosac_toolkit.loop.drive_state import DriveState, Fault, fault_of, state_of
+from carosac_toolkit.loop.values import Measurement, Stamped, State
+from carosac_toolkit.robot.hardware import Hardware
+from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.limiter import Limiter
 
 ANSWER = 1.0  # [s] in which the PLC must answer a request
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.limits import LimitSettings
-from carosac_toolkit.number_checks import check_fields, check_positive
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_fields, check_positive
+from carosac_toolkit.safety.limiter import LimitSettings
 
 Point = tuple[float, float, float]
 

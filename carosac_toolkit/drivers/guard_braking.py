@@ -6,14 +6,14 @@ import time
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.drivers.drive_state import DriveState, Fault
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.drivers.guard_checks import Finding
 from carosac_toolkit.drivers.guard_commander import changed
 from carosac_toolkit.drivers.guard_core import GuardCore
 from carosac_toolkit.drivers.guard_inner import described, error_finding, inner_finding
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.values import Command, Measurement
+from carosac_toolkit.loop.drive_state import DriveState, Fault
+from carosac_toolkit.loop.values import Command, Measurement
 
 SETTLE = 4.0  # winch lags after the last command of a stop until the winches count as at rest
 

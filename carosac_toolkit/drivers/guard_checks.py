@@ -7,14 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.drivers.drive_state import Fault
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.drivers.guard_settings import STALE, GuardSettings
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import statics, straight_line
-from carosac_toolkit.physics.braking import Motion
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Belief, Command, Measurement
+from carosac_toolkit.loop.drive_state import Fault
+from carosac_toolkit.loop.values import Belief, Command, Measurement
+from carosac_toolkit.physics.cable import straight_line
+from carosac_toolkit.physics.motion.braking import Motion
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.robot import Robot
 
 DELAY = 0.03  # motion that differing lags may explain [s], besides the age of a sample
 STEADY = 0.5  # [s] over which tensions are averaged: the platform tilts to and fro at some Hz

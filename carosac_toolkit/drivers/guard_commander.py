@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.coordinated_stop import CoordinatedStop
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.drivers.guard_settings import GuardSettings
-from carosac_toolkit.limits import Limiter
-from carosac_toolkit.physics.braking import Motion
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Command, LimitHit
+from carosac_toolkit.loop.values import Command, LimitHit
+from carosac_toolkit.physics.motion.braking import Motion
+from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.limiter import Limiter
+from carosac_toolkit.safety.stop import CoordinatedStop
 
 MEMORY = 0.1  # time constant of the mean acceleration that a stop goes on with [s]
 

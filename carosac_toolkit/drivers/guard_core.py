@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.drivers.drive_state import DriveState, Fault
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.drivers.guard_checks import Checks, Finding
 from carosac_toolkit.drivers.guard_commander import Commander
 from carosac_toolkit.drivers.guard_inner import described, error_finding, holds_fault, inner_finding
@@ -19,10 +19,10 @@ from carosac_toolkit.drivers.guard_watch import Punctuality, Watchdog
 from carosac_toolkit.drivers.journal import Journal, Silence
 from carosac_toolkit.drivers.lifecycle import UNHOMED, FaultReport, Lifecycle
 from carosac_toolkit.drivers.scribe import Scribe
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.protocols import TruthSource
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Belief, Command, Measurement, State
+from carosac_toolkit.loop.drive_state import DriveState, Fault
+from carosac_toolkit.loop.protocols import TruthSource
+from carosac_toolkit.loop.values import Belief, Command, Measurement, State
+from carosac_toolkit.robot.robot import Robot
 
 GONE = 1.0  # silence of the driver behind that is a fault also where nothing moves [s]
 LIVE_ONLY = (Fault.TENSION, Fault.FOLLOWING_ERROR)  # no fault of a robot that nobody drives

@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit import registry
-from carosac_toolkit.arrays import Array, frozen_array
-from carosac_toolkit.drivers.drive_state import DriveState, Fault
+from carosac_toolkit.base.arrays import Array, frozen_array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.settings import filled
 from carosac_toolkit.drivers.guard_checks import FREE, Finding
 from carosac_toolkit.drivers.guard_settings import GuardSettings
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.filled_settings import filled
-from carosac_toolkit.physics import statics
-from carosac_toolkit.protocols import replays
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import State
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.drive_state import DriveState, Fault
+from carosac_toolkit.loop.protocols import replays
+from carosac_toolkit.loop.values import State
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.robot import Robot
 
 HANDED_ON = ("motion", "period", "suite", "wind_force", "wind_time")
 SET_DOWN = "start_position"  # of a simulated robot; no real one is set down anywhere
@@ -26,7 +26,7 @@ OFF = (DriveState.DISCONNECTED, DriveState.CONNECTED, DriveState.HOMED)  # nothi
 
 def build_inner(robot: Robot, settings: GuardSettings, seed: int) -> tuple[Any, bool]:
     """Make the driver behind a guard, and say whether its time is that of the wall."""
-    plugin = registry.load("drivers", settings.driver)
+    plugin = plugins.load("drivers", settings.driver)
     if replays(plugin) or plugin.__module__ == "carosac_toolkit.drivers.guarded":
         raise InvalidField("driver", repr(settings.driver), "a driver that moves, and no guard")
     kind = getattr(plugin, "Settings", None)

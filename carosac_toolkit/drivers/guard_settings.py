@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.limits import LimitSettings
-from carosac_toolkit.number_checks import check_positive, check_whole
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_positive, check_whole
+from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.limiter import LimitSettings
 
 STALE = 0.08  # [s]
 BEHIND = 0.1  # [s] that winches may lag behind: 50 ms of their own, network, sampling, a period

@@ -15,8 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.drivers.drive_state import DriveState
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.numbers import check_period
 from carosac_toolkit.drivers.guard_braking import BrakingGuard
 from carosac_toolkit.drivers.guard_core import check_shape
 from carosac_toolkit.drivers.guard_inner import (
@@ -28,16 +29,15 @@ from carosac_toolkit.drivers.guard_inner import (
 from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.drivers.guard_watch import Watchdog
 from carosac_toolkit.drivers.lifecycle import NotReady
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.number_checks import check_period
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Command, State
+from carosac_toolkit.loop.drive_state import DriveState
+from carosac_toolkit.loop.values import Command, State
+from carosac_toolkit.robot.robot import Robot
 
 DRIVEN = (DriveState.ENABLED, DriveState.FOLLOWING)
 
 
 class GuardedDriver(BrakingGuard):
-    """One guarded robot of n cables; a `carosac_toolkit.protocols.MotionDriver`.
+    """One guarded robot of n cables; a `carosac_toolkit.loop.protocols.MotionDriver`.
 
     Every call on the driver behind it holds one lock, as a watchdog brakes where the controller
     does not come back. `stop` ends a run; to move again after it, connect anew. For its attributes

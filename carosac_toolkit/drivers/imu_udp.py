@@ -15,11 +15,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.drivers.clock_offset import ClockOffset
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.hardware import ImuSource
-from carosac_toolkit.values import Imu
+from carosac_toolkit.loop.values import Imu
+from carosac_toolkit.robot.hardware import ImuSource
 
 _LONGEST = 512  # bytes of a line
 _KEPT = 2000  # samples that nobody asked for

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from carosac_toolkit.values import Belief, Command, Measurement
+from carosac_toolkit.loop.values import Belief, Command, Measurement
 
 
 class Journal(Protocol):

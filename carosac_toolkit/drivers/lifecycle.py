@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from carosac_toolkit.drivers.drive_state import DriveState, Fault
-from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.loop.drive_state import DriveState, Fault
 
 ALLOWED: dict[str, tuple[DriveState, ...]] = {
     "connect": (DriveState.DISCONNECTED,),

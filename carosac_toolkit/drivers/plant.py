@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import State
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.values import State
+from carosac_toolkit.robot.robot import Robot
 
 
 class Plant(Protocol):

@@ -11,13 +11,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.drivers.simulated import SimulatedDriver, SimulatedSettings
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.physics import statics
-from carosac_toolkit.physics.winch import Winches, WinchSettings
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import State
+from carosac_toolkit.loop.values import State
+from carosac_toolkit.physics.motion.winch import Winches, WinchSettings
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)

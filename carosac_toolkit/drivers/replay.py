@@ -7,13 +7,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from carosac_toolkit.encoders import calibrated
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.recording import Recording, load_recording
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.drivers.sensors import check_suite
+from carosac_toolkit.loop.values import Command, Measurement, State
 from carosac_toolkit.recordings.bundled import find_recording
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.sensors import check_suite
-from carosac_toolkit.values import Command, Measurement, State
+from carosac_toolkit.recordings.encoders import calibrated
+from carosac_toolkit.recordings.recording import Recording, load_recording
+from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class ReplayDriver:
     """Steps sample by sample; a command changes nothing and the recorded one is returned.
 
     What the recording has as poses is its truth. Readings are converted by what the robot says of
-    its sensors (`carosac_toolkit.encoders`).
+    its sensors (`carosac_toolkit.recordings.encoders`).
     """
 
     Settings: ClassVar = ReplaySettings

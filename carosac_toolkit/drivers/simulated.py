@@ -12,16 +12,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array, as_floats, frozen_array
+from carosac_toolkit.base.arrays import Array, as_floats, frozen_array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.numbers import check_period
 from carosac_toolkit.drivers.plant import Plant
-from carosac_toolkit.drivers.tick_schedule import TickSchedule
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.limits import Limiter, LimitSettings
-from carosac_toolkit.number_checks import check_period
-from carosac_toolkit.physics.winch import WinchSettings
-from carosac_toolkit.sensor_suite import SensorSuite
-from carosac_toolkit.sensors import SensorSettings, check_suite
-from carosac_toolkit.values import Command, Measurement, State
+from carosac_toolkit.drivers.sensor_suite import SensorSuite
+from carosac_toolkit.drivers.sensors import SensorSettings, check_suite
+from carosac_toolkit.drivers.ticks import TickSchedule
+from carosac_toolkit.loop.values import Command, Measurement, State
+from carosac_toolkit.physics.motion.winch import WinchSettings
+from carosac_toolkit.safety.limiter import Limiter, LimitSettings
 
 __all__ = ["Plant", "SimulatedDriver", "SimulatedSettings"]
 
@@ -33,7 +33,7 @@ class SimulatedSettings:
     """Settings that all simulated drivers share.
 
     Attributes:
-        suite: One of `carosac_toolkit.sensors.SUITES`; an IMU needs inertia.
+        suite: One of `carosac_toolkit.drivers.sensors.SUITES`; an IMU needs inertia.
         sensors: Their numbers.
         limits: Of the commands.
         winch: How the drives control the winches; for the plant.

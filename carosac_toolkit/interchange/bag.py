@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from carosac_toolkit.errors import CarosacError, InvalidField, InvalidFile, MissingFile
+from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile, MissingFile
 
 _SUFFIXES = (".bag", ".mcap", ".db3")
 _KINDS = "a .bag of ROS 1, the folder of a ROS 2 bag, or a single .mcap or .db3 file"

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.interchange.bag import Bag
 
 Nanoseconds = NDArray[np.int64]

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from carosac_toolkit import __version__
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.units import parse_quantity
 from carosac_toolkit.interchange.bag import Bag
 from carosac_toolkit.interchange.bag_channels import (
     STAMPS,
@@ -19,11 +20,10 @@ from carosac_toolkit.interchange.bag_channels import (
     numbers,
     poses,
 )
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.loop.values import Imu, Stamped
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples
-from carosac_toolkit.units import parse_quantity
-from carosac_toolkit.values import Imu, Stamped
+from carosac_toolkit.recordings.recording import Recording
 
 _APART = 1.0  # [s] by which delays of two channels may differ before a warning
 

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.rotations import from_matrix
+from carosac_toolkit.base.units import is_quantity
 from carosac_toolkit.interchange.draft import Draft
 from carosac_toolkit.interchange.source_file import SourceFile, about_centre_of_mass
-from carosac_toolkit.recordings.quaternions import from_matrix
-from carosac_toolkit.units import is_quantity
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

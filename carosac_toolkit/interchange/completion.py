@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from carosac_toolkit.errors import CarosacError, InvalidField, InvalidFile
+from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
 from carosac_toolkit.interchange.draft import Draft
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.robot_file import document_faults, fields_to_give, parse_robot
+from carosac_toolkit.robot.file import document_faults, fields_to_give, parse_robot
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.yaml_lines import Document, FieldPath, format_path, read_yaml
 
 _ORDER = (

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot_schema import SCHEMA
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.schema import SCHEMA
 
 FAR = 300.0  # [m] from the origin; points farther away than this are more likely in mm
 

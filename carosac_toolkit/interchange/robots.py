@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from carosac_toolkit.errors import InvalidField, MissingFile
+from carosac_toolkit.base.errors import InvalidField, MissingFile
 from carosac_toolkit.interchange.caspr import read_caspr
 from carosac_toolkit.interchange.cdpyr import read_cdpyr
 from carosac_toolkit.interchange.draft import Draft

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidFile, MissingFile
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidFile, MissingFile
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

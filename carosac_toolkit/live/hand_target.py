@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Reference
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Reference
+from carosac_toolkit.robot.robot import Robot
 
 STEP = 0.05  # [m] of one key
 BOX_MARGIN = 1e-9  # [m]

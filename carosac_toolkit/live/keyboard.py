@@ -11,7 +11,7 @@ import threading
 from codecs import getincrementaldecoder
 from collections.abc import Callable, Iterator
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 
 _KEY = re.compile(r"\x1b\[[0-9;]*[A-Za-z~]|\x1bO[A-Za-z]")  # what a terminal sends for one key
 _PART = re.compile(r"\x1b(\[[0-9;]*|O)?")

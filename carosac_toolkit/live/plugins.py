@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from carosac_toolkit import registry
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.filled_settings import filled
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.studies.chosen_settings import check_types
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.settings import filled
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.plugin_settings import check_types
+from carosac_toolkit.robot.robot import Robot
 
 
 def build_controller(
@@ -34,11 +34,11 @@ def build_estimator(name: str, robot: Robot, chosen: Mapping[str, Any], *, seed:
 
 
 def _build(
-    kind: registry.Kind, name: str, robot: Robot, chosen: Mapping[str, Any],
+    kind: plugins.Kind, name: str, robot: Robot, chosen: Mapping[str, Any],
     given: Mapping[str, Any], seed: int,
 ) -> Any:  # fmt: skip
     """Make a plug-in; what is `given` counts where nothing was asked and it has such a setting."""
-    plugin = registry.load(kind, name)
+    plugin = plugins.load(kind, name)
     asked = dict(chosen[f"{kind[:-1]}_settings"].get(name, {}))
     settings = getattr(plugin, "Settings", None)
     if settings is None:

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.drivers.guard_inner import homing_lengths
-from carosac_toolkit.loop import Path
-from carosac_toolkit.protocols import Controller, Estimator
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Command, Imu, Measurement, Stamped, State
+from carosac_toolkit.loop.loop import Path
+from carosac_toolkit.loop.protocols import Controller, Estimator
+from carosac_toolkit.loop.values import Command, Imu, Measurement, Stamped, State
+from carosac_toolkit.robot.robot import Robot
 
 CYCLES = 5
 INERTIAL = 0.005  # [s] between two inertial samples

@@ -12,13 +12,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics import warp_setup
-from carosac_toolkit.physics.cable_kernels import Cable
+from carosac_toolkit.physics.cable.catenary_kernels import Cable
 from carosac_toolkit.physics.fleet import Fleet
-from carosac_toolkit.physics.platform_kernels import Body
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.physics.rest.platform_kernels import Body
+from carosac_toolkit.robot.robot import Robot
 
 KEPT = 12  # sets of buffers remembered per robot
 KEPT_SIZE = 4096  # larger batches allocate anew: their solve takes far longer

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.pictures.drawing import (
     BELL,
     COLORS,
@@ -22,9 +22,9 @@ from carosac_toolkit.pictures.drawing import (
     set_space,
 )
 from carosac_toolkit.pictures.estimates import draw_estimates
-from carosac_toolkit.studies.examples import MM, Example, examples_of
-from carosac_toolkit.studies.results import NAMES, StudyResults, tracked
-from carosac_toolkit.studies.rows import Row
+from carosac_toolkit.studies.compare.example_cases import MM, Example, examples_of
+from carosac_toolkit.studies.compare.results import NAMES, StudyResults, tracked
+from carosac_toolkit.studies.run.rows import Row
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

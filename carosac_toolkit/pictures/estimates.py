@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carosac_toolkit.consistency import POSE_SIZE, band
+from carosac_toolkit.loop.consistency import POSE_SIZE, band
 from carosac_toolkit.pictures.drawing import MEASURED, REST, draw_violin, new_figure, put_patches
-from carosac_toolkit.studies.examples import estimates_of
-from carosac_toolkit.studies.results import NAMES, scored
-from carosac_toolkit.studies.rows import Row
+from carosac_toolkit.studies.compare.example_cases import estimates_of
+from carosac_toolkit.studies.compare.results import NAMES, scored
+from carosac_toolkit.studies.run.rows import Row
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.pictures.comparison import draw_gaussians, draw_time
 from carosac_toolkit.pictures.drawing import COLORS, draw_violin, new_figure, put_patches
 from carosac_toolkit.pictures.paper_figure import Drawn, PaperFigure, Source, of_kind
 from carosac_toolkit.pictures.validation import draw_length_errors, draw_paths, draw_violins
-from carosac_toolkit.studies.folder import read_rows
-from carosac_toolkit.studies.results import StudyResults, scored, tracked
-from carosac_toolkit.studies.run_case import plugin_name
+from carosac_toolkit.studies.compare.results import StudyResults, scored, tracked
+from carosac_toolkit.studies.run.folder import read_rows
+from carosac_toolkit.studies.run.run_case import plugin_name
 from carosac_toolkit.validation.result import ValidationResult
 from carosac_toolkit.validation.saved import read_samples
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 if TYPE_CHECKING:
-    from carosac_toolkit.robot_report import RobotReport
+    from carosac_toolkit.inspection.report import RobotReport
 
 TURN = 73  # points of a circle
 STUB = 3.0  # radii of cable drawn before the pulley
@@ -43,7 +43,7 @@ def draw_cables(report: RobotReport, smallest: float) -> list[CableDrawing]:
     Returns:
         One drawing per cable.
     """
-    from carosac_toolkit.physics.straight_line import straight_length
+    from carosac_toolkit.physics.cable.straight_line import straight_length
 
     robot = report.robot
     pulley = robot.pulley_radius > 0.0

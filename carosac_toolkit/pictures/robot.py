@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.pictures.pulleys import CableDrawing, draw_cables
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot.robot import Robot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from carosac_toolkit.robot_report import RobotReport
+    from carosac_toolkit.inspection.report import RobotReport
 
 CABLE = "#1f6f8b"
 FRAME = "#3a3a3a"

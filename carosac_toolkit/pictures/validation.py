@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.pictures.drawing import (
     COLORS,
     FEW,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.pictures.drawing import new_figure, set_space
 from carosac_toolkit.pictures.robot import box_edges, exit_labels
 from carosac_toolkit.workspace.limits import OF_CABLE, Limit, describe

@@ -13,9 +13,9 @@ import struct
 import threading
 import time
 
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.hardware import TCP_PORT
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.plc.symbols import Symbols
+from carosac_toolkit.robot.hardware import TCP_PORT
 
 LONGEST = 1 << 16  # bytes of a request; longer ones are no ADS
 _HEADER = struct.Struct("<6sH6sHHHIII")

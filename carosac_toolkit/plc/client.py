@@ -7,11 +7,11 @@ import struct
 import time
 from typing import Any
 
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.drivers.ads_block import Block
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.hardware import LOOPBACK, TCP_PORT
 from carosac_toolkit.plc import machine_blocks
 from carosac_toolkit.plc.machine_blocks import Injection
+from carosac_toolkit.robot.hardware import LOOPBACK, TCP_PORT
 
 _HEADER = struct.Struct("<6sH6sHHHIII")
 _READ, _WRITE, _READ_WRITE = 2, 3, 9

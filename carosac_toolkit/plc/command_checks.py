@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.drivers.drive_state import Fault
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.drive_state import Fault
 from carosac_toolkit.plc.winches import WinchLimits
 
 TOLERANCE = 1e-4  # share of a limit that rounding and other units may take

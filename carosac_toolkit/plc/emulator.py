@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.drivers import ads_block
 from carosac_toolkit.drivers.imu_udp import imu_line
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.hardware import LOOPBACK, TCP_PORT, Hardware
 from carosac_toolkit.plc import machine_blocks
 from carosac_toolkit.plc.ams_server import AmsServer
 from carosac_toolkit.plc.machine import Machine
@@ -19,7 +18,8 @@ from carosac_toolkit.plc.machine_blocks import Injection
 from carosac_toolkit.plc.settings import PlcSettings, limits_of
 from carosac_toolkit.plc.symbols import Symbols
 from carosac_toolkit.plc.world import World
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot.hardware import LOOPBACK, TCP_PORT, Hardware
+from carosac_toolkit.robot.robot import Robot
 
 _WARM = 3  # cycles before anybody is heard: the first ones load kernels
 _CATCH_UP = 4  # cycles in a row without waiting; more are lost time, as where a PLC stands still

@@ -6,7 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 _BEHIND = 1.75  # commands by which the motion is behind the newest one as that arrives
 _KEPT = 8  # commands

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.hardware import Hardware
-from carosac_toolkit.number_checks import check_fields
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_fields
+from carosac_toolkit.drivers.sensors import SensorSettings
 from carosac_toolkit.plc.winches import WinchLimits
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.sensors import SensorSettings
+from carosac_toolkit.robot.hardware import Hardware
+from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)

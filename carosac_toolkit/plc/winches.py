@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 _BRAKE = 2.0  # deceleration of a tripped drive, by its brake, over the acceleration limit
 HEADROOM = 1.2  # of the drives over the acceleration limit, to come back to the motion asked for

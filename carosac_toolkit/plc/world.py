@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit import registry
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.drivers.plant import Plant
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.hardware import Hardware
+from carosac_toolkit.drivers.sensor_suite import SensorSuite
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.values import State
 from carosac_toolkit.plc.machine import Inputs
 from carosac_toolkit.plc.settings import PlcSettings
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.sensor_suite import SensorSuite
-from carosac_toolkit.values import State
+from carosac_toolkit.robot.hardware import Hardware
+from carosac_toolkit.robot.robot import Robot
 
 _RATE_SPAN = 0.01  # [s] over which the PLC takes the difference for a velocity
 
@@ -131,7 +131,7 @@ class World:
 
 def _plant(robot: Robot, settings: PlcSettings, seed: int) -> Plant:
     """The plant of a simulated driver."""
-    kind: Any = registry.load("drivers", settings.plant)
+    kind: Any = plugins.load("drivers", settings.plant)
     chosen = {"cables": settings.cables, "wind_force": settings.wind_force}
     known = vars(kind.Settings()) if hasattr(kind, "Settings") else {}
     wanted = {name: value for name, value in chosen.items() if name in known}

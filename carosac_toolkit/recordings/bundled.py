@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.resources import files
 from pathlib import Path
 
-from carosac_toolkit.errors import InvalidField, did_you_mean
+from carosac_toolkit.base.errors import InvalidField, did_you_mean
 
 _SUFFIX = ".parquet"
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField, InvalidFile
-from carosac_toolkit.recording import STAMPED, Recording
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField, InvalidFile
+from carosac_toolkit.loop.values import Imu, Stamped
 from carosac_toolkit.recordings.columns import (
     FIXED,
     PER_CABLE,
@@ -24,8 +24,8 @@ from carosac_toolkit.recordings.columns import (
 )
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import UNIT_TOLERANCE, PoseSamples
+from carosac_toolkit.recordings.recording import STAMPED, Recording
 from carosac_toolkit.recordings.table import Table, shortened
-from carosac_toolkit.values import Imu, Stamped
 
 SCHEMA = "carosac-recording/1"
 

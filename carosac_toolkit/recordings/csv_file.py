@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidFile
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidFile
 from carosac_toolkit.recordings.conversion import from_table, to_document, to_table
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.table import Table, shortened
 
 

@@ -9,17 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from carosac_toolkit.errors import InvalidField, InvalidFile, MissingFile
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.base.errors import InvalidField, InvalidFile, MissingFile
 from carosac_toolkit.recordings.columns import POSES_WANTED
 from carosac_toolkit.recordings.csv_file import read_csv, write_csv
 from carosac_toolkit.recordings.parquet_file import read_parquet, write_parquet
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.scampi_mat import read_scampi_mat
 
 
 def _read_run(path: Path) -> Recording:
     """A run that was recorded as it happened."""
-    from carosac_toolkit.crash_safe import read_crash_safe
+    from carosac_toolkit.recordings.crash_safe import read_crash_safe
 
     return read_crash_safe(path)
 
@@ -38,7 +38,7 @@ _MAGIC = {b"PAR1": ".parquet", b"MATLAB": ".mat"}
 
 
 def load(path: str | Path) -> Recording:
-    """Read a recording; see `carosac_toolkit.recording.load_recording`."""
+    """Read a recording; see `carosac_toolkit.recordings.recording.load_recording`."""
     file = Path(path)
     suffix = file.suffix.lower()
     if file.is_dir():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 
-from carosac_toolkit.errors import InvalidField, did_you_mean
+from carosac_toolkit.base.errors import InvalidField, did_you_mean
 
 LENGTH_KINDS = ("unstrained", "relative")
 FRAMES = (

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.errors import InvalidFile
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.base.errors import InvalidFile
 from carosac_toolkit.recordings.conversion import from_table, to_document, to_table
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.table import Table
 
 KEY = b"carosac"

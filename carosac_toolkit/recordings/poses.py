@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from carosac_toolkit.arrays import Array, batch, frozen_array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.recordings import quaternions
-from carosac_toolkit.values import Pose
+from carosac_toolkit.base import rotations
+from carosac_toolkit.base.arrays import Array, batch, frozen_array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Pose
 
 UNIT_TOLERANCE = 1e-3  # rounded quaternions are accepted, and normalised where they are used
 
@@ -71,13 +71,13 @@ class PoseSamples:
         return cls(
             time=np.asarray(time, dtype=np.float64),
             position=np.asarray(position, dtype=np.float64),
-            quaternion=quaternions.from_matrix(matrix),
+            quaternion=rotations.from_matrix(matrix),
         )
 
     @cached_property
     def rotation(self) -> Array:
         """Rotation from P to W, shape (M, 3, 3)."""
-        matrix = quaternions.to_matrix(self.quaternion)
+        matrix = rotations.to_matrix(self.quaternion)
         return frozen_array("poses.rotation", matrix, matrix.shape)
 
     def at(self, time: ArrayLike, *, gap_max: float) -> PoseInterpolation:
@@ -103,6 +103,6 @@ class PoseSamples:
         fraction = np.where(valid, fraction, np.round(fraction))
         weight = fraction[:, None]
         position = (1 - weight) * self.position[left] + weight * self.position[right]
-        between = quaternions.slerp(self.quaternion[left], self.quaternion[right], fraction)
-        pose = Pose(time=when, position=position, rotation=quaternions.to_matrix(between))
+        between = rotations.slerp(self.quaternion[left], self.quaternion[right], fraction)
+        pose = Pose(time=when, position=position, rotation=rotations.to_matrix(between))
         return PoseInterpolation(pose=pose, valid=valid)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.recording import Recording
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.robot_file import list_robots, load_robot
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.file import list_robots, load_robot
+from carosac_toolkit.robot.robot import Robot
 
 NEAR = 0.01  # [m]: exit points nearer than this are those of the robot
 

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidFile
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidFile
 from carosac_toolkit.recordings.columns import FIXED, TIME, channel_columns, exit_point_columns
 from carosac_toolkit.recordings.conversion import SCHEMA, from_table
 from carosac_toolkit.recordings.metadata import RecordingMetadata
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.table import Table
 
 Part = tuple[Array, tuple[str, ...], str]  # values (N, columns), columns, variable

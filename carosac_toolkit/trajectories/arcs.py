@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from carosac_toolkit.arrays import Array, frozen_array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array, frozen_array
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.trajectories.timing import timed
 from carosac_toolkit.trajectories.trajectory import Trajectory
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories.arcs import circle, spiral
 from carosac_toolkit.trajectories.draws import draw_points, random_minimum_snap, random_spline
 from carosac_toolkit.trajectories.moves import line, waypoints

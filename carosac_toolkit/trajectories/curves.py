@@ -7,8 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array, frozen_array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array, frozen_array
+from carosac_toolkit.base.errors import InvalidField
 
 ORDERS = 4  # position, velocity, acceleration, jerk
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories.snap import minimum_snap
 from carosac_toolkit.trajectories.splines import cubic_spline
 from carosac_toolkit.trajectories.trajectory import Trajectory, bounds

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from carosac_toolkit.arrays import Array, frozen_array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array, frozen_array
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.trajectories.curves import PiecewisePolynomial
 from carosac_toolkit.trajectories.timing import (
     MARGIN,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 SAMPLES = 64  # per smooth piece: |v|^2 of a septic polynomial has at most six maxima there
 CANDIDATES = 16

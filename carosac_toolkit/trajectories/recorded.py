@@ -6,11 +6,11 @@ from math import factorial
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import statics
-from carosac_toolkit.recording import Recording
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories.curves import PiecewisePolynomial
 from carosac_toolkit.trajectories.timing import MARGIN, check_limits
 from carosac_toolkit.trajectories.trajectory import Trajectory, peak_of_order

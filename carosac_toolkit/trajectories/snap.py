@@ -7,7 +7,7 @@ from math import factorial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.trajectories.curves import PiecewisePolynomial
 from carosac_toolkit.trajectories.timing import check_points, segment_breaks, timed
 from carosac_toolkit.trajectories.trajectory import Trajectory

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from carosac_toolkit.arrays import Array, batch, frozen_array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array, batch, frozen_array
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.trajectories.curves import Curve
 from carosac_toolkit.trajectories.trajectory import Trajectory, peak_of_order
 

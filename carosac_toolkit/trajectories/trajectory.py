@@ -8,12 +8,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from carosac_toolkit.arrays import Array, batch, frozen_array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array, batch, frozen_array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Reference
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories.curves import Curve
 from carosac_toolkit.trajectories.peaks import highest
-from carosac_toolkit.values import Reference
 
 BOX_MARGIN = 1e-9  # [m], rounding of positions
 

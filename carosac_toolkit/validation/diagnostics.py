@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.scores import AXES, by_axis
 
 SPEED_MIN = 0.02  # [m/s]: slower motion of an axis says nothing about a delay
@@ -159,8 +159,8 @@ def rest_frequencies(robot: Robot, length: Array, rests: Sequence[tuple[int, int
     Returns:
         None where the robot has no stable equilibrium at any of the rests.
     """
-    from carosac_toolkit.physics.modes import natural_frequencies
-    from carosac_toolkit.physics.statics import forward_kinematics
+    from carosac_toolkit.physics.rest.modes import natural_frequencies
+    from carosac_toolkit.physics.rest.statics import forward_kinematics
 
     if not rests:
         return None

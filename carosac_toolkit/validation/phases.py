@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 REST_SPEED = 0.01  # [m/s]: fastest cable that still counts as resting
 REST_DURATION = 0.5  # [s]: shortest rest

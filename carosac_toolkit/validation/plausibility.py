@@ -14,13 +14,13 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array, evenly
-from carosac_toolkit.physics.straight_line import straight_length
-from carosac_toolkit.recording import Recording
-from carosac_toolkit.recordings import quaternions
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base import rotations
+from carosac_toolkit.base.arrays import Array, evenly
+from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.scores import rotation_angle
-from carosac_toolkit.values import Pose
 
 Order = NDArray[np.intp]
 OFF = 0.1  # of the distance: a larger median difference is no matter of calibration
@@ -176,8 +176,8 @@ def _orders(trial: _Trial) -> tuple[list[str], _Trial]:
 
 def _turned(trial: _Trial) -> _Trial:
     """The orientations that were meant if the quaternions were written x y z w."""
-    swapped = quaternions.from_matrix(trial.rotation)[:, [3, 0, 1, 2]]
-    return replace(trial, rotation=quaternions.to_matrix(swapped))
+    swapped = rotations.from_matrix(trial.rotation)[:, [3, 0, 1, 2]]
+    return replace(trial, rotation=rotations.to_matrix(swapped))
 
 
 def _nearer_home(measured: Array, other: Array, robot: Robot) -> bool:

@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.encoders import calibrated
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics.cable_lengths import length_at_tension
-from carosac_toolkit.recording import Recording
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.physics.cable.lengths import length_at_tension
+from carosac_toolkit.recordings.encoders import calibrated
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.diagnostics import find_delay, find_sway, rest_frequencies
 from carosac_toolkit.validation.phases import find_phases, slope
 from carosac_toolkit.validation.plausibility import exit_point_distance, find_mix_ups
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 from carosac_toolkit.validation.run import ModelRun, build_model, load_model, run_open_loop
 from carosac_toolkit.validation.scores import rotation_angle, score_lengths, score_poses
-from carosac_toolkit.values import Pose
 
 DEFAULT_MODELS = ("straight_line", "kinematic_solver", "simulator")
 
@@ -42,7 +42,7 @@ def validate(
 
     Args:
         recording: With measured poses and lengths, as it was recorded: what the robot says of its
-            sensors (`carosac_toolkit.encoders`) is applied here.
+            sensors (`carosac_toolkit.recordings.encoders`) is applied here.
         robot: What the models are built for, with as many cables as the recording.
         models: Names of estimators, or ``module:Class``; each once.
         start: First sample to score.
@@ -184,7 +184,7 @@ class _Scoring:
         self, run: ModelRun, good: NDArray[np.bool_]
     ) -> tuple[Array, float | None, float | None]:
         """Length errors (S, n), mean sag and mean stretch of a model with tensions [m]."""
-        from carosac_toolkit.physics.straight_line import straight_length
+        from carosac_toolkit.physics.cable.straight_line import straight_length
 
         known = self._recording.unstrained_length[self._index]
         position, rotation = self._measured.position, self._measured.rotation

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.diagnostics import Delay, Sway
 from carosac_toolkit.validation.phases import REST_DURATION, REST_SPEED
 from carosac_toolkit.validation.scores import LengthScores, PoseScores
-from carosac_toolkit.values import Pose
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.loop import checked_belief
-from carosac_toolkit.protocols import Estimator
-from carosac_toolkit.recording import Recording
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Belief, Command, Measurement
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.loop import checked_belief
+from carosac_toolkit.loop.protocols import Estimator
+from carosac_toolkit.loop.values import Belief, Command, Measurement
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,7 +45,7 @@ def load_model(name: str) -> Any:
     Raises:
         InvalidField: There is none of this name, or it has no ``build``.
     """
-    from carosac_toolkit.registry import load
+    from carosac_toolkit.loop.plugins import load
 
     target = load("estimators", name)
     if not callable(getattr(target, "build", None)):

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.hardware import Hardware
+from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.npz import npz_bytes, read_npz
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot.hardware import Hardware
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 from carosac_toolkit.validation.scores import rotation_angle, score_lengths, score_poses
-from carosac_toolkit.values import Pose
 
 SAMPLES = "samples.npz"
 KEY = "validation"

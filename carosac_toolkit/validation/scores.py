@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 AXES = ("x", "y", "z", "norm")
 

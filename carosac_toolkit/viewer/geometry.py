@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
 
 FLAT = 0.22  # of its largest side: a flatter platform is drawn this high
 SMALLEST = 0.02  # of the frame: a smaller platform is drawn this large

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.recordings.quaternions import from_matrix
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import from_matrix
 from carosac_toolkit.viewer.geometry import extent
 from carosac_toolkit.viewer.page import Page
 

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.drivers.plant import Shaped
-from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.real_time import quick_threads
-from carosac_toolkit.loop import Step, run
-from carosac_toolkit.protocols import Controller, Estimator
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.loop.loop import Step, run
+from carosac_toolkit.loop.protocols import Controller, Estimator
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.viewer.gizmo import add_gizmo
 from carosac_toolkit.viewer.page import Page, note_html
 from carosac_toolkit.viewer.picture import Picture, take_picture

@@ -11,8 +11,8 @@ import threading
 import time
 from typing import Any
 
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.viewer.colors import legend_html
 from carosac_toolkit.viewer.geometry import camera
 from carosac_toolkit.viewer.picture import Picture

@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.live.hand_target import HandTarget
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.viewer.live import Instant, LivePage, drawing
 from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.picture import take_picture

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics.cable_lengths import length_at_tension
-from carosac_toolkit.physics.cable_shapes import hanging_cables, offset_from_chord
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.cable.lengths import length_at_tension
+from carosac_toolkit.physics.cable.shapes import hanging_cables, offset_from_chord
+from carosac_toolkit.robot.robot import Robot
 
 SAMPLES = 24  # points of a cable
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array, evenly
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array, evenly
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.viewer.colors import CABLES, hex_of
 from carosac_toolkit.viewer.picture import Picture
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from carosac_toolkit.number_checks import check_positive
+from carosac_toolkit.base.numbers import check_positive
 
 RATE = 35.0  # pictures a second, at most
 QUIET = 0.25  # [s] without news, after which what was put off is drawn

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array, evenly
+from carosac_toolkit.base.arrays import Array, evenly
 from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.publisher import Publisher
 from carosac_toolkit.viewer.runs import Run

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.physics import statics
-from carosac_toolkit.physics.statics import Equilibrium
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.viewer.picture import Picture, take_picture
 
 

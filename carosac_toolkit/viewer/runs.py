@@ -10,18 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.encoders import calibrated
-from carosac_toolkit.errors import CarosacError, InvalidField, InvalidFile
-from carosac_toolkit.physics import statics
-from carosac_toolkit.recording import Recording, load_recording
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
+from carosac_toolkit.base.rotations import to_matrix
+from carosac_toolkit.loop.values import Pose, Stamped
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.poses import PoseSamples
-from carosac_toolkit.recordings.quaternions import to_matrix
+from carosac_toolkit.recordings.recording import Recording, load_recording
 from carosac_toolkit.recordings.robot import find_robot
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.robot_file import load_robot
-from carosac_toolkit.studies.rows import Row
-from carosac_toolkit.values import Pose, Stamped
+from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.studies.run.rows import Row
 from carosac_toolkit.viewer.picture import Picture, take_picture
 
 MOST = 6_000  # samples of a run; longer ones are thinned out
@@ -108,7 +108,7 @@ def _numbered(where: str) -> tuple[Path, int | None]:
 
 def _study_runs(folder: Path, number: int | None) -> list[Run]:
     """The cases of a study whose course was kept."""
-    from carosac_toolkit.studies.folder import read_rows
+    from carosac_toolkit.studies.run.folder import read_rows
 
     kept = [row for row in read_rows(folder) if row.get("series") is not None]
     runs = [run for row in kept if (run := _case_run(row)) is not None]
@@ -170,7 +170,7 @@ def _load(path: Path) -> tuple[Recording, PoseSamples | None]:
     recording = load_recording(path)
     if path.suffix.lower() != ".jsonl":
         return recording, None
-    from carosac_toolkit.crash_safe import read_run
+    from carosac_toolkit.recordings.crash_safe import read_run
 
     return recording, read_run(path).believed_poses
 

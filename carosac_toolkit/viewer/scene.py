@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array, evenly
+from carosac_toolkit.base.arrays import Array, evenly
+from carosac_toolkit.base.rotations import from_matrix
 from carosac_toolkit.pictures.robot import box_edges
-from carosac_toolkit.recordings.quaternions import from_matrix
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.viewer.colors import Rgb, tension_colors, vertex_colors
 from carosac_toolkit.viewer.geometry import extent, platform_box, posts
 from carosac_toolkit.viewer.picture import Picture

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.recordings.quaternions import from_matrix, to_matrix
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import from_matrix, to_matrix
 from carosac_toolkit.viewer.gizmo import add_gizmo
 from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.publisher import Publisher

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics.straight_line import straight_length
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.robot.robot import Robot
 
 
 def beyond_frame(robot: Robot, position: Array) -> NDArray[np.bool_]:

@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from carosac_toolkit.arrays import Array, batch, rotations
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics.cable_distance import cable_distances, separate_pairs
-from carosac_toolkit.physics.statics import Equilibrium
-from carosac_toolkit.physics.widest_rest import WidestRest, hold
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array, batch, rotations
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.rest.distance import cable_distances, separate_pairs
+from carosac_toolkit.physics.rest.hold import WidestRest, hold
+from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.workspace.frame import beyond_frame, too_flat, without_cable
 from carosac_toolkit.workspace.limits import Limit, tension_limit
-from carosac_toolkit.workspace.second_opinion import second_opinion
+from carosac_toolkit.workspace.second_search import second_opinion
 from carosac_toolkit.workspace.settings import WorkspaceSettings
 
 WEIGHTLESS = 1e-9  # of its own density: a cable that heavy is straight to rounding

@@ -8,7 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
+from carosac_toolkit.base.arrays import Array
 
 
 class Limit(IntEnum):

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics.modes import natural_frequencies
-from carosac_toolkit.physics.statics import Equilibrium, inverse_kinematics, sag
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.values import Pose
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Pose
+from carosac_toolkit.physics.rest.modes import natural_frequencies
+from carosac_toolkit.physics.rest.statics import Equilibrium, inverse_kinematics, sag
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.workspace.judgement import CHUNK, Verdicts, modelled, pick, tilt_angle
 from carosac_toolkit.workspace.settings import WorkspaceSettings
 

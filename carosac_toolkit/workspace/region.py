@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.workspace.grid import Grid
 from carosac_toolkit.workspace.judgement import Verdicts, judge
 from carosac_toolkit.workspace.limits import WORDS, Limit, cable_of, describe

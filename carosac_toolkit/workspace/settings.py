@@ -7,8 +7,8 @@ from itertools import product
 
 import numpy as np
 
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,11 +19,11 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_whole
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder, format_table
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.number_checks import check_whole
-from carosac_toolkit.robot import Robot
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.robot import Robot
 from learned.evaluation import (
     PATHS,
     Protocol,

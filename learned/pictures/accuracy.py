@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from carosac_toolkit.arrays import Array, batch
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array, batch
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.pictures.drawing import (
     COLORS,
     MEASURED,
@@ -25,7 +25,7 @@ from carosac_toolkit.pictures.drawing import (
     set_space,
     views,
 )
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot.robot import Robot
 from learned.pictures.files import save
 
 if TYPE_CHECKING:

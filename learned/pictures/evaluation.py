@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot.robot import Robot
 from learned.evaluation import trajectory_errors
 from learned.pictures.accuracy import error_histograms, error_violins, sample_paths
 from learned.scores import Scores, sound_paths

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from carosac_toolkit.arrays import batch
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import batch
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.pictures.drawing import COLORS, MEASURED, new_figure
 from learned.pictures.files import save
 

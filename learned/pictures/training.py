@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from carosac_toolkit.arrays import Array, batch
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.arrays import Array, batch
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.pictures.drawing import COLORS, MEASURED, new_figure, put_legend
 from learned.curve import CURVE, EPISODES, read_curve, read_episodes
 from learned.pictures.files import save

@@ -9,13 +9,15 @@ from baselines.kinematic_solver import KinematicSolver
 from baselines.kinematic_solver_controller import KinematicSolverController, UnreachableReference
 from baselines.reference_ahead import AheadSettings
 from baselines.straight_line_controller import StraightLineController
-from carosac_toolkit import registry, trajectories
+from carosac_toolkit import trajectories
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.drivers.quasi_static import QuasiStaticDriver, QuasiStaticSettings
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.loop import run
-from carosac_toolkit.physics import statics, straight_line
-from carosac_toolkit.sensors import PERFECT
-from carosac_toolkit.values import Belief, Reference
+from carosac_toolkit.drivers.sensors import PERFECT
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.loop.values import Belief, Reference
+from carosac_toolkit.physics.cable import straight_line
+from carosac_toolkit.physics.rest import statics
 from tests.robots import eight_cable_robot, simple_robot
 
 BOTH = [StraightLineController, KinematicSolverController]
@@ -155,7 +157,7 @@ def test_a_reference_at_which_it_cannot_rest_is_named_with_the_reason():
 
 @pytest.mark.parametrize("plugin", BOTH)
 def test_they_are_installed_under_their_names(plugin):
-    names = {registry.load("controllers", x) for x in ("straight_line", "kinematic_solver")}
+    names = {plugins.load("controllers", x) for x in ("straight_line", "kinematic_solver")}
     assert plugin in names
     assert plugin.build(simple_robot(), seed=1).period == AheadSettings().period
 

@@ -14,12 +14,12 @@ from baselines.shaped_signal import ShapedSignal
 from baselines.shapers import impulses, mean_delay, residual
 from baselines.sway_modes import sway_modes
 from carosac_toolkit import trajectories
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.conformance import CONTROLLER_CHECKS
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.loop import run
-from carosac_toolkit.physics import statics
-from carosac_toolkit.sensors import PERFECT
-from carosac_toolkit.values import Belief, Reference
+from carosac_toolkit.drivers.sensors import PERFECT
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.loop.values import Belief, Reference
+from carosac_toolkit.physics.rest import statics
 from sim_warp.driver import SimDriver, SimDriverSettings
 from tests.robots import eight_cable_robot, simple_robot
 

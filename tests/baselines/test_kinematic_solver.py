@@ -7,9 +7,9 @@ import pytest
 
 from baselines import kinematic_solver
 from baselines.kinematic_solver import KinematicSolver, KinematicSolverSettings
-from carosac_toolkit import registry
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.values import Command, Measurement, Pose
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.values import Command, Measurement, Pose
 from tests import reference
 from tests.robots import simple_robot
 
@@ -199,7 +199,7 @@ def test_lengths_that_no_cable_survives_show_in_the_tensions():
 
 
 def test_it_is_found_by_name():
-    assert registry.load("estimators", "kinematic_solver") is KinematicSolver
+    assert plugins.load("estimators", "kinematic_solver") is KinematicSolver
 
 
 def test_settings_and_missing_poses_are_refused():

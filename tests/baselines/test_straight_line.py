@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from baselines.straight_line import StraightLine, StraightLineSettings
-from carosac_toolkit import registry
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics.straight_line import inverse_kinematics
-from carosac_toolkit.values import Command, Measurement
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.values import Command, Measurement
+from carosac_toolkit.physics.cable.straight_line import inverse_kinematics
 from tests.robots import simple_robot
 
 
@@ -84,7 +84,7 @@ def test_batch_equals_loop():
 
 
 def test_it_is_found_by_name():
-    assert registry.load("estimators", "straight_line") is StraightLine
+    assert plugins.load("estimators", "straight_line") is StraightLine
 
 
 def test_settings_refuse_a_bound_that_nothing_meets():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.estimate import Estimate
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 
 
 def estimate(**changes):

@@ -14,10 +14,10 @@ from calibration.robot_update import (
     updated,
     write_robot,
 )
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.parameters import values_of
-from carosac_toolkit.robot_differences import differing
-from carosac_toolkit.robot_file import robot_text
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.robot.differences import differing
+from carosac_toolkit.robot.file import robot_text
+from carosac_toolkit.robot.parameters import values_of
 
 ROBOT = ct.load_robot("carosac")
 POINTS = tuple(f"exit_points[{cable}].{axis}" for cable in ROBOT.cable_names for axis in "xyz")

@@ -15,7 +15,7 @@ PACKAGE = "somebodys_controllers"
 SOURCE = """
 import numpy as np
 from carosac_toolkit.physics import straight_line
-from carosac_toolkit.values import Command
+from carosac_toolkit.loop.values import Command
 
 class Good:
     period, horizon = 0.02, 0.02

@@ -10,7 +10,7 @@ import pytest
 from carosac_toolkit.cli.compare import Options
 from carosac_toolkit.cli.compare_reference import _folder
 from carosac_toolkit.cli.main import main
-from carosac_toolkit.studies.reference import ReferenceSuite
+from carosac_toolkit.studies.reference.cases import ReferenceSuite
 
 pytestmark = pytest.mark.usefixtures("quick_pictures")
 

@@ -10,8 +10,8 @@ from carosac_toolkit.cli.figures import all_figures
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.pictures.paper import length_errors
 from carosac_toolkit.pictures.validation import PICTURES
-from carosac_toolkit.robot_file import load_robot
-from carosac_toolkit.studies.folder import opened
+from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.studies.run.folder import opened
 from carosac_toolkit.validation import validate
 from carosac_toolkit.validation.saved import SAMPLES, read_samples, samples_bytes
 from learned.curve import CURVE, EPISODES, Episode, write_curve, write_episodes

@@ -11,7 +11,7 @@ import pytest
 import carosac_toolkit as ct
 from calibration.identification.synthetic import RunSettings, simulate_run
 from carosac_toolkit.cli.main import main
-from carosac_toolkit.robot_file import robot_text
+from carosac_toolkit.robot.file import robot_text
 
 
 @pytest.fixture(autouse=True)

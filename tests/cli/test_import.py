@@ -7,8 +7,8 @@ import json
 import pytest
 
 from carosac_toolkit.cli.main import main
-from carosac_toolkit.recording import load_recording
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.recordings.recording import load_recording
+from carosac_toolkit.robot.file import load_robot
 from tests.interchange.bags import START, Bags
 from tests.interchange.models import (
     IPANEMA_LENGTH,

@@ -6,13 +6,13 @@ from typing import Annotated
 import pytest
 import tyro
 
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.cli import robots
 from carosac_toolkit.cli.common import CommonOptions, OutputFile, OutputFolder
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.cli.outputs import check_outputs
-from carosac_toolkit.errors import CarosacError, InvalidField
 from carosac_toolkit.output_files import replacing
-from carosac_toolkit.robot_file import robot_text
+from carosac_toolkit.robot.file import robot_text
 
 
 @dataclass(frozen=True, kw_only=True)

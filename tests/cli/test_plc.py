@@ -9,11 +9,11 @@ import time
 import numpy as np
 import pytest
 
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.cli.plc import listen, obey
 from carosac_toolkit.drivers.ads_block import from_host
-from carosac_toolkit.drivers.drive_state import DriveState, Fault
-from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.plc import machine_blocks
 from carosac_toolkit.plc.client import PlcClient
 from carosac_toolkit.plc.emulator import Emulator

@@ -13,13 +13,13 @@ import warnings
 import numpy as np
 import pytest
 
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.main import main
-from carosac_toolkit.crash_safe import CutRecording, read_run
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.live.course import with_approach
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.keyboard import Words, listening
 from carosac_toolkit.live.library_noise import without_ads_lines
+from carosac_toolkit.live.sequence import with_approach
+from carosac_toolkit.recordings.crash_safe import CutRecording, read_run
 from carosac_toolkit.trajectories import line
 from tests.plc_process import own_address
 from tests.robots import simple_robot

@@ -13,7 +13,7 @@ import pytest
 import carosac_toolkit as ct
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.recordings.robot import find_robot
-from carosac_toolkit.robot_file import robot_text
+from carosac_toolkit.robot.file import robot_text
 from tests.baselines.smoother.runs import swing
 
 

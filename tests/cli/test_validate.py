@@ -9,7 +9,7 @@ import pytest
 import carosac_toolkit as ct
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.recordings.bundled import find_recording, list_recordings
-from carosac_toolkit.robot_file import robot_text
+from carosac_toolkit.robot.file import robot_text
 from tests.validation.models import NAME
 
 pytestmark = pytest.mark.usefixtures("quick_pictures")  # tests/pictures draw them

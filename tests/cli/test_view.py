@@ -10,9 +10,9 @@ import threading
 import pytest
 
 from carosac_toolkit.cli.main import main
-from carosac_toolkit.recording import load_recording
 from carosac_toolkit.recordings.bundled import find_recording
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.recordings.recording import load_recording
+from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.viewer.page import Page, is_loopback
 
 

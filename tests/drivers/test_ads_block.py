@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.drivers import ads_block
-from carosac_toolkit.drivers.drive_state import DriveState, Fault, fault_of, state_of
+from carosac_toolkit.loop.drive_state import DriveState, Fault, fault_of, state_of
 from carosac_toolkit.plc import machine_blocks
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "plc.md"

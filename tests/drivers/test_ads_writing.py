@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.drivers import ads_block, ads_reader
 from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
 from carosac_toolkit.drivers.ads_link import AdsLink
-from carosac_toolkit.drivers.drive_state import DriveState, Fault
 from carosac_toolkit.drivers.imu_udp import imu_line
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.hardware import Hardware, ImuSource
+from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.plc.machine import Inputs, Machine
 from carosac_toolkit.plc.settings import PlcSettings, limits_of
+from carosac_toolkit.robot.hardware import Hardware, ImuSource
 from tests.plc_process import home_pose
 from tests.robots import simple_robot
 

@@ -5,10 +5,10 @@ import time
 import numpy as np
 import pytest
 
+from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.drivers.clock_offset import ClockOffset
 from carosac_toolkit.drivers.imu_udp import ImuListener, imu_line, parse_imu_line
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.hardware import ImuSource
+from carosac_toolkit.robot.hardware import ImuSource
 
 
 def free_port():

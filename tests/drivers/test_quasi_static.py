@@ -8,12 +8,12 @@ import pytest
 from baselines.kinematic_solver import KinematicSolver
 from baselines.kinematic_solver_controller import KinematicSolverController
 from carosac_toolkit import trajectories
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.drivers.quasi_static import QuasiStaticDriver, QuasiStaticSettings
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.loop import run
-from carosac_toolkit.physics import statics
-from carosac_toolkit.sensors import PERFECT
-from carosac_toolkit.values import Command
+from carosac_toolkit.drivers.sensors import PERFECT
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.loop.values import Command
+from carosac_toolkit.physics.rest import statics
 from tests.robots import simple_robot
 
 PERIOD = 0.02

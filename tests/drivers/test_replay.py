@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from carosac_toolkit.base.errors import CarosacError, InvalidField, MissingFile
 from carosac_toolkit.drivers.replay import ReplayDriver, ReplaySettings
-from carosac_toolkit.errors import CarosacError, InvalidField, MissingFile
-from carosac_toolkit.protocols import TruthSource, replays
-from carosac_toolkit.values import Command
+from carosac_toolkit.loop.protocols import TruthSource, replays
+from carosac_toolkit.loop.values import Command
 from tests.recordings.synthetic import full_recording
 from tests.robots import eight_cable_robot, simple_robot
 

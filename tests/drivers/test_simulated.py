@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carosac_toolkit.drivers import tick_schedule
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.drivers import ticks
 from carosac_toolkit.drivers.quasi_static import (
     QuasiStaticDriver,
     QuasiStaticPlant,
     QuasiStaticSettings,
 )
+from carosac_toolkit.drivers.sensors import PERFECT, SensorSettings
 from carosac_toolkit.drivers.simulated import SimulatedDriver, SimulatedSettings
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics.winch import WinchSettings
-from carosac_toolkit.sensors import PERFECT, SensorSettings
-from carosac_toolkit.values import Command
+from carosac_toolkit.loop.values import Command
+from carosac_toolkit.physics.motion.winch import WinchSettings
 from tests.plants import TurningPlant
 from tests.robots import simple_robot
 
@@ -41,7 +41,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch):
     found = Clock()
-    monkeypatch.setattr(tick_schedule, "time", found)
+    monkeypatch.setattr(ticks, "time", found)
     return found
 
 

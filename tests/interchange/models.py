@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.robot.file import load_robot
 
 IPANEMA_LENGTH = 2.6148040079516472  # [m] of all cables at (0, 0, 1), upright
 COGIRO_LENGTHS = (9.743148, 9.183277, 9.425611, 9.473757, 9.768421, 9.197350, 9.500900, 9.561887)

@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import CarosacError, InvalidField, InvalidFile
+from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
 from carosac_toolkit.interchange.bag import open_bag
 from carosac_toolkit.interchange.bag_recording import Topics, read_bag
-from carosac_toolkit.recording import load_recording
+from carosac_toolkit.recordings.recording import load_recording
 from tests.interchange.bags import KINDS, START, Bags
 
 RNG = np.random.default_rng(5)

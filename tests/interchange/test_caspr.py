@@ -5,10 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
-from carosac_toolkit.errors import CarosacError, InvalidField, InvalidFile
+from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
 from carosac_toolkit.interchange.caspr import read_caspr
 from carosac_toolkit.interchange.completion import complete, robot_and_text
-from carosac_toolkit.robot_file import parse_robot
+from carosac_toolkit.robot.file import parse_robot
 from tests.interchange.models import (
     COGIRO_LENGTHS,
     IPANEMA_LENGTH,

@@ -8,7 +8,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
-from carosac_toolkit.errors import InvalidFile
+from carosac_toolkit.base.errors import InvalidFile
 from carosac_toolkit.interchange.cdpyr import read_cdpyr
 from carosac_toolkit.interchange.completion import complete, robot_and_text
 from tests.interchange.models import COGIRO_LENGTHS, REST, cdpyr, geometry

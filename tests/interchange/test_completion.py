@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import CarosacError, InvalidField, InvalidFile
+from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
 from carosac_toolkit.interchange.caspr import read_caspr
 from carosac_toolkit.interchange.completion import complete, form, robot_and_text
 from carosac_toolkit.interchange.robots import read_robot

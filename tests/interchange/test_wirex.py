@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
-from carosac_toolkit.errors import InvalidFile
+from carosac_toolkit.base.errors import InvalidFile
 from carosac_toolkit.interchange.completion import complete, robot_and_text
 from carosac_toolkit.interchange.wirex import read_wirex
 from tests.interchange.models import (

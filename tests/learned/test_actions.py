@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from carosac_toolkit.physics import statics
+from carosac_toolkit.physics.rest import statics
 from learned.actions import Absolute, Push
 from learned.environment import empty_look
 from learned.length_map import LengthMap

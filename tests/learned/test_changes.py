@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 from learned.changes import changed, concerned, label_of, read_changes, read_variations
 from learned.presets import find_preset
 

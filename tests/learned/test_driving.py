@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 import carosac_toolkit as ct
-from carosac_toolkit import registry, trajectories
-from carosac_toolkit.loop import run
-from carosac_toolkit.perturbations import draw_plant, find_condition
+from carosac_toolkit import trajectories
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.robot.perturbations import draw_plant, find_condition
 from learned.policy_controller import PolicyController
 
 
@@ -20,13 +21,13 @@ def test_a_soft_plant_low_in_the_box_comes_to_rest_behind_the_dynamic_estimator(
         end + np.array([0.0, -0.3, 0.3]), end, speed_max=1.0, acceleration_max=1.0
     )
     controller = PolicyController.build(robot)
-    kind = registry.load("drivers", "simulator")
+    kind = plugins.load("drivers", "simulator")
     start = tuple(float(x) for x in path.sample(np.zeros(1)).position[0])
     settings = replace(
         kind.Settings(), suite="lengths+imu", period=controller.period, start_position=start
     )
     driver = kind.build(plant, settings, seed=13)
-    estimator = registry.load("estimators", "dynamic_estimator").build(robot)
+    estimator = plugins.load("estimators", "dynamic_estimator").build(robot)
     log = run(driver, estimator, controller, path, duration=path.duration + 8.0)
     assert log.position is not None
     early, late = (

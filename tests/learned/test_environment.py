@@ -4,9 +4,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import statics, straight_line
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.cable import straight_line
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.file import load_robot
 from learned.environment import FAILURE, CableEnvironment, EnvironmentSettings
 from learned.episodes import PathSettings
 from learned.moving_worlds import MovingSettings

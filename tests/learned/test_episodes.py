@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from learned.episodes import PathPool, PathSettings, draw_path, sampled
 from tests.robots import simple_robot
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import statics
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.rest import statics
 from learned import evaluation
 from learned.environment import EnvironmentSettings
 from learned.episodes import PathSettings

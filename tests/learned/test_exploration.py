@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 from learned.exploration_settings import ExplorationSettings
 
 pytest.importorskip("stable_baselines3")

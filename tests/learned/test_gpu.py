@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carosac_toolkit.physics import straight_line
+from carosac_toolkit.physics.cable import straight_line
 from learned.environment import CableEnvironment
 from learned.length_map import LengthMap
 from tests.gpu import NEEDS_GPU

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import warp as wp
 
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.physics import statics, straight_line, straight_line_kernels, warp_setup
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.physics import warp_setup
+from carosac_toolkit.physics.cable import straight_line, straight_line_kernels
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.file import load_robot
 from learned import length_map_kernels
 from learned.length_map import LengthMap, softness
 from tests.robots import simple_robot

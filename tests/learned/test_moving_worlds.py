@@ -3,8 +3,8 @@ import copy
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.physics import statics
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.physics.rest import statics
 from learned.moving_worlds import MovingSettings, MovingWorlds
 from tests.robots import simple_robot
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import straight_line
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.cable import straight_line
+from carosac_toolkit.robot.file import load_robot
 from learned.environment import empty_look
 from learned.observation import PARTS, Scales, Units, check_parts, observe, slices
 from tests.robots import eight_cable_robot, simple_robot

@@ -10,8 +10,8 @@ import pytest
 
 import carosac_toolkit as ct
 from carosac_toolkit import trajectories
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.values import Belief
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Belief
 from learned.curve import read_curve
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.episodes import PathSettings, sampled

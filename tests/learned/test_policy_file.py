@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import CarosacError, InvalidField, MissingFile
-from carosac_toolkit.robot_differences import differing
-from carosac_toolkit.robot_file import list_robots, load_robot
+from carosac_toolkit.base.errors import CarosacError, InvalidField, MissingFile
+from carosac_toolkit.robot.differences import differing
+from carosac_toolkit.robot.file import list_robots, load_robot
 from learned.environment import EnvironmentSettings
 from learned.policy_file import Policy, PolicyDescription, write_policy
 from learned.probe import make_probe

@@ -3,7 +3,7 @@ from itertools import pairwise
 
 import pytest
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 from learned.environment import EnvironmentSettings
 from learned.presets import PRESETS, Stage, Td3Settings, find_preset
 from learned.rewards import PAPER_NO_SAG, PAPER_SAG

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 from learned import environment, length_map, observation
 from learned.environment import EnvironmentSettings
 from learned.episodes import PathSettings

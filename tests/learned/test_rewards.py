@@ -3,8 +3,8 @@ from math import log, tanh
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import straight_line
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.cable import straight_line
 from learned import rewards
 from learned.environment import FAILURE
 from learned.rewards import PAPER_NO_SAG, PAPER_SAG, Reward, RewardSettings

@@ -3,8 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import statics, straight_line
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.cable import straight_line
+from carosac_toolkit.physics.rest import statics
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.episodes import Path, PathSettings
 from learned.scores import Scores, score

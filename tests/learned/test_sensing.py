@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from carosac_toolkit import registry
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.loop import run
-from carosac_toolkit.physics import statics
-from carosac_toolkit.sensors import PERFECT, SensorSettings
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.drivers.sensors import PERFECT, SensorSettings
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.trajectories import line
 from learned.moving_worlds import MovingSettings, MovingWorlds
 from tests.robots import simple_robot
@@ -121,13 +121,13 @@ def test_a_belief_is_what_driver_and_loop_would_give(monkeypatch):
     monkeypatch.setattr("learned.sensing.SensorSettings", lambda: quiet)
     start = robot.home_position
     path = line(start, start + np.array([0.0, 0.5, 0.0]), speed_max=0.5, acceleration_max=1.0)
-    kind = registry.load("drivers", "simulator")
+    kind = plugins.load("drivers", "simulator")
     settings = kind.Settings(
         suite="lengths+imu", period=PERIOD, sensors=quiet, start_position=tuple(start)
     )
-    solver = registry.load("controllers", "kinematic_solver")
+    solver = plugins.load("controllers", "kinematic_solver")
     controller = solver.build(robot, solver.Settings(period=PERIOD))
-    estimator = registry.load("estimators", "dynamic_estimator").build(robot)
+    estimator = plugins.load("estimators", "dynamic_estimator").build(robot)
     log = run(kind.build(robot, settings), estimator, controller, path, duration=1.0)
     worlds = MovingWorlds(
         robot,

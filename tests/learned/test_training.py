@@ -12,8 +12,8 @@ pytest.importorskip("onnxruntime")
 
 import torch
 
-from carosac_toolkit.errors import CarosacError, InvalidField, MissingFile
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.base.errors import CarosacError, InvalidField, MissingFile
+from carosac_toolkit.robot.file import load_robot
 from learned import training
 from learned.curve import CURVE, EPISODES, read_curve, read_episodes
 from learned.environment import CableEnvironment, EnvironmentSettings

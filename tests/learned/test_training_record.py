@@ -4,7 +4,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 from learned.observation import Units
 from learned.rewards import RewardSettings
 from learned.training_record import (

@@ -11,8 +11,8 @@ pytest.importorskip("stable_baselines3")
 
 import torch
 
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies import Case
 from learned import training_study
 from learned.training import CHECKPOINT, train

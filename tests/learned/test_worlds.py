@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import statics, straight_line
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.cable import straight_line
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.file import load_robot
 from learned.worlds import NoSagWorlds, SettledWorlds
 from sim_warp import Simulator
 from tests.robots import simple_robot

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.physics import straight_line
+from carosac_toolkit.physics.cable import straight_line
 from learned.transition import Transition
 from tests.robots import simple_robot
 

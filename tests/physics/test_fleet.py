@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.perturbations import draw_plant, find_condition
-from carosac_toolkit.physics import statics
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.fleet import Fleet
-from carosac_toolkit.physics.statics import Equilibrium
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.robot.perturbations import draw_plant, find_condition
 from tests.robots import eight_cable_robot, simple_robot, with_pulleys
 
 KINDS = pytest.mark.parametrize(

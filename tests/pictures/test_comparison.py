@@ -6,7 +6,7 @@ from matplotlib.colors import to_hex
 
 from carosac_toolkit.pictures.comparison import PICTURES
 from carosac_toolkit.pictures.drawing import COLORS
-from carosac_toolkit.studies.report import write_report
+from carosac_toolkit.reports.study import write_report
 from tests.studies.tables import bad, case, good, series, study
 
 SCALES = {"first": 0.05, "second": 0.01}

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from carosac_toolkit.inspection.report import report_robot
 from carosac_toolkit.pictures.pulleys import draw_cables
 from carosac_toolkit.pictures.robot import draw_robot
-from carosac_toolkit.robot_report import report_robot
 from tests.robots import simple_robot, with_pulleys
 
 

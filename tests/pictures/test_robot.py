@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
+from carosac_toolkit.inspection.report import report_robot
 from carosac_toolkit.pictures.robot import draw_robot
-from carosac_toolkit.robot_report import report_robot
 
 
 @pytest.mark.parametrize("name", ["carosac", "cogiro"])

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.recording import STAMPED, Recording
+from carosac_toolkit.loop.values import Imu, Stamped
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples
-from carosac_toolkit.values import Imu, Stamped
+from carosac_toolkit.recordings.recording import STAMPED, Recording
 
 
 def full_recording(n: int = 4, seed: int = 0, **changes: Any) -> Recording:

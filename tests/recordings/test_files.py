@@ -10,8 +10,8 @@ import pytest
 from scipy.io import loadmat, savemat
 
 from carosac_toolkit import load_recording
-from carosac_toolkit.errors import CarosacError, InvalidField, InvalidFile, MissingFile
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile, MissingFile
+from carosac_toolkit.recordings.recording import Recording
 from tests.recordings.synthetic import assert_same, full_recording
 
 LOSSLESS = ("parquet", "csv")

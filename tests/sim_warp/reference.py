@@ -17,10 +17,10 @@ from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
-from carosac_toolkit.physics.statics import Equilibrium
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.robot.robot import Robot
 from tests import reference
-from tests.physics.test_modes import difference_of_wrench
+from tests.physics.rest.test_modes import difference_of_wrench
 
 Array = NDArray[Any]
 UP = np.array([0.0, 0.0, 1.0])

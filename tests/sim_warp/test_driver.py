@@ -6,10 +6,10 @@ import numpy as np
 import pinocchio
 import pytest
 
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.physics import statics
-from carosac_toolkit.sensors import PERFECT
-from carosac_toolkit.values import Command
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.drivers.sensors import PERFECT
+from carosac_toolkit.loop.values import Command
+from carosac_toolkit.physics.rest import statics
 from sim_warp.driver import SimDriver, SimDriverSettings, SimPlant
 from tests.robots import simple_robot
 
@@ -165,7 +165,7 @@ def test_wind_moves_the_platform_the_same_way_for_the_same_seed():
 
 
 def test_drums_that_the_drives_misjudge_say_other_lengths_than_are_wound():
-    from carosac_toolkit.physics.winch import Winches, WinchSettings
+    from carosac_toolkit.physics.motion.winch import Winches, WinchSettings
 
     robot = simple_robot(drum_radius=[0.05] * 4, drum_buildup=[3e-5] * 4)
     winch = WinchSettings(believed_drum_buildup=4e-5)

@@ -7,12 +7,12 @@ import pytest
 
 import carosac_toolkit as ct
 from baselines.kinematic_solver import KinematicSolver
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.physics import statics
-from carosac_toolkit.sensors import PERFECT
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.drivers.sensors import PERFECT
+from carosac_toolkit.loop.values import Command, Measurement
+from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.validation import validate
 from carosac_toolkit.validation.run import run_open_loop
-from carosac_toolkit.values import Command, Measurement
 from sim_warp.delayed_lengths import DelayedLengths
 from sim_warp.driver import SimDriver, SimDriverSettings
 from sim_warp.estimator import SimulatorEstimator, SimulatorSettings

@@ -8,9 +8,9 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
-from carosac_toolkit.errors import InvalidField, MissingFile
-from carosac_toolkit.physics.winch import WinchSettings
-from carosac_toolkit.robot_file import parse_robot, robot_text
+from carosac_toolkit.base.errors import InvalidField, MissingFile
+from carosac_toolkit.physics.motion.winch import WinchSettings
+from carosac_toolkit.robot.file import parse_robot, robot_text
 from sim_warp import Simulator, Snapshot
 from tests.robots import eight_cable_robot, simple_robot, with_pulleys
 from tests.sim_warp.worlds import (

@@ -10,8 +10,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 import carosac_toolkit as ct
-from carosac_toolkit.physics.statics import Equilibrium
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.robot.robot import Robot
 from sim_warp import Simulator, SimulatorState
 
 Array = NDArray[Any]

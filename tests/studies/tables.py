@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from carosac_toolkit.studies import Case
-from carosac_toolkit.studies.results import StudyResults
-from carosac_toolkit.studies.rows import Row, make_row
+from carosac_toolkit.studies.compare.results import StudyResults
+from carosac_toolkit.studies.run.rows import Row, make_row
 
 SETTINGS = {"driver": "quasi_static", "speed_max": 1.0}
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.trajectories import NAMES, build, random_minimum_snap, random_spline
 from carosac_toolkit.trajectories.draws import draw_points
 from tests.robots import eight_cable_robot, simple_robot

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.trajectories import line, waypoints
 from tests.trajectories.samples import POINTS
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from carosac_toolkit import load_recording, load_robot
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import statics
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Stamped
+from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.recordings.poses import PoseSamples
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.trajectories import from_recording, line, minimum_snap
-from carosac_toolkit.values import Stamped
 from tests.trajectories.samples import POINTS
 
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from carosac_toolkit.values import Belief
+from carosac_toolkit.loop.values import Belief
 
 NAME = "tests.validation.models"
 

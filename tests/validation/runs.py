@@ -7,10 +7,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from carosac_toolkit.physics import statics
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples
+from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.trajectories import waypoints
 from tests.robots import simple_robot
 

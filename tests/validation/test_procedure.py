@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics import statics
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Stamped
+from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.validation import validate
-from carosac_toolkit.values import Stamped
 from tests.robots import eight_cable_robot
 from tests.validation.models import NAME, Spying
 from tests.validation.runs import ROBOT, STEP, perfect, shifted
@@ -68,7 +68,7 @@ def test_a_swing_at_rest_is_found_with_its_frequency_and_amplitude():
 
 def test_the_natural_frequencies_are_those_at_the_rests():
     result = validate(perfect(), ROBOT, [KS])
-    from carosac_toolkit.physics.modes import natural_frequencies
+    from carosac_toolkit.physics.rest.modes import natural_frequencies
 
     rests = statics.inverse_kinematics(
         ROBOT, result.measured.position[[a for a, _ in result.rests]]

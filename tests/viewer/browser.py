@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.recordings.quaternions import to_matrix
+from carosac_toolkit.base.rotations import to_matrix
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 DRIVERS = ("chromedriver",)

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 import carosac_toolkit as ct
-from carosac_toolkit import registry
 from carosac_toolkit.live.hand_target import HandTarget
+from carosac_toolkit.loop import plugins
 from carosac_toolkit.viewer.geometry import extent
 from carosac_toolkit.viewer.gizmo import SIZE
 from carosac_toolkit.viewer.live import LivePage, drawing, follow
@@ -85,10 +85,10 @@ def lengths(window: Any, folder: Path) -> None:
 
 def live(window: Any, folder: Path) -> None:
     robot = ct.load_robot("scampi")
-    driver_class = registry.load("drivers", "simulator")
-    controller_class = registry.load("controllers", "kinematic_solver")
+    driver_class = plugins.load("drivers", "simulator")
+    controller_class = plugins.load("controllers", "kinematic_solver")
     controller = controller_class.build(robot, controller_class.Settings(period=0.02))
-    estimator = registry.load("estimators", "kinematic_solver").build(robot)
+    estimator = plugins.load("estimators", "kinematic_solver").build(robot)
     driver = driver_class.build(
         robot, driver_class.Settings(period=0.02, real_time=True, cables="catenary")
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.viewer.colors import tension_colors
 from carosac_toolkit.viewer.export import still_html
 from carosac_toolkit.viewer.geometry import extent

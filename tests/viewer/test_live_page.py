@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.live.hand_target import HandTarget
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.viewer.live import LivePage
 from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.picture import take_picture

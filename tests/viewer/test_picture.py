@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from carosac_toolkit.physics import statics
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.viewer.colors import OVER, SCALE, SLACK, UNKNOWN, tension_colors
 from carosac_toolkit.viewer.picture import take_picture
 

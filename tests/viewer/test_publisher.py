@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.viewer.publisher import Publisher
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.physics import statics
-from carosac_toolkit.robot_file import load_robot
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.viewer.resting import RestingRobot
 
 

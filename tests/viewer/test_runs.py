@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from carosac_toolkit.crash_safe import CrashSafeRecorder
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.loop.values import Belief, Measurement, Stamped
+from carosac_toolkit.recordings.crash_safe import CrashSafeRecorder
 from carosac_toolkit.recordings.metadata import RecordingMetadata
-from carosac_toolkit.studies.case import Case
-from carosac_toolkit.studies.folder import opened
-from carosac_toolkit.studies.run_case import run_case
-from carosac_toolkit.values import Belief, Measurement, Stamped
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.studies.run.case import Case
+from carosac_toolkit.studies.run.folder import opened
+from carosac_toolkit.studies.run.run_case import run_case
 from carosac_toolkit.viewer.runs import load_runs
 
 
@@ -70,7 +70,7 @@ def test_cases_of_a_study_are_played_as_the_plant_moved(tmp_path):
         for name in ("straight_line", "kinematic_solver")
         for seed in (0, 1)
     ]
-    with opened(tmp_path, cases, "carosac_toolkit.studies.run_case.run_case") as folder:
+    with opened(tmp_path, cases, "carosac_toolkit.studies.run.run_case.run_case") as folder:
         went = run_case(cases[0])
         unkept = {"series": None}
         folder.append([row_of(x) | went | (unkept if x.seed else {}) for x in cases])

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics.widest_rest import hold
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.rest.hold import hold
 from carosac_toolkit.workspace import Limit, WorkspaceSettings, box_grid, compute, judge, maps
 from carosac_toolkit.workspace.frame import beyond_frame, too_flat
 from carosac_toolkit.workspace.judgement import _worse

@@ -11,10 +11,10 @@ from baselines.dynamic_estimator import DynamicEstimator, DynamicEstimatorSettin
 from baselines.dynamic_estimator.model import Model
 from baselines.dynamic_estimator.start import Rest
 from baselines.kinematic_solver import KinematicSolver
-from carosac_toolkit.consistency import band, normalised_square, state_error
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.sensors import PERFECT, SensorSettings
-from carosac_toolkit.values import Command, Measurement
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.drivers.sensors import PERFECT, SensorSettings
+from carosac_toolkit.loop.consistency import band, normalised_square, state_error
+from carosac_toolkit.loop.values import Command, Measurement
 from sim_warp.driver import SimDriver, SimDriverSettings
 
 KNOWN = dict(mass=0.0, center_of_mass=0.0, length_bias=5e-3, length_bias_walk=0.0)

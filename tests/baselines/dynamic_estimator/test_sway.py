@@ -4,8 +4,8 @@ from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
 from baselines.dynamic_estimator.sway import sway_at
-from carosac_toolkit.physics.modes import mass_matrix
-from carosac_toolkit.physics.straight_line import straight_length
+from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.physics.rest.modes import mass_matrix
 
 POSITION = np.array([0.9, -2.2, 2.0])
 TURN = Rotation.from_rotvec([0.2, -0.15, 0.1]).as_matrix()

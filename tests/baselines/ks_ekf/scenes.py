@@ -13,11 +13,11 @@ from baselines.kinematic_solver import KinematicSolver
 from baselines.kinematic_solver_controller import KinematicSolverController
 from baselines.ks_ekf import KsEkf, KsEkfSettings
 from carosac_toolkit import trajectories
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.consistency import normalised_square, state_error
-from carosac_toolkit.loop import run
-from carosac_toolkit.sensors import PERFECT, SensorSettings
-from carosac_toolkit.values import Belief, Command, Measurement, State
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.drivers.sensors import PERFECT, SensorSettings
+from carosac_toolkit.loop.consistency import normalised_square, state_error
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.loop.values import Belief, Command, Measurement, State
 from sim_warp.driver import SimDriver, SimDriverSettings
 
 DURATION = 6.0

@@ -12,10 +12,10 @@ import pytest
 import carosac_toolkit as ct
 from baselines.ks_ekf import KsEkf, KsEkfSettings
 from carosac_toolkit import conformance
-from carosac_toolkit.consistency import band
-from carosac_toolkit.errors import CarosacError, InvalidField
-from carosac_toolkit.physics import statics
-from carosac_toolkit.values import Belief, Command, Imu, Measurement, Stamped
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.loop.consistency import band
+from carosac_toolkit.loop.values import Belief, Command, Imu, Measurement, Stamped
+from carosac_toolkit.physics.rest import statics
 from tests.baselines.ks_ekf.scenes import (
     STEPS,
     Run,

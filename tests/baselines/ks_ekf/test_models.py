@@ -19,8 +19,8 @@ from baselines.ks_ekf.platform_motion import carried, moved_to_imu, origin
 from baselines.ks_ekf.readings import Reading
 from baselines.ks_ekf.rest_detection import Window, detect_rest
 from baselines.ks_ekf.rest_pose import find_rest
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.physics import statics
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.rest import statics
 
 ROBOT = ct.load_robot("carosac")
 SIZE = FIXED + ROBOT.n

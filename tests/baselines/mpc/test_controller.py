@@ -12,11 +12,11 @@ from baselines.dynamic_estimator import DynamicEstimator
 from baselines.kinematic_solver_controller import KinematicSolverController
 from baselines.mpc import Mpc, MpcSettings, NoStart
 from carosac_toolkit import conformance, trajectories
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.conformance.scenes import make_scene
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.loop import run
-from carosac_toolkit.sensors import SensorSettings
-from carosac_toolkit.studies.run_case import Truth
+from carosac_toolkit.drivers.sensors import SensorSettings
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.studies.run.run_case import Truth
 from sim_warp.driver import SimDriver, SimDriverSettings
 from tests.robots import eight_cable_robot, simple_robot, with_pulleys
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from baselines.mpc import model
 from baselines.mpc.geometry import geometry_at
 from baselines.mpc.stage_function import CompileError, StageFunction, cache_folder
-from carosac_toolkit.physics import statics
+from carosac_toolkit.physics.rest import statics
 from tests.robots import eight_cable_robot, simple_robot, with_pulleys
 
 TURN = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()

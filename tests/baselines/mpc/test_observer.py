@@ -11,7 +11,7 @@ from baselines.mpc import MpcSettings
 from baselines.mpc.geometry import geometry_at
 from baselines.mpc.observer import SLACK, Observer
 from baselines.mpc.unknown_load import Motion
-from carosac_toolkit.values import Belief
+from carosac_toolkit.loop.values import Belief
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ from baselines.mpc import Mpc, MpcSettings, model
 from baselines.mpc.geometry import geometry_at
 from baselines.mpc.unknown_load import FARTHEST, Motion, UnknownLoad
 from carosac_toolkit import trajectories
-from carosac_toolkit.physics.modes import mass_matrix
-from carosac_toolkit.physics.structure import constrained_motion
+from carosac_toolkit.physics.rest.modes import mass_matrix
+from carosac_toolkit.physics.rest.structure import constrained_motion
 from tests.baselines.mpc.test_controller import live
 from tests.robots import simple_robot
 

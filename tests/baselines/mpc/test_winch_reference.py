@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from baselines.mpc.winch_reference import WinchReference
-from carosac_toolkit.limits import Limiter, LimitSettings
-from carosac_toolkit.values import Command
+from carosac_toolkit.loop.values import Command
+from carosac_toolkit.safety.limiter import Limiter, LimitSettings
 from tests.robots import simple_robot
 
 H = 0.02

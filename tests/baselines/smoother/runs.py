@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 import carosac_toolkit as ct
-from carosac_toolkit.consistency import state_error
-from carosac_toolkit.recording import Recording
+from carosac_toolkit.drivers.sensors import SensorSettings
+from carosac_toolkit.loop.consistency import state_error
+from carosac_toolkit.loop.values import Belief, Command, Imu, State
 from carosac_toolkit.recordings.poses import PoseSamples
-from carosac_toolkit.sensors import SensorSettings
-from carosac_toolkit.values import Belief, Command, Imu, State
+from carosac_toolkit.recordings.recording import Recording
 from sim_warp.driver import SimDriver, SimDriverSettings
 
 PERIOD = 0.01  # [s]

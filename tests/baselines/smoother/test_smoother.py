@@ -14,11 +14,11 @@ from baselines.dynamic_estimator import DynamicEstimator, DynamicEstimatorSettin
 from baselines.smoother import SmootherSettings, smooth
 from baselines.smoother.measured import arrange
 from baselines.smoother.report import sentences, warnings
-from carosac_toolkit.consistency import band, normalised_square
-from carosac_toolkit.errors import CarosacError, InvalidField
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.drivers.sensors import PERFECT
+from carosac_toolkit.loop.consistency import band, normalised_square
 from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.poses import PoseSamples
-from carosac_toolkit.sensors import PERFECT
 from tests.baselines.smoother.runs import errors_of, filtered, rms, swing
 
 KNOWN = dict(mass=0.0, center_of_mass=0.0, length_bias=5e-3, length_bias_walk=0.0)

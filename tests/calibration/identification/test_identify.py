@@ -11,8 +11,8 @@ import carosac_toolkit as ct
 from calibration.identification import IdentificationSettings, identify
 from calibration.identification.synthetic import RunSettings, simulate_run
 from calibration.observability import Unobservable
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.parameters import values_of
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.robot.parameters import values_of
 
 FEW = IdentificationSettings(
     exit_points=0.0, anchor_points=0.0, length_scale=0.0, mass=0.0, linear_density=0.0,

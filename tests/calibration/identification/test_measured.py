@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calibration.identification.measured import MeasuredPoses, poses_of, rotation_vectors
-from carosac_toolkit.recording import Recording
 from carosac_toolkit.recordings.poses import PoseSamples
+from carosac_toolkit.recordings.recording import Recording
 
 
 def some_poses(count: int = 11, period: float = 0.1) -> MeasuredPoses:

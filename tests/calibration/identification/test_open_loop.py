@@ -9,10 +9,10 @@ import pytest
 
 import carosac_toolkit as ct
 from calibration.identification.open_loop import simulate
-from carosac_toolkit.errors import CarosacError
-from carosac_toolkit.length_path import LengthPath
-from carosac_toolkit.recording import Recording
-from carosac_toolkit.values import Command
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.loop.values import Command
+from carosac_toolkit.recordings.length_path import LengthPath
+from carosac_toolkit.recordings.recording import Recording
 from sim_warp.estimator import SimulatorEstimator, SimulatorSettings
 
 

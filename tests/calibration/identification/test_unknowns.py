@@ -10,8 +10,8 @@ import pytest
 import carosac_toolkit as ct
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.unknowns import choose_unknowns
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.parameters import values_of
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.robot.parameters import values_of
 
 
 @pytest.fixture(scope="module")

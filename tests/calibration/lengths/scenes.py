@@ -9,8 +9,8 @@ import numpy as np
 
 import carosac_toolkit as ct
 from calibration.lengths.synthetic import Scene, SceneSettings, draw_scene
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.robot import Robot
 
 
 def with_pulleys(name: str, *, exit_sigma: float | None = None) -> Robot:

@@ -12,9 +12,9 @@ import carosac_toolkit as ct
 from calibration.lengths import LengthCalibration, MixUp, Settings, calibrate, suggest_poses
 from calibration.lengths.synthetic import SceneSettings, draw_scene
 from calibration.observability import Unobservable
-from carosac_toolkit.encoders import unstrained_lengths
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.recording import Recording, load_recording
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.recordings.encoders import unstrained_lengths
+from carosac_toolkit.recordings.recording import Recording, load_recording
 from tests.calibration.lengths.scenes import exit_error, scene, with_pulleys
 
 

@@ -68,7 +68,7 @@ def test_command_says_what_to_measure_where_it_refuses(
 def test_command_never_writes_over_the_robot_it_read(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from carosac_toolkit.robot_file import robot_text
+    from carosac_toolkit.robot.file import robot_text
 
     old = tmp_path / "old.yaml"
     old.write_text(robot_text("carosac"))

@@ -8,9 +8,9 @@ import pytest
 from calibration.lengths.model import correction, in_world, predict, tensions, upwards
 from calibration.lengths.samples import PosesAt
 from calibration.lengths.unknowns import all_names
-from carosac_toolkit.parameters import values_of, with_values
-from carosac_toolkit.physics import statics
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.robot.parameters import values_of, with_values
+from carosac_toolkit.robot.robot import Robot
 from tests.calibration.lengths.scenes import with_pulleys
 
 TURN = np.array([[0.98, -0.17, 0.1], [0.19, 0.96, -0.2], [-0.06, 0.22, 0.97]])

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from calibration.lengths.wrench import Balance, balance
-from carosac_toolkit.arrays import Array
-from carosac_toolkit.parameters import values_of, with_values
-from carosac_toolkit.physics import statics
-from carosac_toolkit.physics.statics import Equilibrium
-from carosac_toolkit.physics.straight_line import straight_length
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.physics.cable.straight_line import straight_length
+from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.physics.rest.statics import Equilibrium
+from carosac_toolkit.robot.parameters import values_of, with_values
+from carosac_toolkit.robot.robot import Robot
 from tests.calibration.lengths.scenes import with_pulleys
 
 

@@ -12,7 +12,7 @@ from calibration.self_calibration.problem import Problem
 from calibration.self_calibration.solver import equations
 from calibration.self_calibration.start import starts
 from calibration.self_calibration.synthetic import Noise, draw_robot, measure
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 from tests.calibration.self_calibration.scenes import KNOWN, scene
 from tests.calibration.self_calibration.test_problem import rotated_robot
 

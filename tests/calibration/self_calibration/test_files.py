@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.self_calibration import holds_motor_angles, load_motor_angles, write_motor_angles
-from carosac_toolkit.errors import InvalidField, InvalidFile, MissingFile
+from carosac_toolkit.base.errors import InvalidField, InvalidFile, MissingFile
 
 GOOD = """# a comment
 sample,motor_a_deg,motor_b_deg,known_x_mm,known_y_mm,known_z_mm

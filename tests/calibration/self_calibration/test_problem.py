@@ -7,8 +7,8 @@ import carosac_toolkit as ct
 from calibration.self_calibration.problem import Problem
 from calibration.self_calibration.settings import Settings
 from calibration.self_calibration.synthetic import Noise, measure
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics.drum import drums_of
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.cable.drum import drums_of
 from tests.calibration.self_calibration.scenes import scene
 from tests.robots import eight_cable_robot, with_pulleys
 

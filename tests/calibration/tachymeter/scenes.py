@@ -11,7 +11,7 @@ from calibration.tachymeter.observations import Instrument
 from calibration.tachymeter.sightings import Pulley
 from calibration.tachymeter.synthetic import DrawnSurvey, SurveyPlan, draw_survey
 from carosac_toolkit import load_robot
-from carosac_toolkit.robot import Robot
+from carosac_toolkit.robot.robot import Robot
 
 ROBOT = load_robot("carosac")
 RADIUS = 0.05

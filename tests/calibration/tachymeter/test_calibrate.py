@@ -11,7 +11,7 @@ from calibration.tachymeter import Instrument, Reference, Sighting, calibrate
 from calibration.tachymeter.observations import READINGS
 from calibration.tachymeter.sightings import elevation
 from calibration.tachymeter.solve import _pulleys
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 from tests.calibration.tachymeter.scenes import EXACT, ROBOT, drawn, pulley_robot
 
 

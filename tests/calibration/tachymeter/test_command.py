@@ -55,7 +55,7 @@ def test_a_survey_becomes_a_robot_file_with_covariances(site, tmp_path, capsys):
 
 
 def test_the_old_robot_file_is_never_overwritten(site, tmp_path, capsys):
-    from carosac_toolkit.robot_file import robot_text
+    from carosac_toolkit.robot.file import robot_text
 
     old = tmp_path / "mine.yaml"
     old.write_text(robot_text("carosac"))

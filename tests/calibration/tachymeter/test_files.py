@@ -12,7 +12,7 @@ from calibration.tachymeter.observations import Instrument, Reference, Sighting
 from calibration.tachymeter.survey_files import read_survey
 from calibration.tachymeter.synthetic_files import write_csv, write_gsi, write_targets
 from calibration.tachymeter.targets import read_targets
-from carosac_toolkit.errors import InvalidFile, MissingFile
+from carosac_toolkit.base.errors import InvalidFile, MissingFile
 from tests.calibration.tachymeter.scenes import ROBOT, drawn, pulley_robot, write
 
 # Words of 8 and of 16 digits, written by hand: point 101, Hz 123.45678 gon, V 98.76543 gon,
@@ -323,7 +323,7 @@ def test_written_surveys_come_back_whole(tmp_path):
 
 
 def test_a_reference_needs_a_sigma():
-    from carosac_toolkit.errors import InvalidField
+    from carosac_toolkit.base.errors import InvalidField
 
     with pytest.raises(InvalidField, match="position and sigma"):
         Reference("R1", np.zeros(3))

@@ -16,8 +16,8 @@ from calibration.tachymeter.observations import (
 )
 from calibration.tachymeter.sightings import elevation, sighted_point
 from calibration.tachymeter.solve import _pulleys, _start
-from carosac_toolkit.errors import InvalidField
-from carosac_toolkit.physics.straight_line import straight_length
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics.cable.straight_line import straight_length
 from tests.calibration.tachymeter.scenes import (
     EXIT,
     PULLEY,

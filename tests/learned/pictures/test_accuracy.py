@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.pictures.drawing import COLORS, MEASURED
 from learned.pictures.accuracy import (
     error_histograms,

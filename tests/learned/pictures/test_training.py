@@ -3,7 +3,7 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.image import imread
 
-from carosac_toolkit.errors import InvalidField
+from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.pictures.drawing import COLORS
 from learned.curve import COLUMNS, Episode, write_curve, write_episodes
 from learned.pictures.training import curve_of, learning_curves, reward_terms, smoothed

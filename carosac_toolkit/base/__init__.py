@@ -1,0 +1,1 @@
+"""Words every module shares: arrays, errors, numbers, units, files and tables; knows no robot."""

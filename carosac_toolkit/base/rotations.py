@@ -1,0 +1,64 @@
+"""Unit quaternions, order w x y z, as arrays of shape (B, 4)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carosac_toolkit.base.arrays import Array
+
+
+def to_matrix(quaternion: Array) -> Array:
+    """Return the rotation matrices (B, 3, 3) of quaternions (B, 4), which are normalised first."""
+    w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def from_matrix(rotation: Array) -> Array:
+    """Return the quaternions (B, 4), w >= 0, of rotation matrices (B, 3, 3).
+
+    Each row of the symmetric matrix 4 q q^T follows from sums and differences of the entries of
+    R; the row with the largest diagonal is the one without cancellation.
+    """
+    r = rotation
+    trace = np.trace(r, axis1=1, axis2=2)
+    outer = np.empty((len(r), 4, 4))
+    outer[:, 0, 0] = 1 + trace
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        outer[:, i + 1, i + 1] = 1 + 2 * r[:, i, i] - trace
+        outer[:, 0, i + 1] = outer[:, i + 1, 0] = r[:, k, j] - r[:, j, k]
+        outer[:, j + 1, k + 1] = outer[:, k + 1, j + 1] = r[:, j, k] + r[:, k, j]
+    largest = np.argmax(np.einsum("bii->bi", outer), axis=1)
+    quaternion = outer[np.arange(len(r)), largest]
+    quaternion = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    return np.asarray(np.where(quaternion[:, :1] < 0, -quaternion, quaternion))
+
+
+def slerp(start: Array, end: Array, fraction: Array) -> Array:
+    """Interpolate along the shorter great arc.
+
+    Args:
+        start: Quaternions at fraction 0, shape (B, 4).
+        end: Quaternions at fraction 1, shape (B, 4).
+        fraction: Between 0 and 1, shape (B,).
+
+    Returns:
+        Unit quaternions, shape (B, 4).
+    """
+    start = start / np.linalg.norm(start, axis=1, keepdims=True)
+    end = end / np.linalg.norm(end, axis=1, keepdims=True)
+    end = np.where(np.sum(start * end, axis=1, keepdims=True) < 0, -end, end)
+    # half the distance of the end points is exact for small angles, where arccos is not
+    angle = 2 * np.arcsin(np.clip(np.linalg.norm(end - start, axis=1) / 2, 0.0, 1.0))
+    # sin(f a) / sin(a), which tends to f as a tends to 0
+    ratio = np.sinc(angle / np.pi)
+    weight_end = fraction * np.sinc(fraction * angle / np.pi) / ratio
+    rest = 1.0 - fraction
+    weight_start = rest * np.sinc(rest * angle / np.pi) / ratio
+    mixed = weight_start[:, None] * start + weight_end[:, None] * end
+    return np.asarray(mixed / np.linalg.norm(mixed, axis=1, keepdims=True))

@@ -1,0 +1,22 @@
+"""Settings dataclasses with some fields replaced by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+from carosac_toolkit.base.errors import InvalidField
+
+
+def filled(where: str, settings: Any, values: Mapping[str, Any]) -> Any:
+    """Settings with some fields replaced; fields that are settings themselves are filled too."""
+    known = {field.name for field in fields(settings)}
+    chosen: dict[str, Any] = {}
+    for name, value in values.items():
+        if name not in known:
+            raise InvalidField(f"{where}.{name}", repr(value), f"one of {sorted(known)}")
+        inner = getattr(settings, name)
+        nested = is_dataclass(inner) and isinstance(value, Mapping)
+        chosen[name] = filled(f"{where}.{name}", inner, value) if nested else value
+    return replace(settings, **chosen)

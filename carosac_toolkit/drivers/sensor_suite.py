@@ -1,0 +1,238 @@
+"""The sensors of simulated robots: what they sample, when it arrives, and what they get wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.drivers.plant import Plant
+from carosac_toolkit.drivers.sensors import DelayLine, SensorSettings, check_suite, quantised
+from carosac_toolkit.loop.values import Imu, Measurement, Pose, Stamped, State
+
+# Random streams in a fixed order: a new one comes last, so that the others keep their draws.
+STREAMS = ("encoder_bias", "encoders", "pose", "imu_bias", "imu", "tension_bias", "tension")
+
+
+class SensorSuite:
+    """The sensors of B simulated robots, each with its own rate, delay and random stream.
+
+    Another sensor, or more of its samples, never changes what this one says.
+
+    Attributes:
+        encoder_bias: What the encoders say too much [m], shape (B, n).
+    """
+
+    def __init__(
+        self, suite: str, settings: SensorSettings, plant: Plant, seed: int | Sequence[int]
+    ) -> None:
+        """Draw the biases; nothing is sampled yet.
+
+        Args:
+            suite: One of `SUITES`.
+            settings: Their numbers.
+            plant: At rest where it starts, at time 0.
+            seed: Of biases and noise: one for all robots together, or one for each, which then has
+                the sensors that it would have alone.
+
+        Raises:
+            InvalidField: An unknown suite, or an IMU on a plant without inertia.
+        """
+        check_suite(suite, inertial=plant.inertial)
+        self._settings = settings
+        self._size, self._n = plant.size, plant.robot.n
+        self._rng = _streams(seed, self._size)
+        self.encoder_bias, self._tension_bias, self._imu_bias = self._biases()
+        self._lines = _delay_lines(suite, settings)
+        self._reading = self._encoded(plant)
+        self._measured: Measurement | None = None
+
+    @property
+    def next_due(self) -> float:
+        """When the next sample of any sensor is to be taken [s]."""
+        return min(line.next_due for line in self._lines.values())
+
+    def steps(self, now: float, duration: float) -> Iterator[float]:
+        """Parts of a time that begins now, each up to where the next sample is due or to its end.
+
+        Advance the plant by each and take the samples before asking for the next one [s].
+        """
+        end = now + duration
+        while now < end - 1e-9:
+            step = min(end, self.next_due) - now
+            yield step
+            now += step
+
+    def sample(self, plant: Plant, now: float) -> None:
+        """Take the samples that are due at this time [s]."""
+        due = {name for name, line in self._lines.items() if line.due(now)}
+        if "encoders" in due:
+            self._lines["encoders"].put(now, self._lengths(plant))
+        if not due - {"encoders"}:
+            return
+        state = plant.truth()
+        for name in ("pose", "imu", "tension"):
+            if name in due:
+                self._lines[name].put(now, self._sampled(name, state, plant))
+
+    def renew(self, rows: NDArray[Any]) -> None:
+        """Give some robots other sensors of the same make: their biases are drawn anew.
+
+        Call `restart` before the next sample, once these robots have been set down.
+        """
+        mine = (self.encoder_bias, self._tension_bias, self._imu_bias)
+        for bias, drawn in zip(mine, self._biases(), strict=True):
+            bias[rows] = drawn[rows]
+
+    def restart(self, rows: NDArray[Any], plant: Plant, now: float) -> None:
+        """Let the sensors of some robots forget all before now: they rest where they were set down.
+
+        Others go on, but all draw noise. The next measurement, at the same time, is for the robots
+        that were set down alone: it may have samples for all that the others have had before.
+        """
+        self._reading[rows] = self._encoded(plant)[rows]
+        state, kept = plant.truth(), self._reading
+        for name, line in self._lines.items():
+            line.overwrite(rows, now, self._sampled(name, state, plant))
+        kept[rows] = self._reading[rows]
+        self._reading = kept
+        self._measured = None
+
+    def newest_lengths(self, now: float) -> Array:
+        """Newest lengths that have arrived [m], shape (B, n)."""
+        return self._lines["encoders"].newest(now)[1][:, : self._n]
+
+    def measure(self, now: float) -> Measurement:
+        """Newest samples that have arrived; of the IMU all that came since the last measurement.
+
+        Measuring again at the same time gives the same measurement.
+        """
+        if self._measured is None or self._measured.time[0] != now:
+            self._measured = Measurement(
+                time=np.full(self._size, now),
+                unstrained_length=self.newest_lengths(now),
+                length_rate=self._stamped("encoders", now, self._n),
+                tension=self._stamped("tension", now) if "tension" in self._lines else None,
+                pose=self._measured_pose(now) if "pose" in self._lines else None,
+                imu=self._measured_imu(now) if "imu" in self._lines else None,
+            )
+        return self._measured
+
+    def _draw(self, stream: str, count: int) -> Array:
+        """Standard normal numbers of a stream, shape (B, count)."""
+        parts = self._rng[stream]
+        rows = self._size // len(parts)
+        return np.concatenate([rng.standard_normal((rows, count)) for rng in parts])
+
+    def _biases(self) -> tuple[Array, Array, Array]:
+        """Of encoders [m], (B, n), tension sensors [N], (B, n), and IMU, (B, 6); drawn."""
+        sensors = self._settings
+        scale = np.repeat([sensors.angular_rate_bias, sensors.specific_force_bias], 3)
+        return (
+            sensors.encoder_bias * self._draw("encoder_bias", self._n),
+            sensors.tension_bias * self._draw("tension_bias", self._n),
+            scale * self._draw("imu_bias", 6),
+        )
+
+    def _sampled(self, name: str, state: State, plant: Plant) -> Array:
+        """What a sensor says now, with noise and bias."""
+        if name == "encoders":
+            return self._lengths(plant)
+        if name == "pose":
+            return self._pose(state)
+        return self._imu(state, plant) if name == "imu" else self._tension(state)
+
+    def _encoded(self, plant: Plant, noise: Array | float = 0.0) -> Array:
+        """What the encoders read of the plant [m], shape (B, n)."""
+        said = plant.read_lengths() + self.encoder_bias + noise
+        return quantised(said, self._settings.encoder_resolution)
+
+    def _lengths(self, plant: Plant) -> Array:
+        """Readings of the encoders [m], then their rates [m/s], shape (B, 2 n)."""
+        sensors = self._settings
+        reading = self._encoded(plant, sensors.encoder_noise * self._draw("encoders", self._n))
+        # The rate is what two readings say, their noise included.
+        rate = (reading - self._reading) * sensors.encoder_rate
+        self._reading = reading
+        return np.concatenate([reading, rate], axis=1)
+
+    def _pose(self, state: State) -> Array:
+        """Position [m] and rotation of motion capture, shape (B, 12)."""
+        import pinocchio
+
+        sensors = self._settings
+        noise = self._draw("pose", 6)
+        turn = np.stack([pinocchio.exp3(sensors.rotation_noise * row) for row in noise[:, :3]])
+        position = state.position + sensors.position_noise * noise[:, 3:]
+        rotation = (turn @ state.rotation).reshape(self._size, 9)
+        return np.concatenate([position, rotation], axis=1)
+
+    def _imu(self, state: State, plant: Plant) -> Array:
+        """Angular rate [rad/s] and specific force [m/s^2] at the platform origin in P, (B, 6)."""
+        if state.twist is None:
+            raise CarosacError("sensors: a plant that is inertial must say its twist")
+        sensors = self._settings
+        scale = np.repeat([sensors.angular_rate_noise, sensors.specific_force_noise], 3)
+        force = plant.acceleration()[:, :3] + np.array([0.0, 0.0, plant.robot.gravity])
+        in_world = np.stack([state.twist[:, 3:], force], axis=1)  # (B, 2, 3)
+        true = (in_world @ state.rotation).reshape(self._size, 6)  # R^T of each row
+        return true + self._imu_bias + scale * self._draw("imu", 6)
+
+    def _tension(self, state: State) -> Array:
+        """Tensions at the platform [N], shape (B, n)."""
+        if state.tension is None:
+            raise InvalidField("tension", "True", "False: this plant knows no tensions")
+        noise = self._settings.tension_noise * self._draw("tension", self._n)
+        return state.tension + self._tension_bias + noise
+
+    def _stamped(self, sensor: str, now: float, first: int = 0) -> Stamped:
+        """Newest sample of a sensor from a column on."""
+        taken, packed = self._lines[sensor].newest(now)
+        return Stamped(time=np.full(self._size, taken), value=packed[:, first:])
+
+    def _measured_pose(self, now: float) -> Pose:
+        """Newest pose that has arrived."""
+        taken, packed = self._lines["pose"].newest(now)
+        return Pose(
+            position=packed[:, :3],
+            rotation=packed[:, 3:].reshape(self._size, 3, 3),
+            time=np.full(self._size, taken),
+        )
+
+    def _measured_imu(self, now: float) -> Imu | None:
+        """Inertial samples that came since the last measurement; None where none did."""
+        found = self._lines["imu"].arrived(now)
+        if not found:
+            return None
+        samples = np.stack([packed for _, packed in found], axis=1)  # (B, K, 6)
+        time = np.tile([taken for taken, _ in found], (self._size, 1))
+        return Imu(time=time, angular_rate=samples[..., :3], specific_force=samples[..., 3:])
+
+
+def _streams(seed: int | Sequence[int], size: int) -> dict[str, list[np.random.Generator]]:
+    """Generators of each stream: one for all robots, or one for each."""
+    seeds = [seed] if isinstance(seed, int | np.integer) else list(seed)
+    if len(seeds) not in (1, size):
+        raise InvalidField("seed", f"{len(seeds)} seeds", f"one, or {size}: one for each robot")
+    streams = zip(*(np.random.SeedSequence(one).spawn(len(STREAMS)) for one in seeds), strict=True)
+    return {
+        name: [np.random.default_rng(part) for part in parts]
+        for name, parts in zip(STREAMS, streams, strict=True)
+    }
+
+
+def _delay_lines(suite: str, settings: SensorSettings) -> Mapping[str, DelayLine]:
+    """The sensors of a suite by name, always in the same order."""
+    parts = suite.split("+")
+    lines = {"encoders": DelayLine(settings.encoder_rate, settings.encoder_delay)}
+    if "pose" in parts:
+        lines["pose"] = DelayLine(settings.pose_rate, settings.pose_delay)
+    if "imu" in parts:
+        lines["imu"] = DelayLine(settings.imu_rate, settings.imu_delay)
+    if settings.tension:
+        lines["tension"] = DelayLine(settings.tension_rate, settings.tension_delay)
+    return lines

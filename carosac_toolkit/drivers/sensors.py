@@ -1,0 +1,162 @@
+"""Sensors of simulated drivers: rates, noise, bias, resolution and delay."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_fields
+
+SUITES = ("lengths", "lengths+imu", "lengths+pose", "lengths+imu+pose")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorSettings:
+    """Numbers of the sensors, one standard deviation where they are random.
+
+    Attributes:
+        encoder_rate: [Hz].
+        encoder_noise: [m].
+        encoder_resolution: [m].
+        encoder_bias: Constant, drawn once per cable [m].
+        encoder_delay: From the sample to its arrival [s].
+        pose_rate: Motion capture [Hz].
+        position_noise: Per axis [m].
+        rotation_noise: Per axis [rad].
+        pose_delay: From the sample to its arrival [s].
+        imu_rate: [Hz].
+        angular_rate_noise: Per axis and sample [rad/s].
+        angular_rate_bias: Constant, drawn once per axis [rad/s].
+        specific_force_noise: Per axis and sample [m/s^2].
+        specific_force_bias: Constant, drawn once per axis [m/s^2].
+        imu_delay: From the sample to its arrival [s].
+        tension: Whether there are tension sensors at the platform, in any suite.
+        tension_rate: [Hz].
+        tension_noise: [N].
+        tension_bias: Constant, drawn once per cable [N].
+        tension_delay: From the sample to its arrival [s].
+    """
+
+    encoder_rate: float = 100.0
+    encoder_noise: float = 0.2e-3
+    encoder_resolution: float = 0.05e-3
+    encoder_bias: float = 5e-3
+    encoder_delay: float = 0.01
+    pose_rate: float = 100.0
+    position_noise: float = 1e-3
+    rotation_noise: float = 0.5e-3
+    pose_delay: float = 0.01
+    imu_rate: float = 200.0
+    angular_rate_noise: float = 3.5e-3
+    angular_rate_bias: float = 5e-3
+    specific_force_noise: float = 0.017
+    specific_force_bias: float = 0.05
+    imu_delay: float = 0.0
+    tension: bool = False
+    tension_rate: float = 100.0
+    tension_noise: float = 0.5
+    tension_bias: float = 1.0
+    tension_delay: float = 0.01
+
+    def __post_init__(self) -> None:
+        """Refuse negative numbers and rates of zero."""
+        if not isinstance(self.tension, bool):
+            raise InvalidField("tension", repr(self.tension), "True or False")
+        others = [name for name in vars(self) if name not in (*_RATES, "tension")]
+        check_fields(self, positive=_RATES, not_negative=others)
+
+
+_RATES = ("encoder_rate", "pose_rate", "imu_rate", "tension_rate")
+
+PERFECT = SensorSettings(
+    encoder_noise=0.0,
+    encoder_resolution=0.0,
+    encoder_bias=0.0,
+    encoder_delay=0.0,
+    position_noise=0.0,
+    rotation_noise=0.0,
+    pose_delay=0.0,
+    angular_rate_noise=0.0,
+    angular_rate_bias=0.0,
+    specific_force_noise=0.0,
+    specific_force_bias=0.0,
+    tension_noise=0.0,
+    tension_bias=0.0,
+    tension_delay=0.0,
+)
+
+
+class DelayLine:
+    """Samples on a grid of their own, each available `delay` later."""
+
+    def __init__(self, rate: float, delay: float) -> None:
+        """Start empty.
+
+        Args:
+            rate: Samples per second [Hz].
+            delay: [s].
+        """
+        self._period = 1.0 / rate
+        self._delay = delay
+        self._count = 0
+        self._samples: deque[tuple[float, Array]] = deque()
+
+    @property
+    def next_due(self) -> float:
+        """When the next sample is to be taken [s]."""
+        return self._count * self._period
+
+    def due(self, now: float) -> bool:
+        """Whether a sample is to be taken at this time."""
+        return now >= self.next_due - 1e-9
+
+    def put(self, now: float, sample: Array) -> None:
+        """Take a sample."""
+        self._samples.append((now, sample))
+        self._count += 1
+
+    def overwrite(self, rows: NDArray[Any], now: float, sample: Array) -> None:
+        """Let some robots have one sample in place of all that are on the way, and one at least."""
+        if not self._samples:
+            self._samples.append((now, sample))
+        for _, kept in self._samples:
+            kept[rows] = sample[rows]
+
+    def newest(self, now: float) -> tuple[float, Array]:
+        """Newest sample that has arrived: when it was taken [s], and what it says.
+
+        Before the first one arrives, the first one: the robot has been at rest before time 0.
+        """
+        while len(self._samples) > 1 and self._samples[1][0] + self._delay <= now + 1e-9:
+            self._samples.popleft()
+        return self._samples[0]
+
+    def arrived(self, now: float) -> list[tuple[float, Array]]:
+        """Take out all samples that have arrived, the oldest first."""
+        found = []
+        while self._samples and self._samples[0][0] + self._delay <= now + 1e-9:
+            found.append(self._samples.popleft())
+        return found
+
+
+def check_suite(suite: str, *, inertial: bool) -> None:
+    """Refuse a suite that there is not, or an IMU where nothing has inertia.
+
+    Raises:
+        InvalidField: Names ``suite``.
+    """
+    allowed = [name for name in SUITES if inertial or "imu" not in name]
+    if suite not in allowed:
+        why = "" if inertial else ": no inertia here"
+        raise InvalidField("suite", repr(suite), f"one of {allowed}{why}")
+
+
+def quantised(value: Array, resolution: float) -> Array:
+    """Round to a resolution; 0 leaves the value as it is."""
+    return np.round(value / resolution) * resolution if resolution > 0.0 else value

@@ -1,0 +1,1 @@
+"""What a robot description implies: sizes, frequencies, sensitivities and doubtful numbers."""

@@ -1,0 +1,219 @@
+"""Why a robot cannot work at home, and what in its file looks like a mistake, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.robot.checks import unused_parts
+
+if TYPE_CHECKING:
+    from carosac_toolkit.inspection.report import RobotReport
+    from carosac_toolkit.physics.rest.statics import Equilibrium
+
+FAR = 20.0  # times the median distance: a point that far from the others has the wrong unit
+DEEP_SAG = 0.1  # of the length: a cable that sags more is hardly a cable of a robot
+RANK = 1e-6  # of the largest singular value: smaller ones count as none
+TINY = 1e-6  # [Hz]: a slower motion does not oscillate
+UPSET = 60.0  # [deg]: a platform that hangs more tilted at home was meant to hang otherwise
+EDGE = 1e-6  # [N]: what rounding may exceed a tension limit by
+
+
+def problems(report: RobotReport) -> list[str]:
+    """Say why the robot cannot stay at home; empty where it can.
+
+    Args:
+        report: The robot and how it hangs at home.
+    """
+    found = [*_inside_pulley(report)]
+    home = report.equilibrium
+    if not home.converged[0]:
+        found += _no_equilibrium(report)
+    elif not home.stable[0]:
+        found.append(_unstable(report))
+    return [*found, *_tension_limits(report, home), *_winch_range(report)]
+
+
+def warnings(report: RobotReport) -> list[str]:
+    """Say what looks like a mistake, though the robot may work.
+
+    Args:
+        report: The robot and how it hangs at home.
+    """
+    found = [*_far_points(report), *_low_rank(report), *_deep_sag(report), *_long_wrap(report)]
+    tilt = float(np.degrees(report.tilt))
+    if report.equilibrium.converged[0] and tilt > UPSET:
+        found.append(f"the platform tilts by {tilt:.0f} degrees at home: is center_of_mass right?")
+    if report.file is not None:
+        found += [f"{name} is used by no chain" for name in unused_parts(report.file)]
+    return found
+
+
+def _unstable(report: RobotReport) -> str:
+    """What it means that an equilibrium is not stable."""
+    growing = [f"{value:.3g} Hz" for value in report.frequencies if value < -TINY]
+    if growing:
+        return (
+            "the equilibrium is not stable: a motion of negative natural frequency grows instead "
+            f"of oscillating, here {', '.join(growing)}"
+        )
+    return "the equilibrium is not stable: a natural frequency is zero, nothing turns it back"
+
+
+def _inside_pulley(report: RobotReport) -> Iterator[str]:
+    """Anchor points where no cable can go."""
+    for i in np.flatnonzero(~report.straight.valid[0]):
+        radius = report.robot.pulley_radius[i]
+        name = report.robot.cable_names[i]
+        yield f"cable {name} has its anchor point inside its pulley of {radius:g} m radius"
+
+
+def _no_equilibrium(report: RobotReport) -> Iterator[str]:
+    """Why nothing balances at home."""
+    from carosac_toolkit.physics.rest.statics import REASONS
+
+    yield REASONS[report.equilibrium.status[0]]
+    yield from _outside(report)
+    needed = _without_limits(report)
+    if needed is not None:
+        yield from _tension_limits(report, needed)
+    elif report.straight.valid.all():
+        yield "no tensions hold it there, whatever their limits"
+
+
+def _without_limits(report: RobotReport) -> Equilibrium | None:
+    """Equilibrium at home with as few tension limits lifted as possible, upper ones first."""
+    from carosac_toolkit.physics.rest import statics
+
+    robot = report.robot
+    cables = float(robot.weight_per_length @ report.straight.length[0])
+    endless = robot.tension_max + 1e3 * (robot.weight + cables)
+    none = np.zeros(robot.n)
+    for low, high in (
+        (robot.tension_min, endless),
+        (none, robot.tension_max),
+        (none, endless),
+    ):
+        wider = replace(robot, tension_min=low, tension_max=high)
+        home = statics.inverse_kinematics(wider, robot.home_position[None])
+        if home.converged[0]:
+            return home
+    return None
+
+
+def _tension_limits(report: RobotReport, home: Equilibrium) -> Iterator[str]:
+    """Tensions that the robot does not allow."""
+    if not home.converged[0]:
+        return
+    robot = report.robot
+    for i, tension in enumerate(home.tension[0]):
+        needs = f"cable {robot.cable_names[i]} would need {tension:.1f} N at home"
+        if tension > robot.tension_max[i] + EDGE:
+            yield f"{needs}, its maximum is {robot.tension_max[i]:g} N"
+        elif tension < robot.tension_min[i] - EDGE:
+            yield f"{needs}, its minimum is {robot.tension_min[i]:g} N"
+
+
+def _winch_range(report: RobotReport) -> Iterator[str]:
+    """Lengths at home that the winches cannot wind."""
+    robot, known = report.robot, report.equilibrium.converged[0]
+    lengths = report.equilibrium.unstrained_length[0] if known else report.straight.length[0]
+    for i in np.flatnonzero((lengths < robot.length_min) | (lengths > robot.length_max)):
+        if known or report.straight.valid[0, i]:
+            yield (
+                f"cable {robot.cable_names[i]} needs {lengths[i]:.4f} m of unstrained length at "
+                f"home{'' if known else ' (if straight)'}; its winch has length_min to length_max "
+                f"= {robot.length_min[i]:g} to {robot.length_max[i]:g} m"
+            )
+
+
+def _outside(report: RobotReport) -> Iterator[str]:
+    """Homes that no cable pulls to."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    robot = report.robot
+    center = robot.home_position + robot.home_rotation @ robot.center_of_mass
+    anchors = robot.home_position + robot.anchor_points @ robot.home_rotation.T
+    if (robot.exit_points[:, 2] <= anchors[:, 2]).all():
+        yield "home is above all exit points: no cable pulls up there"
+    try:
+        sides = ConvexHull(robot.exit_points[:, :2]).equations
+    except (QhullError, ValueError):  # exit points on one line
+        return
+    beyond = float((sides[:, :2] @ center[:2] + sides[:, 2]).max())
+    if beyond > 0.0:
+        yield (
+            f"home is {beyond:.3g} m outside the exit points as seen from above: no cable pulls "
+            "the platform there"
+        )
+
+
+def _far_points(report: RobotReport) -> Iterator[str]:
+    """Points in another unit than the rest."""
+    robot = report.robot
+    for kind, points, middle in (
+        ("exit point", robot.exit_points, robot.home_position),
+        ("anchor point", robot.anchor_points, np.zeros(3)),
+    ):
+        distance = np.linalg.norm(points - middle, axis=1)
+        usual = float(np.median(distance))
+        for i in np.flatnonzero((distance > FAR * usual) & (usual > 0.0)):
+            whence = "home" if kind == "exit point" else "the platform's origin"
+            yield (
+                f"the {kind} of cable {robot.cable_names[i]} is {distance[i]:.4g} m from {whence}, "
+                f"the others about {usual:.3g} m: is its unit right? A bare number is in metres"
+            )
+
+
+def _low_rank(report: RobotReport) -> Iterator[str]:
+    """Cables that leave the platform free to move although there are enough of them."""
+    from carosac_toolkit.physics.rest.structure import structure_matrix
+
+    robot = report.robot
+    if not report.straight.valid.all():
+        return
+    matrix = structure_matrix(robot, robot.home_position[None], report.rotation[None])[0]
+    size = float(np.linalg.norm(robot.anchor_points, axis=1).max()) or 1.0
+    scaled = matrix / np.array([1.0, 1.0, 1.0, size, size, size])[:, None]
+    values = np.linalg.svd(scaled, compute_uv=False)
+    rank, full = int((values > RANK * values[0]).sum()), min(6, robot.n)
+    if rank < full:
+        yield (
+            f"the structure matrix at home has rank {rank} of {full}: "
+            f"{_cause(robot.anchor_points)}; the cables hold the platform in {rank} directions only"
+        )
+
+
+def _cause(anchors: Array) -> str:
+    """What makes cables dependent."""
+    spread = np.linalg.svd(anchors - anchors.mean(axis=0), compute_uv=False)
+    if spread[0] < 1e-9:
+        return "anchor points coincide"
+    if len(spread) > 1 and spread[1] < RANK * spread[0]:
+        return "anchor points lie on one line"
+    return "the cables' lines of action depend on each other"
+
+
+def _deep_sag(report: RobotReport) -> Iterator[str]:
+    """Cables that hang through."""
+    lengths = report.equilibrium.unstrained_length[0]
+    for i in np.flatnonzero(report.sag > DEEP_SAG * lengths):
+        yield (
+            f"cable {report.robot.cable_names[i]} sags {report.sag[i]:.4g} m at home, more than a "
+            f"tenth of its {lengths[i]:.4g} m: are its weight, length and tension_min right?"
+        )
+
+
+def _long_wrap(report: RobotReport) -> Iterator[str]:
+    """Cables that go round their pulley the wrong way."""
+    robot = report.robot
+    for i in np.flatnonzero(report.wrap > np.pi):
+        yield (
+            f"cable {robot.cable_names[i]} wraps {np.degrees(report.wrap[i]):.0f} degrees of its "
+            "pulley at home, more than half a turn: swivel_axis must point the way the cable "
+            "travels from the winch into the pulley ([0, 0, 1] where the winch is below)"
+        )

@@ -1,0 +1,56 @@
+"""Trajectories one after the other, with rests, as one path."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from carosac_toolkit import trajectories
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.values import Reference
+from carosac_toolkit.trajectories import Trajectory
+
+NEAR = 1e-3  # [m]; where a trajectory starts this close, nobody has to go there
+
+
+class Course:
+    """Rests at the start, then follows each trajectory, with a rest before each.
+
+    Attributes:
+        duration: Of it all [s].
+    """
+
+    def __init__(self, parts: Sequence[Trajectory], rest: float) -> None:
+        """Chain trajectories, each starting where the one before ends; `rest` [s] > 0."""
+        self._parts = tuple(parts)
+        self._rest = rest
+        lengths = [rest + part.duration for part in parts]
+        self._starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]]) + rest
+        self.duration = float(sum(lengths))
+
+    def window(self, time: float, horizon: float, period: float) -> Reference:
+        """What to follow from `time` on; see `Trajectory.window`."""
+        rows = 1 + int(np.floor(horizon / period + 1e-9))
+        when = time + period * np.arange(rows)
+        part = np.clip(np.searchsorted(self._starts - self._rest, when, side="right") - 1, 0, None)
+        values: dict[str, Array] = {
+            name: np.zeros((1, rows, 3)) for name in ("position", "velocity", "acceleration")
+        }
+        for k in np.unique(part):
+            mask = part == k
+            samples = self._parts[k].sample(when[mask] - self._starts[k])
+            for name, value in values.items():
+                value[0, mask] = getattr(samples, name)
+        return Reference(time=np.asarray(when[None], dtype=float), **values)
+
+
+def with_approach(path: Trajectory, start: Array, *, rest: float, speed_max: float,
+                  acceleration_max: float) -> Course:  # fmt: skip
+    """Go straight from `start` [m], shape (3,), to where a trajectory begins, then follow it."""
+    begin = path.sample(np.zeros(1)).position[0]
+    parts = [path]
+    if np.linalg.norm(begin - start) > NEAR:
+        limits = {"speed_max": speed_max, "acceleration_max": acceleration_max}
+        parts.insert(0, trajectories.line(start, begin, **limits))
+    return Course(parts, rest)

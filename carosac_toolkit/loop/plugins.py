@@ -1,0 +1,161 @@
+"""Plug-ins by name: controllers, estimators, drivers, commands and figures of other packages.
+
+Each is an entry point of an installed distribution, in the group ``carosac.<kind>``, or is named
+directly as ``module:Class``. Looking up reads metadata only; `load` imports the one asked for.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from functools import lru_cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, EntryPoints, entry_points
+from importlib.util import find_spec
+from typing import Any, Literal, get_args
+
+from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
+
+Kind = Literal["controllers", "estimators", "drivers", "commands", "figures"]
+
+OUR_PACKAGES = ("baselines", "learned", "sim_warp", "calibration")
+_MARKER = "__carosac__"
+
+
+def names(kind: Kind) -> list[str]:
+    """Installed plug-ins of a kind, sorted; imports none of them."""
+    return sorted(_installed(kind))
+
+
+def load(kind: Kind, name: str) -> Any:
+    """Import one plug-in.
+
+    Args:
+        kind: ``"controllers"``, ``"estimators"``, ``"drivers"``, ``"commands"`` or ``"figures"``.
+        name: A name from `names`, or ``module:Class`` for what is importable but not installed;
+            modules are looked for in the working folder as well, after all other places.
+
+    Returns:
+        What the name stands for: a class, or a module for most commands and figures.
+
+    Raises:
+        InvalidField: There is no such plug-in; the message lists those there are.
+        CarosacError: It is there but cannot be used: two distributions claim the name, another
+            package hides one of ours, or its import fails.
+    """
+    if ":" in name:
+        _look_in_working_folder()
+        return _resolve(kind, name, EntryPoint(name, name, _group(kind)))
+    installed = _installed(kind)
+    if name not in installed:
+        raise InvalidField(kind[:-1], repr(name), _allowed(name, sorted(installed)))
+    found = installed[name]
+    if len(found) > 1:
+        claims = ", ".join(sorted(f"{_owner(point)} ({point.value})" for point in found))
+        raise CarosacError(
+            f"{kind[:-1]} '{name}' is claimed by several installed distributions: {claims}; "
+            "uninstall one, or name yours as 'module:Class'"
+        )
+    return _resolve(kind, name, found[0])
+
+
+def entry_points_of(group: str) -> EntryPoints:
+    """Entry points of a group, read again only where something was installed meanwhile."""
+    return _read(group, tuple((folder, _changed(folder)) for folder in sys.path))
+
+
+def check_package(package: str) -> None:
+    """Import one of our top-level packages and make sure that it is ours.
+
+    Package indexes hold unrelated distributions that install a ``baselines`` or a ``learned``.
+
+    Raises:
+        CarosacError: Python finds another package under this name.
+    """
+    spec = find_spec(package)
+    if spec is None:
+        raise CarosacError(
+            f"package '{package}' is missing: carosac-toolkit is not fully installed"
+        )
+    cause: ImportError | None = None
+    try:
+        if getattr(import_module(package), _MARKER, False) is True:
+            return
+    except ImportError as error:  # ours imports nothing
+        cause = error
+    where = spec.origin or ", ".join(spec.submodule_search_locations or [])
+    raise CarosacError(
+        f"package '{package}' at {where} does not belong to carosac-toolkit: another "
+        "distribution, or a folder on the Python path, uses the same name; remove it, or "
+        "install carosac-toolkit in an environment of its own"
+    ) from cause
+
+
+def _group(kind: Kind) -> str:
+    """Entry-point group of a kind."""
+    if kind not in get_args(Kind):
+        raise InvalidField("kind", repr(kind), f"one of {list(get_args(Kind))}")
+    return f"carosac.{kind}"
+
+
+def _installed(kind: Kind) -> dict[str, list[EntryPoint]]:
+    """Entry points of a kind by name; more than one where distributions clash."""
+    found: dict[str, list[EntryPoint]] = {}
+    for point in entry_points_of(_group(kind)):
+        claims = found.setdefault(point.name, [])
+        if all(point.value != other.value for other in claims):
+            claims.append(point)
+    return found
+
+
+def _changed(folder: str) -> int:
+    """When entries of a folder of the Python path last came or went [ns]; 0: it is not there."""
+    try:
+        return os.stat(folder or ".").st_mtime_ns
+    except OSError:
+        return 0
+
+
+@lru_cache(maxsize=16)
+def _read(group: str, state: tuple[tuple[str, int], ...]) -> EntryPoints:
+    """Entry points of a group, for a state of the Python path."""
+    return entry_points(group=group)
+
+
+def _look_in_working_folder() -> None:
+    """Let modules that lie there be found, as ``python -m`` does; also by workers started later."""
+    here = os.getcwd()
+    if here not in sys.path and "" not in sys.path:
+        sys.path.append(here)
+
+
+def _owner(point: EntryPoint) -> str:
+    """Distribution that an entry point belongs to."""
+    return point.dist.name if point.dist is not None else "unknown distribution"
+
+
+def _allowed(name: str, installed: list[str]) -> str:
+    """What could have been written instead."""
+    text = f"one of {installed}, or 'module:Class'"
+    return text + did_you_mean(name, installed)
+
+
+def _resolve(kind: Kind, name: str, point: EntryPoint) -> Any:
+    """Import what an entry point or ``module:Class`` refers to."""
+    if point.pattern.match(point.value) is None:
+        raise InvalidField(kind[:-1], repr(name), "a name, or 'module:Class'")
+    package = point.module.partition(".")[0]
+    try:
+        if package in OUR_PACKAGES:
+            check_package(package)
+        target: Any = import_module(point.module)
+    except ImportError as error:
+        raise CarosacError(
+            f"{kind[:-1]} '{name}': cannot import {point.module}: {error}"
+        ) from error
+    for attribute in filter(None, (point.attr or "").split(".")):
+        if not hasattr(target, attribute):
+            hint = did_you_mean(attribute, dir(target))
+            raise InvalidField(kind[:-1], repr(name), f"a name that {point.module} defines{hint}")
+        target = getattr(target, attribute)
+    return target

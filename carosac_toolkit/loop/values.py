@@ -1,0 +1,242 @@
+"""The values that flow between driver, estimator and controller: frozen, batched, SI.
+
+An absent channel is None, never NaN. Hardware is a batch of one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from carosac_toolkit.base.arrays import Array, check_rotations, frozen_array
+from carosac_toolkit.base.errors import InvalidField
+
+
+def _freeze(instance: Any, **shapes: tuple[int, ...]) -> None:
+    """Freeze each named field that is present; the rest of the shape follows its batch."""
+    for name, shape in shapes.items():
+        value = getattr(instance, name)
+        if value is not None:
+            object.__setattr__(instance, name, frozen_array(name, value, shape))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stamped:
+    """A measured quantity with its own time stamps.
+
+    Attributes:
+        time: When it was measured [s], shape (B,).
+        value: What was measured, shape (B, n), in the unit of its channel.
+    """
+
+    time: Array
+    value: Array
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        batch = len(self.time)
+        _freeze(self, time=(batch,), value=(batch, *self.value.shape[1:]))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pose:
+    """A pose of the platform frame P in world frame W.
+
+    Attributes:
+        position: Platform origin [m], shape (B, 3).
+        rotation: Rotation from P to W, shape (B, 3, 3).
+        time: When it was measured [s], shape (B,), or None.
+    """
+
+    position: Array
+    rotation: Array
+    time: Array | None = None
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        batch = len(self.position)
+        _freeze(self, position=(batch, 3), rotation=(batch, 3, 3), time=(batch,))
+        check_rotations("rotation", self.rotation)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Imu:
+    """All inertial samples since the last measurement.
+
+    Attributes:
+        time: [s], shape (B, K).
+        angular_rate: In the sensor frame [rad/s], shape (B, K, 3).
+        specific_force: Acceleration minus gravity, in the sensor frame [m/s^2], shape (B, K, 3).
+    """
+
+    time: Array
+    angular_rate: Array
+    specific_force: Array
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        shape = self.time.shape
+        _freeze(self, time=shape, angular_rate=(*shape, 3), specific_force=(*shape, 3))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Measurement:
+    """What the sensors said.
+
+    Attributes:
+        time: Time of this cycle, by the driver's clock [s], shape (B,).
+        unstrained_length: From the encoders [m], shape (B, n).
+        length_rate: Rate of the unstrained length [m/s], or None.
+        tension: Tension at the platform [N], or None.
+        pose: From motion capture, or None.
+        imu: Inertial samples, or None.
+        drive_status: Status word of each drive, as the driver defines it, or None.
+    """
+
+    time: Array
+    unstrained_length: Array
+    length_rate: Stamped | None = None
+    tension: Stamped | None = None
+    pose: Pose | None = None
+    imu: Imu | None = None
+    drive_status: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        shape = self.unstrained_length.shape
+        _freeze(self, time=shape[:1], unstrained_length=shape)
+
+    def lengths_of(self, size: int, n: int) -> Array:
+        """The unstrained lengths, once they are those of so many robots and cables [m], (B, n).
+
+        Raises:
+            InvalidField: Another shape, or a length that is not positive.
+        """
+        lengths = self.unstrained_length
+        if lengths.shape != (size, n):
+            allowed = f"shape ({size}, {n})"
+            raise InvalidField("unstrained_length", f"shape {lengths.shape}", allowed)
+        if (lengths <= 0.0).any():
+            raise InvalidField("unstrained_length", f"{lengths.min()} m", "> 0 m")
+        return lengths
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitHit:
+    """A command that a limit changed.
+
+    Attributes:
+        limit: Name of the limit.
+        cable: Index of the cable, or None where the limit concerns the platform.
+        asked: What was asked for, in the unit of the limit.
+        sent: What was sent instead.
+        row: Which of the B robots.
+    """
+
+    limit: str
+    cable: int | None
+    asked: float
+    sent: float
+    row: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Command:
+    """What the winches are asked for.
+
+    Attributes:
+        time: [s], shape (B,).
+        unstrained_length: [m], shape (B, n).
+        length_rate: Feed-forward rate [m/s], shape (B, n), or None.
+        limited: Every limit that changed the command on its way.
+    """
+
+    time: Array
+    unstrained_length: Array
+    length_rate: Array | None = None
+    limited: tuple[LimitHit, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        shape = self.unstrained_length.shape
+        _freeze(self, time=shape[:1], unstrained_length=shape, length_rate=shape)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Belief:
+    """What an estimator believes about the platform.
+
+    Attributes:
+        time: [s], shape (B,).
+        position: Platform origin in W [m], shape (B, 3).
+        rotation: Rotation from P to W, shape (B, 3, 3).
+        twist: Linear [m/s], then angular [rad/s] velocity, in W at the platform origin, (B, 6);
+            None where the estimator has none.
+        covariance: Of [dp; log(R R_hat^T); dv; dw] in W, shape (B, 12, 12), or None.
+        tension: At the platform [N], shape (B, n), or None where the estimator has no forces.
+        center_of_mass: Of the platform in P [m], shape (B, 3), or None where nothing was measured
+            of it and that of the robot file is taken for granted.
+        memory: What the estimator keeps for itself, such as biases.
+    """
+
+    time: Array
+    position: Array
+    rotation: Array
+    twist: Array | None = None
+    covariance: Array | None = None
+    tension: Array | None = None
+    center_of_mass: Array | None = None
+    memory: Any = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        b = len(self.position)
+        _freeze(self, time=(b,), position=(b, 3), rotation=(b, 3, 3), twist=(b, 6))
+        _freeze(self, covariance=(b, 12, 12), center_of_mass=(b, 3))
+        check_rotations("rotation", self.rotation)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reference:
+    """The next N samples of what the platform should do; row 0 is now.
+
+    Attributes:
+        time: [s], shape (B, N).
+        position: Platform origin in W [m], shape (B, N, 3).
+        velocity: [m/s], shape (B, N, 3).
+        acceleration: [m/s^2], shape (B, N, 3).
+        rotation: Rotation from P to W, shape (B, N, 3, 3), or None where it is free.
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    rotation: Array | None = None
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        shape = self.time.shape
+        _freeze(self, time=shape, position=(*shape, 3), velocity=(*shape, 3))
+        _freeze(self, acceleration=(*shape, 3), rotation=(*shape, 3, 3))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class State:
+    """The truth, which only a driver's world and the scoring see.
+
+    Attributes:
+        time: [s], shape (B,).
+        position: Platform origin in W [m], shape (B, 3).
+        rotation: Rotation from P to W, shape (B, 3, 3).
+        twist: Linear, then angular velocity, in W at the platform origin, (B, 6), or None.
+        unstrained_length: [m], shape (B, n), or None.
+        tension: At the platform [N], shape (B, n), or None.
+    """
+
+    time: Array
+    position: Array
+    rotation: Array
+    twist: Array | None = None
+    unstrained_length: Array | None = None
+    tension: Array | None = None

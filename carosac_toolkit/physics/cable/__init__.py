@@ -1,0 +1,1 @@
+"""One cable: the elastic catenary, the straight line, lengths, shapes and drums."""

@@ -1,0 +1,1 @@
+"""The platform in motion: dynamics on hanging cables, winches and braking."""

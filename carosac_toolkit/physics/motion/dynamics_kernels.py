@@ -1,0 +1,388 @@
+"""A rigid platform on cables without inertia of their own: catenaries, or straight springs.
+
+Each time step is one implicit step (`body_kernels`). The tension vector q of each catenary is
+an unknown beside the pose, eliminated by its own 3x3 block as in the statics, so that a Newton step
+costs one evaluation a cable. A third of each cable's mass moves with its anchor point: the inertia
+of a straight cable that swings about its exit, and so does its air drag.
+"""
+
+import warp as wp
+
+from carosac_toolkit.physics.cable.catenary_kernels import (
+    ONE,
+    ZERO,
+    Cable,
+    density_of,
+    guess_cable,
+    settle,
+    vec6d,
+)
+from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
+from carosac_toolkit.physics.motion.body_kernels import (
+    SMOOTH,
+    Gusts,
+    Motion,
+    Newton,
+    RigidBody,
+    Scheme,
+    System,
+    at_rest,
+    attach,
+    blow,
+    finish,
+    inertial_system,
+    moved,
+    rate_after,
+    rate_felt,
+    scheme_of,
+    solve_system,
+    world_inertia,
+)
+from carosac_toolkit.physics.motion.winch_kernels import WinchState
+from carosac_toolkit.physics.motion.world_kernels import (
+    ALIKE,
+    LIMIT,
+    STEP,
+    Plants,
+    Worlds,
+    clock_after,
+    clock_of,
+    is_lost,
+    is_nonsense,
+    publish,
+    roughness,
+    turn_back,
+    turn_winches,
+)
+from carosac_toolkit.physics.rest.platform_kernels import cable_stiffness
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+INNER = wp.constant(60)  # steps of one cable
+LOOSE = wp.constant(wp.float64(1.0e-3))  # of the typical length: a larger closure is closed first
+SNAP = wp.constant(wp.float64(0.5))  # share by which a tension changes in a step that snaps
+TIGHT = wp.constant(wp.float64(1.0e-12))
+NEAR = wp.constant(wp.float64(0.3))  # of q: a larger correction is not of first order any more
+GAP = wp.constant(wp.float64(1.0e-5))  # [m] a larger closure asks for another step
+SAGGING = wp.constant(0)
+INSTANT = wp.constant(wp.float64(1.0e-6))  # [s] in which nothing moves
+CLOSED = wp.constant(3)  # evaluations after which free cables are closed
+
+
+@wp.struct
+class Hung:
+    """Cables without nodes."""
+
+    q: wp.array2d(dtype=wp.vec3d)  # tension vector at the exit [N]
+    inverse: wp.array2d(dtype=wp.mat33d)  # (d closure / d q)^-1 [N/m]
+    tension: wp.array2d(dtype=wp.float64)  # scratch: at the anchor point [N]
+    drag: wp.float64  # air drag per mass of cable [1/s]
+
+
+@wp.struct
+class Pull:
+    """What one cable does to its anchor point."""
+
+    force: wp.vec3d  # [N]
+    stiffness: wp.mat33d  # -d force / d anchor within a time step, symmetric [N/m]
+    gap: wp.float64  # [m]
+    q: wp.vec3d
+    inverse: wp.mat33d
+
+
+@wp.func
+def sagging_pull(cable: Cable, q: wp.vec3d, anchor: wp.vec3d, velocity: wp.vec3d,
+                 length: wp.float64, rate: wp.float64, reach: wp.float64,
+                 size: wp.float64) -> Pull:  # fmt: skip
+    """An elastic catenary with axial damping: tension grows by damping / EA times its rate."""
+    s = settle(q, anchor, length, cable, LOOSE * size, INNER)
+    rest = s.inverse * s.hanging.closure
+    if not wp.length(rest) < NEAR * wp.length(s.q):
+        s = settle(guess_cable(anchor, length, cable), anchor, length, cable, TIGHT * size, INNER)
+        rest = s.inverse * s.hanging.closure
+    force = s.hanging.force - s.hanging.force_q * rest
+    k = cable_stiffness(s.hanging, s.inverse)
+    out = Pull()
+    out.gap = wp.length(s.hanging.closure)
+    out.q = s.q - rest
+    out.inverse = s.inverse
+    n = wp.normalize(force)
+    paid = s.hanging.force_q * (s.inverse * s.hanging.closure_l)  # -d force / d length, but weight
+    along = -wp.dot(n, k * velocity) - rate * (
+        wp.dot(n, paid) + cable.weight_per_length * n[2]
+    )  # rate of the tension [N/s]
+    time = cable.axial_damping / cable.axial_stiffness
+    out.force = force + (time * along) * n
+    out.stiffness = k + (time / reach * wp.dot(n, k * n)) * wp.outer(n, n)
+    return out
+
+
+@wp.func
+def straight_pull(cable: Cable, anchor: wp.vec3d, velocity: wp.vec3d, length: wp.float64,
+                  rate: wp.float64, reach: wp.float64) -> Pull:  # fmt: skip
+    """A straight massless spring that does not push, with axial damping."""
+    span, _wrap, unit, bend, _valid = straight_cable(
+        anchor - cable.exit_point, cable.pulley_radius, cable.swivel_axis
+    )
+    whole = length + cable.run_length
+    out = Pull()
+    tension = (
+        cable.axial_stiffness * (span - length)
+        + cable.axial_damping * (wp.dot(unit, velocity) - rate)
+    ) / whole
+    if span > length and tension > ZERO:
+        k = (cable.axial_stiffness + cable.axial_damping / reach) / whole
+        out.force = -tension * unit
+        out.stiffness = k * wp.outer(unit, unit) + tension * bend
+    return out
+
+
+@wp.func
+def anchor_mass(cable: Cable, length: wp.float64, gravity: wp.float64) -> wp.float64:
+    """Mass that moves with the anchor point [kg]."""
+    return density_of(cable, gravity) * length / wp.float64(3.0)
+
+
+@wp.struct
+class Loaded:
+    """All cables at a trial motion."""
+
+    system: System
+    gap: wp.float64
+
+
+@wp.func
+def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, model: int,
+                 body: RigidBody, trial: Motion, system: System,
+                 scheme: Scheme) -> Loaded:  # fmt: skip
+    """Add the pull and the inertia of each cable; correct q to first order."""
+    out = Loaded()
+    total = system
+    for i in range(worlds.winch.shape[1]):
+        cable = plants.cables[row, i]
+        winch = worlds.winch[b, i]
+        arm = trial.rotation * (cable.anchor_point - body.center_of_mass)
+        anchor = trial.center + arm
+        velocity = trial.velocity + wp.cross(trial.angular_velocity, arm)
+        pull = Pull()
+        if model == SAGGING:
+            pull = sagging_pull(
+                cable,
+                hung.q[b, i],
+                anchor,
+                velocity,
+                winch.length,
+                winch.rate,
+                scheme.reach,
+                body.size,
+            )
+            hung.q[b, i] = pull.q
+            hung.inverse[b, i] = pull.inverse
+        else:
+            pull = straight_pull(cable, anchor, velocity, winch.length, winch.rate, scheme.reach)
+        out.gap = wp.max(out.gap, pull.gap)
+        hung.tension[b, i] = wp.length(pull.force)
+        force = pull.force
+        k = pull.stiffness
+        if model == SAGGING:
+            mass = anchor_mass(cable, winch.length, body.gravity)
+            felt = rate_felt(
+                scheme, worlds.anchor_velocity[b, i], worlds.anchor_rate[b, i], velocity
+            )
+            force = force - mass * (felt + hung.drag * velocity)
+            inertia = mass * (scheme.stiff + hung.drag / scheme.reach)
+            k = k + inertia * wp.identity(n=3, dtype=wp.float64)
+        total = attach(total, arm, force, k)
+    out.system = total
+    return out
+
+
+@wp.func
+def carry_cables(plants: Plants, hung: Hung, b: int, row: int, body: RigidBody, trial: Motion,
+                 move: wp.vec3d, turn: wp.vec3d):  # fmt: skip
+    """Tension vectors after a small motion of the platform, to first order."""
+    for i in range(hung.q.shape[1]):
+        arm = trial.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
+        hung.q[b, i] = hung.q[b, i] - hung.inverse[b, i] * (move + wp.cross(turn, arm))
+
+
+@wp.func
+def keep_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, body: RigidBody,
+                 scheme: Scheme):  # fmt: skip
+    """Anchor velocities and tensions at the end of a time step."""
+    motion = worlds.motion[b]
+    snap = wp.float64(0.0)
+    for i in range(worlds.winch.shape[1]):
+        before = worlds.tension[b, i]
+        now = hung.tension[b, i]
+        if wp.abs(now - before) > SNAP * wp.max(now, before):
+            snap = ONE
+        worlds.tension[b, i] = now
+        arm = motion.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
+        velocity = motion.velocity + wp.cross(motion.angular_velocity, arm)
+        worlds.anchor_rate[b, i] = rate_after(
+            scheme, worlds.anchor_velocity[b, i], worlds.anchor_rate[b, i], velocity
+        )
+        worlds.anchor_velocity[b, i] = velocity
+    worlds.rough[b] = roughness(worlds.rough[b], ZERO, snap)
+
+
+@wp.func
+def time_step(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, model: int,
+              h: wp.float64, ticks: int) -> int:  # fmt: skip
+    """One implicit step; lengths are those at its end already. Returns whether it was taken.
+
+    A step without a solution is taken only if it is as short as can be, one of the `ticks`.
+    """
+    body = plants.bodies[row]
+    start = worlds.motion[b]
+    gusts = blow(plants.winds[row], worlds.gusts[b], worlds.time[b] + h, worlds.seed[b])
+    scheme = scheme_of(h, worlds.last[b], worlds.rough[b] > 0, SMOOTH)
+    velocity = start.velocity + h * start.velocity_rate
+    omega = start.angular_velocity + h * start.angular_rate
+    trial = moved(start, scheme, velocity, omega)
+    count = int(0)
+    going = bool(True)
+    solved = bool(False)
+    size = wp.float64(0.0)
+    while going:
+        system = inertial_system(body, start, trial, scheme, gusts.force)
+        loaded = load_anchors(plants, worlds, hung, b, row, model, body, trial, system, scheme)
+        newton = solve_system(loaded.system)
+        velocity += newton.move / scheme.reach
+        omega += newton.turn / scheme.reach
+        if model == SAGGING:
+            carry_cables(plants, hung, b, row, body, trial, newton.move, newton.turn)
+        trial = moved(start, scheme, velocity, omega)
+        count += 1
+        size = wp.length(newton.move) + body.arm * wp.length(newton.turn)
+        solved = size < STEP and loaded.gap < GAP
+        going = (not solved) and count < LIMIT
+    if not solved and ticks > 1:
+        return 0
+    worlds.iterations[b] = wp.max(worlds.iterations[b], count)
+    worlds.residual[b] = wp.max(worlds.residual[b], size)
+    if not solved:
+        worlds.capped[b] = worlds.capped[b] + 1
+    if not size < body.size or is_lost(trial, body, plants.cables[row, 0].exit_point):
+        worlds.failed[b] = 1
+    else:
+        worlds.motion[b] = finish(body, start, trial, scheme)
+        worlds.gusts[b] = gusts
+        worlds.time[b] = worlds.time[b] + h
+        worlds.last[b] = h
+        keep_anchors(plants, worlds, hung, b, row, body, scheme)
+    return 1
+
+
+@wp.kernel
+def advance(plants: Plants, worlds: Worlds, hung: Hung, model: int, follow: int, count: int,
+            h: wp.float64):  # fmt: skip
+    """Advance each world by `count` time steps of h; one thread a world."""
+    b = wp.tid()
+    row = wp.min(b, plants.bodies.shape[0] - 1)
+    worlds.iterations[b] = 0
+    worlds.capped[b] = 0
+    worlds.residual[b] = ZERO
+    worlds.failed[b] = wp.max(worlds.failed[b], is_nonsense(worlds, b))
+    clock = clock_of(h, count)
+    while clock.done < clock.ticks and worlds.failed[b] == 0:
+        step = clock.tick * wp.float64(clock.size)
+        left = clock.tick * wp.float64(clock.ticks - clock.done)
+        turn_winches(plants, worlds, b, row, step, left, follow, 0, 1)
+        taken = time_step(plants, worlds, hung, b, row, model, step, clock.size)
+        if taken == 0 or worlds.failed[b] == 1:
+            turn_back(worlds, b, 0, 1)
+        clock = clock_after(clock, taken)
+    publish(plants, worlds, b, row, 0, 1)
+
+
+@wp.struct
+class Freed:
+    """Where worlds are let go: any state, whether it is one of rest or not."""
+
+    position: wp.array(dtype=wp.vec3d)  # platform origin in W [m]
+    rotation: wp.array(dtype=wp.mat33d)
+    twist: wp.array(dtype=vec6d)  # of the platform origin in W
+    force: wp.array(dtype=wp.vec3d)  # on the centre of mass, held from now on [N]
+    unstrained_length: wp.array2d(dtype=wp.float64)  # [m]
+    rate: wp.array2d(dtype=wp.float64)  # of the lengths [m/s]
+
+
+@wp.kernel
+def release(plants: Plants, worlds: Worlds, hung: Hung, freed: Freed, model: int, h: wp.float64):
+    """Let worlds go with the acceleration that their forces give; steps of `h` are to follow.
+
+    With that acceleration the first step needs no past, and is of second order like all others. It
+    is found by one Euler step of a microsecond. Impacts do not change the scheme: motions let go
+    side by side are compared, and two schemes differ by more than they do.
+    """
+    b = wp.tid()
+    row = wp.min(b, plants.bodies.shape[0] - 1)
+    body = plants.bodies[row]
+    twist = freed.twist[b]
+    omega = wp.vec3d(twist[3], twist[4], twist[5])
+    start = at_rest(
+        body, freed.position[b], freed.rotation[b], wp.vec3d(twist[0], twist[1], twist[2]), omega
+    )
+    gusts = Gusts()
+    gusts.force = freed.force[b]
+    worlds.gusts[b] = gusts
+    worlds.time[b] = ZERO
+    worlds.last[b] = h
+    worlds.rough[b] = ALIKE
+    worlds.failed[b] = 0
+    for i in range(worlds.winch.shape[1]):
+        winch = WinchState()
+        winch.length = freed.unstrained_length[b, i]
+        winch.rate = freed.rate[b, i]
+        worlds.winch[b, i] = winch
+        arm = start.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
+        worlds.anchor_velocity[b, i] = start.velocity + wp.cross(omega, arm)
+        worlds.anchor_rate[b, i] = wp.vec3d()
+    scheme = scheme_of(INSTANT, ZERO, True, SMOOTH)
+    trial = moved(start, scheme, start.velocity, omega)
+    newton = Newton()
+    for _ in range(CLOSED):  # the first times close the cables
+        system = inertial_system(body, start, trial, scheme, gusts.force)
+        loaded = load_anchors(plants, worlds, hung, b, row, model, body, trial, system, scheme)
+        newton = solve_system(loaded.system)
+    start.velocity_rate = newton.move / (scheme.reach * INSTANT)
+    start.angular_rate = newton.turn / (scheme.reach * INSTANT)
+    jw = world_inertia(body, start.rotation)
+    start.spin_rate = jw * start.angular_rate + wp.cross(omega, start.spin)
+    start.acceleration = start.velocity_rate
+    start.angular_acceleration = start.angular_rate
+    worlds.motion[b] = start
+    for i in range(worlds.winch.shape[1]):
+        arm = start.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
+        worlds.anchor_rate[b, i] = (
+            start.velocity_rate
+            + wp.cross(start.angular_rate, arm)
+            + wp.cross(omega, wp.cross(omega, arm))
+        )
+        worlds.tension[b, i] = hung.tension[b, i]
+    publish(plants, worlds, b, row, 0, 1)
+
+
+@wp.kernel
+def place_hung(which: wp.array(dtype=int), q: wp.array2d(dtype=wp.vec3d), hung: Hung):
+    """Tension vectors of worlds that are put somewhere; one thread a row of `which`."""
+    k = wp.tid()
+    for i in range(q.shape[1]):
+        hung.q[which[k], i] = q[k, i]
+
+
+@wp.kernel
+def straight_points(plants: Plants, worlds: Worlds, points: wp.array3d(dtype=wp.vec3d)):
+    """Points on straight cables from tangent point to anchor point; a thread a world and cable."""
+    b, i = wp.tid()
+    cable = plants.cables[wp.min(b, plants.bodies.shape[0] - 1), i]
+    anchor = worlds.position[b] + worlds.rotation[b] * cable.anchor_point
+    span, wrap, unit, _bend, _valid = straight_cable(
+        anchor - cable.exit_point, cable.pulley_radius, cable.swivel_axis
+    )
+    last = points.shape[2] - 1
+    for k in range(points.shape[2]):
+        share = wp.float64(last - k) / wp.float64(last)
+        points[b, i, k] = anchor - (share * (span - wrap * cable.pulley_radius)) * unit

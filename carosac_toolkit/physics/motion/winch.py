@@ -1,0 +1,201 @@
+"""Winches of simulated robots: drive, speed and acceleration limits, and drums that build up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from carosac_toolkit.base.arrays import Array, batch
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.physics import warp_setup
+from carosac_toolkit.physics.device import Buffers
+from carosac_toolkit.physics.motion import winch_kernels
+from carosac_toolkit.physics.motion.winch_kernels import Winch
+from carosac_toolkit.robot.robot import Robot
+
+STEP = float(winch_kernels.STEP)  # [s], longest inner step
+SHORTEST_INTEGRAL = 2.0 * STEP  # [s]; what the inner steps resolve
+_STATE = ("length", "rate", "integral")
+
+
+@dataclass(frozen=True, kw_only=True)
+class WinchSettings:
+    """How the drives control the winches, beyond the lag and limits of the robot.
+
+    The drive asks for the rate (e + integral(e) / integral_time + derivative_time * de/dt) / lag of
+    its cable, e being the length it is asked for minus the one it has. Without integral and
+    derivative it trails a moving command by lag times speed.
+
+    Attributes:
+        integral_time: [s]; None: no integral.
+        derivative_time: Acts on the rate of the cable; it makes the drive slower [s].
+        believed_drum_buildup: Decrease of the squared drum radius per length paid out that the
+            drive believes in [m], for all drums; None: it knows the true one.
+    """
+
+    integral_time: float | None = None
+    derivative_time: float = 0.0
+    believed_drum_buildup: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what no drive can be."""
+        lowest = {
+            "integral_time": (SHORTEST_INTEGRAL, "s"),
+            "derivative_time": (0.0, "s"),
+            "believed_drum_buildup": (0.0, "m"),
+        }
+        for name, (low, unit) in lowest.items():
+            value = getattr(self, name)
+            if value is None and name != "derivative_time":
+                continue
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not number or not low <= value < np.inf:
+                raise InvalidField(name, f"{value} {unit}", f"{name} >= {low:g} {unit}, finite")
+
+
+def winch_records(robot: Robot, settings: WinchSettings | None = None) -> NDArray[Any]:
+    """The winches of a robot as an array of `Winch` structs, shape (n,).
+
+    Without drum radius or build-up in the robot, lengths are commanded directly.
+
+    Args:
+        robot: Robot description, n cables.
+        settings: None takes the defaults.
+
+    Raises:
+        InvalidField: A drum, true or believed, from which `length_max` cannot be paid out, or a
+            belief about drums that the robot does not have.
+    """
+    chosen = settings or WinchSettings()
+    records = np.zeros(robot.n, dtype=Winch.numpy_dtype())
+    records["lag"] = robot.winch_lag
+    records["speed_max"] = robot.speed_max
+    records["acceleration_max"] = robot.acceleration_max
+    records["integral_rate"] = 0.0 if chosen.integral_time is None else 1.0 / chosen.integral_time
+    records["derivative_time"] = chosen.derivative_time
+    belief = chosen.believed_drum_buildup
+    if robot.drum_radius is None or robot.drum_buildup is None:
+        if belief is not None:
+            allowed = f"None: robot {robot.name!r} has no drum_radius and drum_buildup"
+            raise InvalidField("believed_drum_buildup", f"{belief} m", allowed)
+        return records
+    advantage = 1.0 if robot.drum_advantage is None else robot.drum_advantage
+    buildup = advantage * robot.drum_buildup  # per length of cable, not of line
+    believed = buildup if belief is None else advantage * np.full(robot.n, belief)
+    _check_drums("drum_buildup", robot, robot.drum_radius, buildup)
+    _check_drums("believed_drum_buildup", robot, robot.drum_radius, believed)
+    records["drum_radius"] = records["believed_radius"] = robot.drum_radius
+    records["drum_buildup"] = buildup
+    records["believed_buildup"] = believed
+    return records
+
+
+class Winches:
+    """Wound lengths of B robots of the same n winches, which follow what is asked of them."""
+
+    def __init__(
+        self, robot: Robot, unstrained_length: Array, settings: WinchSettings | None = None
+    ) -> None:
+        """Start at rest.
+
+        Args:
+            robot: The plant, n cables.
+            unstrained_length: True lengths [m], shape (B, n).
+            settings: None takes the defaults.
+
+        Raises:
+            InvalidField: As `winch_records`.
+        """
+        start = batch("unstrained_length", unstrained_length, (robot.n,))
+        records = winch_records(robot, settings)
+        warp_setup.load(winch_kernels)
+        self._records = wp.array(records[None], dtype=Winch, device="cpu")
+        self._encoders = Encoders([robot], len(start), settings)
+        self._shape = start.shape
+        names = (*_STATE, "command")
+        shapes: dict[str, tuple[Any, Any]] = {k: (start.shape, wp.float64) for k in names}
+        self._buffers = Buffers("cpu", shapes | {"duration": ((1,), wp.float64)})
+        self._buffers.put("length", start)
+
+    @property
+    def length(self) -> Array:
+        """True unstrained lengths [m], shape (B, n)."""
+        return self._buffers.get("length")
+
+    @property
+    def rate(self) -> Array:
+        """Rate of the true lengths [m/s], shape (B, n)."""
+        return self._buffers.get("rate")
+
+    def advance(self, command: Array, duration: float) -> None:
+        """Follow a constant command.
+
+        Args:
+            command: Lengths asked of the drives, by the drums that they believe in [m], (B, n).
+            duration: [s].
+        """
+        with self._buffers.lock:
+            self._buffers.put("command", command)
+            self._buffers.put("duration", np.array([duration]))
+            self._buffers.launch(
+                "advance", winch_kernels.advance, self._shape,
+                self._records, "command", "duration", *_STATE,
+            )  # fmt: skip
+
+    def read(self) -> Array:
+        """Lengths that perfect encoders on the drums say [m], shape (B, n)."""
+        return self._encoders.read(self.length)
+
+
+class Encoders:
+    """Perfect encoders on the drums of B robots of n cables, by the drums that drives believe in.
+
+    Without drums that build up, they say the wound length itself.
+    """
+
+    def __init__(
+        self, robots: Sequence[Robot], size: int, settings: WinchSettings | None = None
+    ) -> None:
+        """Take the drums of one robot for all, or of one each.
+
+        Args:
+            robots: The plants.
+            size: B.
+            settings: None takes the defaults.
+
+        Raises:
+            InvalidField: As `winch_records`.
+        """
+        records = np.stack([winch_records(robot, settings) for robot in robots])
+        warp_setup.load(winch_kernels)
+        self._records = wp.array(records, dtype=Winch, device="cpu")
+        self._shape = (size, robots[0].n)
+        shapes = {name: (self._shape, wp.float64) for name in ("length", "reading")}
+        self._buffers = Buffers("cpu", shapes)
+
+    def read(self, unstrained_length: Array) -> Array:
+        """What they say of true lengths [m], shape (B, n)."""
+        with self._buffers.lock:
+            self._buffers.put("length", unstrained_length)
+            self._buffers.launch(
+                "read", winch_kernels.read, self._shape, self._records, "length", "reading"
+            )
+            return self._buffers.get("reading")
+
+
+def _check_drums(name: str, robot: Robot, radius: Array, buildup: Array) -> None:
+    """Refuse drums whose cable ends before the longest length."""
+    most = radius**2 / robot.length_max
+    bad = buildup >= most
+    if bad.any():
+        i = int(np.argmax(bad))
+        allowed = (
+            f"below drum_radius^2 / length_max = {most[i]:.6g} m per length of cable, so that the "
+            f"drum pays out {robot.length_max[i]:g} m"
+        )
+        raise InvalidField(f"{name}[{i}]", f"{buildup[i]:g} m", allowed)

@@ -1,0 +1,83 @@
+"""Simulated worlds on a device: plants, state, and the calls that every cable model shares."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from carosac_toolkit.physics.cable.catenary_kernels import Cable, vec6d
+from carosac_toolkit.physics.device import body_record, cable_records
+from carosac_toolkit.physics.fleet import Fleet
+from carosac_toolkit.physics.motion import world_kernels
+from carosac_toolkit.physics.motion.body_kernels import Gusts, Motion, RigidBody, Wind
+from carosac_toolkit.physics.motion.winch import WinchSettings, winch_records
+from carosac_toolkit.physics.motion.winch_kernels import Winch, WinchState
+from carosac_toolkit.robot.robot import Robot
+
+# What a world needs to go on, and what people read of it.
+STATE = (
+    "motion", "winch", "anchor_velocity", "anchor_rate", "gusts", "seed", "last", "slack", "rough",
+    "failed", "time", "command", "position", "rotation", "twist", "acceleration",
+    "unstrained_length", "tension", "iterations", "capped", "residual",
+)  # fmt: skip
+
+
+def rigid_body_record(robot: Robot) -> NDArray[Any]:
+    """The platform of a robot as one `RigidBody` struct, shape ()."""
+    record = np.zeros((), dtype=RigidBody.numpy_dtype())
+    shared = body_record(robot)
+    for name in ("center_of_mass", "arm", "size"):
+        record[name] = shared[name]
+    for name in ("mass", "inertia", "drag", "angular_drag", "gravity"):
+        record[name] = getattr(robot, name)
+    return record
+
+
+def upload_plants(
+    fleet: Fleet, device: str, winch: WinchSettings, wind_force: float, wind_time: float
+) -> Any:
+    """The `Plants` struct of a fleet.
+
+    Args:
+        fleet: One robot for all worlds, or one for each.
+        device: Warp device.
+        winch: How the drives follow commands.
+        wind_force: Standard deviation of the wind per horizontal axis [N].
+        wind_time: Its correlation time [s].
+    """
+    robots = fleet.robots
+    winds = np.zeros(len(robots), dtype=Wind.numpy_dtype())
+    winds["deviation"], winds["time"] = wind_force, wind_time
+    out = world_kernels.Plants()
+    for name, kind, records in (
+        ("cables", Cable, np.stack([cable_records(robot) for robot in robots])),
+        ("bodies", RigidBody, np.stack([rigid_body_record(robot) for robot in robots])),
+        ("winches", Winch, np.stack([winch_records(robot, winch) for robot in robots])),
+        ("winds", Wind, winds),
+    ):
+        setattr(out, name, wp.array(records, dtype=kind, device=device))
+    return out
+
+
+def allocate_worlds(size: int, n: int, device: str, seeds: NDArray[np.int32]) -> Any:
+    """The `Worlds` struct of B worlds of n cables; `seeds` of their wind, shape (B,)."""
+    out = world_kernels.Worlds()
+    for name, kind in (
+        ("motion", Motion), ("gusts", Gusts), ("rough", int), ("failed", int),
+        ("last", wp.float64), ("slack", wp.float64),
+        ("position", wp.vec3d), ("rotation", wp.mat33d), ("twist", vec6d),
+        ("acceleration", vec6d), ("time", wp.float64), ("iterations", int),
+        ("capped", int), ("residual", wp.float64),
+    ):  # fmt: skip
+        setattr(out, name, wp.zeros(size, dtype=kind, device=device))
+    for name, kind in (
+        ("winch", WinchState), ("winch_before", WinchState), ("anchor_velocity", wp.vec3d),
+        ("anchor_rate", wp.vec3d), ("command", wp.float64),
+        ("unstrained_length", wp.float64), ("tension", wp.float64),
+    ):  # fmt: skip
+        setattr(out, name, wp.zeros((size, n), dtype=kind, device=device))
+    out.seed = wp.array(seeds, dtype=int, device=device)
+    return out

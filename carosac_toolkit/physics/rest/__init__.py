@@ -1,0 +1,1 @@
+"""The platform at rest: statics, tensions, stability and natural modes."""

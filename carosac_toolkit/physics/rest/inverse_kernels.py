@@ -1,0 +1,188 @@
+"""Inverse kinematics with the rotation held: bounded least squares of the tensions.
+
+Each cable's tension at the platform is an unknown; its length and direction follow from it (sag,
+pulley and run included). The cables are linearised anew until the tensions stay.
+"""
+
+import warp as wp
+
+from carosac_toolkit.physics.cable.catenary_kernels import ZERO, Cable, vec6d
+from carosac_toolkit.physics.cable.tension_kernels import (
+    MARGIN,
+    Pulling,
+    guess_pull,
+    lowest_allowed,
+    pull,
+)
+from carosac_toolkit.physics.rest.bounded_kernels import bounded_tensions
+from carosac_toolkit.physics.rest.forward_kernels import Loaded, load_cables
+from carosac_toolkit.physics.rest.platform_kernels import (
+    Body,
+    add_lever,
+    anchor_of,
+    factorise,
+    gravity_balance,
+    mat66d,
+    scaled_norm,
+)
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+LIMIT = wp.constant(80)
+RESIDUAL = wp.constant(wp.float64(1.0e-11))  # of the weight
+STEADY = wp.constant(wp.float64(1.0e-9))  # change of tension, of the weight
+
+FAILED = wp.constant(0)
+CONVERGED = wp.constant(1)
+INFEASIBLE = wp.constant(2)
+
+
+@wp.func
+def pull_cables(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: wp.vec3d,
+                r: wp.mat33d, tension: wp.array2d(dtype=wp.float64),
+                lengths: wp.array2d(dtype=wp.float64), q: wp.array2d(dtype=wp.vec3d),
+                column: wp.array2d(dtype=vec6d)) -> Loaded:  # fmt: skip
+    """Cables of given tension at one pose: wrench, stiffness at constant tension, columns.
+
+    A column is d wrench / d tension, its moment divided by the typical lever arm.
+    """
+    out = Loaded()
+    out.balance = gravity_balance(body, r)
+    for i in range(tension.shape[1]):
+        anchor = anchor_of(cables[row, i], p, r)
+        g = Pulling()
+        g.q = q[b, i]
+        g.unstrained_length = lengths[b, i]
+        g = pull(g, anchor, tension[b, i], cables[row, i], wp.float64(1.0e-14), 40)
+        q[b, i] = g.q
+        lengths[b, i] = g.unstrained_length
+        out.gap = wp.max(out.gap, wp.length(g.hanging.closure))
+        arm = anchor - p
+        out.balance = add_lever(
+            out.balance.stiffness, out.balance.wrench, arm, g.hanging.force, g.stiffness
+        )
+        t = g.force_t
+        m = wp.cross(arm, t) / body.arm
+        column[b, i] = vec6d(t[0], t[1], t[2], m[0], m[1], m[2])
+    return out
+
+
+@wp.func
+def scaled_wrench(wrench: vec6d, arm: wp.float64) -> vec6d:
+    """Wrench with its moment divided by the typical lever arm [N]."""
+    w = wrench
+    for i in range(3):
+        w[3 + i] = w[3 + i] / arm
+    return w
+
+
+@wp.func
+def set_limits(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: wp.vec3d,
+               r: wp.mat33d, margin: wp.float64, lower: wp.array2d(dtype=wp.float64),
+               upper: wp.array2d(dtype=wp.float64)):  # fmt: skip
+    """Limits of the tensions at a pose."""
+    for i in range(lower.shape[1]):
+        anchor = anchor_of(cables[row, i], p, r)
+        upper[b, i] = cables[row, i].tension_max
+        lowest = lowest_allowed(anchor, cables[row, i], body.weight, margin)
+        lower[b, i] = wp.min(lowest, upper[b, i])
+
+
+@wp.func
+def first_tensions(cables: wp.array2d(dtype=Cable), row: int, b: int, p: wp.vec3d, r: wp.mat33d,
+                   lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64),
+                   tension: wp.array2d(dtype=wp.float64), lengths: wp.array2d(dtype=wp.float64),
+                   q: wp.array2d(dtype=wp.vec3d)):  # fmt: skip
+    """Straight cables of tensions clipped to their limits."""
+    for i in range(tension.shape[1]):
+        tension[b, i] = wp.clamp(tension[b, i], lower[b, i], upper[b, i])
+        g = guess_pull(anchor_of(cables[row, i], p, r), tension[b, i], cables[row, i])
+        q[b, i] = g.q
+        lengths[b, i] = g.unstrained_length
+
+
+@wp.kernel
+def inverse_held(
+    cables: wp.array2d(dtype=Cable),
+    bodies: wp.array(dtype=Body),
+    position: wp.array(dtype=wp.vec3d),
+    rotation: wp.array(dtype=wp.mat33d),
+    unstrained_length: wp.array2d(dtype=wp.float64),
+    q: wp.array2d(dtype=wp.vec3d),
+    tension: wp.array2d(dtype=wp.float64),
+    wanted: wp.array2d(dtype=wp.float64),
+    lower: wp.array2d(dtype=wp.float64),
+    upper: wp.array2d(dtype=wp.float64),
+    middle: wp.array2d(dtype=wp.float64),
+    column: wp.array2d(dtype=vec6d),
+    status: wp.array(dtype=int),
+    iterations: wp.array(dtype=int),
+):
+    """Rotation held: bounded least squares, the cables linearised anew until nothing changes."""
+    b = wp.tid()
+    n = tension.shape[1]
+    row = wp.min(b, cables.shape[0] - 1)
+    body = bodies[wp.min(b, bodies.shape[0] - 1)]
+    p = position[b]
+    r = rotation[b]
+    set_limits(cables, row, b, body, p, r, MARGIN, lower, upper)
+    for i in range(n):
+        middle[b, i] = ZERO
+        tension[b, i] = body.weight
+    first_tensions(cables, row, b, p, r, lower, upper, tension, unstrained_length, q)
+    count = int(0)
+    result = int(-1)
+    refused = int(0)
+    while result < 0:
+        here = pull_cables(cables, row, b, body, p, r, tension, unstrained_length, q, column)
+        count += 1
+        target = -scaled_wrench(here.balance.wrench, body.arm)
+        norm = wp.length(target)
+        for i in range(n):
+            target = target + tension[b, i] * column[b, i]
+        feasible = bounded_tensions(column, lower, upper, middle, b, target, wanted)
+        refused = wp.where(feasible == 1, 0, refused + 1)
+        jump = wp.float64(0.0)
+        for i in range(n):
+            jump = wp.max(jump, wp.abs(wanted[b, i] - tension[b, i]))
+        if feasible == 1 and norm <= RESIDUAL * body.weight and jump <= STEADY * body.weight:
+            result = CONVERGED
+        elif refused >= 4:
+            result = INFEASIBLE
+        elif count >= LIMIT:
+            result = FAILED
+        else:
+            for i in range(n):
+                tension[b, i] = wanted[b, i]
+    status[b] = result
+    iterations[b] = count
+
+
+@wp.kernel
+def evaluate(
+    cables: wp.array2d(dtype=Cable),
+    bodies: wp.array(dtype=Body),
+    unstrained_length: wp.array2d(dtype=wp.float64),
+    position: wp.array(dtype=wp.vec3d),
+    rotation: wp.array(dtype=wp.mat33d),
+    q: wp.array2d(dtype=wp.vec3d),
+    inverse: wp.array2d(dtype=wp.mat33d),
+    tension: wp.array2d(dtype=wp.float64),
+    stiffness: wp.array(dtype=mat66d),
+    residual: wp.array(dtype=wp.float64),
+    gap: wp.array(dtype=wp.float64),
+    stable: wp.array(dtype=int),
+):
+    """Judge a pose by its lengths alone: wrench left, closure, stiffness, stability."""
+    b = wp.tid()
+    row = wp.min(b, cables.shape[0] - 1)
+    body = bodies[wp.min(b, bodies.shape[0] - 1)]
+    here = load_cables(
+        cables, unstrained_length, row, b, body, position[b], rotation[b],
+        wp.float64(1.0e-13) * body.size, q, inverse, tension,
+    )  # fmt: skip
+    f = factorise(here.balance.stiffness)
+    stiffness[b] = here.balance.stiffness
+    residual[b] = scaled_norm(here.balance.wrench, body.arm)
+    gap[b] = here.gap
+    stable[b] = wp.where(f.pivot_min > ZERO, 1, 0)

@@ -1,0 +1,149 @@
+"""A first pose without a guess: straight, inextensible, unilateral cables under the weight.
+
+Augmented Lagrangian: cable i pulls with t_i = max(0, m_i + k (d_i - L_i)), m_i being its force of
+the last round. The spring k is soft, so that each round is a well-conditioned minimisation of
+energy by a damped Newton method; the multipliers m_i carry the lengths to their values.
+"""
+
+import warp as wp
+
+from carosac_toolkit.physics.cable.catenary_kernels import HALF, TWO, ZERO, Cable
+from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
+from carosac_toolkit.physics.rest.platform_kernels import (
+    Balance,
+    Body,
+    add_lever,
+    anchor_of,
+    descent_step,
+    gravity_balance,
+    scaled_norm,
+    translation,
+    turned,
+)
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+ROUNDS = wp.constant(12)
+STEPS = wp.constant(25)
+SOFTNESS = wp.constant(wp.float64(0.03))  # stretch under the weight, as a share of cable length
+
+
+@wp.struct
+class Straight:
+    """A straight cable between its pulley and an anchor."""
+
+    unit: wp.vec3d  # anchor to tangent point
+    length: wp.float64  # wrapped arc + distance [m]
+    bend: wp.mat33d  # second derivative of the length with respect to the anchor [1/m]
+
+
+@wp.func
+def straight_to(cable: Cable, anchor: wp.vec3d) -> Straight:
+    """Straight cable to an anchor point, its pulley included."""
+    out = Straight()
+    length, _wrap, direction, bend, _valid = straight_cable(
+        anchor - cable.exit_point, cable.pulley_radius, cable.swivel_axis
+    )
+    out.length = length
+    out.unit = -direction
+    out.bend = bend
+    return out
+
+
+@wp.struct
+class Start:
+    """The pose reached."""
+
+    position: wp.vec3d
+    rotation: wp.mat33d
+    steps: int
+
+
+@wp.func
+def soft_energy(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
+                multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: Body,
+                p: wp.vec3d, r: wp.mat33d, k: wp.float64) -> wp.float64:  # fmt: skip
+    """Energy of the augmented problem [J]."""
+    center = p + r * body.center_of_mass
+    energy = body.weight * center[2]
+    for i in range(lengths.shape[1]):
+        s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
+        t = wp.max(multiplier[b, i] + k * (s.length - lengths[b, i]), ZERO)
+        energy += HALF * t * t / k
+    return energy
+
+
+@wp.func
+def soft_balance(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
+                 multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: Body,
+                 p: wp.vec3d, r: wp.mat33d, k: wp.float64) -> Balance:  # fmt: skip
+    """Wrench and stiffness of the augmented problem."""
+    total = gravity_balance(body, r)
+    for i in range(lengths.shape[1]):
+        anchor = anchor_of(cables[row, i], p, r)
+        s = straight_to(cables[row, i], anchor)
+        t = multiplier[b, i] + k * (s.length - lengths[b, i])
+        if t > ZERO:
+            pull = k * wp.outer(s.unit, s.unit) + t * s.bend
+            total = add_lever(total.stiffness, total.wrench, anchor - p, t * s.unit, pull)
+    return total
+
+
+@wp.func
+def minimise(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
+             multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: Body,
+             start: Start, k: wp.float64) -> Start:  # fmt: skip
+    """One round: damped Newton on the energy, Armijo line search."""
+    out = start
+    energy = soft_energy(
+        cables, lengths, multiplier, row, b, body, start.position, start.rotation, k
+    )
+    for _step in range(STEPS):
+        p = out.position
+        r = out.rotation
+        total = soft_balance(cables, lengths, multiplier, row, b, body, p, r, k)
+        out.steps += 1
+        if scaled_norm(total.wrench, body.arm) < wp.float64(1.0e-2) * body.weight:
+            break
+        newton = descent_step(total, body, wp.float64(0.2), wp.float64(0.5))
+        step = newton.step
+        gain = wp.float64(1.0e-4) * wp.dot(step, total.wrench)
+        after = energy
+        for _half in range(20):
+            out.position = p + translation(step)
+            out.rotation = turned(r, step)
+            after = soft_energy(
+                cables, lengths, multiplier, row, b, body, out.position, out.rotation, k
+            )
+            if after <= energy - gain:
+                break
+            step = step * HALF
+            gain = gain * HALF
+        energy = after
+    return out
+
+
+@wp.func
+def cold_start(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
+               multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: Body,
+               p0: wp.vec3d, r0: wp.mat33d) -> Start:  # fmt: skip
+    """Rest on straight inextensible cables, to about a millimetre; tensions in multiplier."""
+    out = Start()
+    out.position = p0
+    out.rotation = r0
+    k = body.weight / (SOFTNESS * body.size)
+    for i in range(lengths.shape[1]):
+        multiplier[b, i] = ZERO
+    for _round in range(ROUNDS):
+        out = minimise(cables, lengths, multiplier, row, b, body, out, k)
+        worst = wp.float64(0.0)
+        for i in range(lengths.shape[1]):
+            anchor = anchor_of(cables[row, i], out.position, out.rotation)
+            s = straight_to(cables[row, i], anchor)
+            t = wp.max(multiplier[b, i] + k * (s.length - lengths[b, i]), ZERO)
+            worst = wp.max(worst, wp.abs(t - multiplier[b, i]) / k)
+            multiplier[b, i] = t
+        if worst < wp.float64(1.0e-4) * body.size:
+            break
+        k = k * TWO
+    return out

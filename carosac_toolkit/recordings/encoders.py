@@ -1,0 +1,93 @@
+"""What length sensors read, as calibrated: reading = scale * unstrained length + offset.
+
+Inside the toolkit every length is material. Readings live at its edge: a recording holds them as
+they were, and whoever plays or scores it converts them by the robot that it is given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.rotations import from_matrix, to_matrix
+from carosac_toolkit.loop.values import Stamped
+from carosac_toolkit.recordings.poses import PoseSamples
+from carosac_toolkit.recordings.recording import Recording
+from carosac_toolkit.robot.robot import Robot
+
+
+def is_calibrated(robot: Robot) -> bool:
+    """Whether the robot says anything about its length sensors."""
+    return robot.length_offset is not None or robot.length_scale is not None
+
+
+def unstrained_lengths(robot: Robot, reading: Array) -> Array:
+    """Unstrained lengths [m] of readings [m]; shapes (..., n)."""
+    offset = 0.0 if robot.length_offset is None else robot.length_offset
+    scale = 1.0 if robot.length_scale is None else robot.length_scale
+    found: Array = (reading - offset) / scale
+    return found
+
+
+def readings(robot: Robot, unstrained_length: Array) -> Array:
+    """Readings [m] of unstrained lengths [m]; shapes (..., n)."""
+    offset = 0.0 if robot.length_offset is None else robot.length_offset
+    scale = 1.0 if robot.length_scale is None else robot.length_scale
+    found: Array = scale * unstrained_length + offset
+    return found
+
+
+def calibrated(recording: Recording, robot: Robot) -> Recording:
+    """A recording of readings as one of unstrained lengths, its poses in W.
+
+    Time stamps stay: the delay of the readings is up to those who use them.
+
+    Args:
+        recording: As it was recorded, n cables.
+        robot: As calibrated. Without anything on its sensors the recording is returned as it is.
+
+    Returns:
+        The same run; lengths, rates and commands are material, poses and exit points are in W.
+        Relative lengths stay relative without an offset in the robot.
+    """
+    if not is_calibrated(robot) and robot.pose_rotation is None:
+        return recording
+    recording.require_cables(robot)
+    scale = 1.0 if robot.length_scale is None else robot.length_scale
+    rate, command = recording.length_rate, recording.command
+    metadata = recording.metadata
+    if robot.length_offset is not None and robot.length_offset.any():  # 0: nobody looked for it
+        metadata = replace(metadata, length_kind="unstrained")
+    return replace(
+        recording,
+        unstrained_length=unstrained_lengths(robot, recording.unstrained_length),
+        length_rate=None if rate is None else Stamped(time=rate.time, value=rate.value / scale),
+        command=None if command is None else _material(robot, command),
+        poses=_turned_poses(robot, recording.poses),
+        exit_points=_turned(robot, recording.exit_points),
+        metadata=metadata,
+    )
+
+
+def _material(robot: Robot, channel: Stamped) -> Stamped:
+    return Stamped(time=channel.time, value=unstrained_lengths(robot, channel.value))
+
+
+def _turned(robot: Robot, points: Array | None) -> Array | None:
+    """Points of the frame of measured poses in W, shape (n, 3)."""
+    if points is None or robot.pose_rotation is None:
+        return points
+    return np.asarray(points @ robot.pose_rotation.T)
+
+
+def _turned_poses(robot: Robot, poses: PoseSamples | None) -> PoseSamples | None:
+    """Measured poses in W."""
+    if poses is None or robot.pose_rotation is None:
+        return poses
+    return PoseSamples(
+        time=poses.time,
+        position=poses.position @ robot.pose_rotation.T,
+        quaternion=from_matrix(robot.pose_rotation @ to_matrix(poses.quaternion)),
+    )

@@ -1,0 +1,277 @@
+"""A recorded run of a robot: every channel with its own time stamps, absent ones None."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from carosac_toolkit.base.arrays import Array, frozen_array
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Imu, Measurement, Stamped
+from carosac_toolkit.recordings.columns import POSES_WANTED
+from carosac_toolkit.recordings.metadata import RecordingMetadata
+from carosac_toolkit.recordings.poses import PoseInterpolation, PoseSamples
+from carosac_toolkit.robot.robot import Robot
+
+STAMPED = ("length_rate", "tension", "command")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """A recorded run; n cables, all times by one clock.
+
+    Attributes:
+        time: Of the cable lengths, strictly increasing [s], shape (N,).
+        unstrained_length: Measured by the encoders [m], shape (N, n).
+        length_rate: Rate of the unstrained length [m/s], (K, n) with its times, or None.
+        tension: Tension at the platform [N], (K, n) with its times, or None.
+        command: Commanded unstrained length [m], (K, n) with its times, or None.
+        poses: Measured by motion capture or the like, (M, ...) with their times, or None.
+        imu: Inertial samples with times (K,), without a batch axis, or None.
+        exit_points: Exit points measured in the run, medians in W [m], shape (n, 3), or None.
+        metadata: Provenance and conventions.
+    """
+
+    time: Array
+    unstrained_length: Array
+    length_rate: Stamped | None = None
+    tension: Stamped | None = None
+    command: Stamped | None = None
+    poses: PoseSamples | None = None
+    imu: Imu | None = None
+    exit_points: Array | None = None
+    metadata: RecordingMetadata = field(default_factory=RecordingMetadata)
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays; check shapes, the order of all times and the sign of the lengths."""
+        lengths = np.asarray(self.unstrained_length)
+        samples = len(np.atleast_1d(self.time))
+        if lengths.ndim != 2 or lengths.size == 0:
+            raise InvalidField("unstrained_length", f"shape {lengths.shape}", "(N, n), N, n >= 1")
+        n = lengths.shape[1]
+        for name, shape in (("time", (samples,)), ("unstrained_length", (samples, n))):
+            object.__setattr__(self, name, frozen_array(name, getattr(self, name), shape))
+        if self.exit_points is not None:
+            frozen = frozen_array("exit_points", self.exit_points, (n, 3))
+            object.__setattr__(self, "exit_points", frozen)
+        for name in STAMPED:
+            self._check_stamped(name)
+        for name, time in self.channel_times.items():
+            _check_increasing("time" if name == "unstrained_length" else f"{name}.time", time)
+        if self.metadata.length_kind == "unstrained" and not (self.unstrained_length > 0).all():
+            row, cable = (int(i) for i in np.argwhere(~(self.unstrained_length > 0))[0])
+            where, value = f"unstrained_length[{row}, {cable}]", self.unstrained_length[row, cable]
+            raise InvalidField(where, f"{value} m", "> 0 m (or length_kind 'relative')")
+
+    @property
+    def n(self) -> int:
+        """Number of cables."""
+        return int(self.unstrained_length.shape[1])
+
+    @property
+    def channel_times(self) -> Mapping[str, Array]:
+        """Time stamps [s] of each channel that is there, by name; lengths come first."""
+        times = {"unstrained_length": self.time}
+        for name in (*STAMPED, "poses", "imu"):
+            channel = getattr(self, name)
+            if channel is not None:
+                times[name] = channel.time
+        return times
+
+    @property
+    def rates(self) -> Mapping[str, float | None]:
+        """Median sample rate of each channel [Hz]; None for a channel of one sample."""
+        return {
+            name: float(1.0 / np.median(np.diff(time))) if len(time) > 1 else None
+            for name, time in self.channel_times.items()
+        }
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last length sample [s]."""
+        return float(self.time[-1] - self.time[0])
+
+    def measurement(self, index: int) -> Measurement:
+        """What a driver would have measured at length sample `index`; poses are withheld.
+
+        The optional channels hold only what is new since the previous length sample: the latest
+        length rate and tension, and all inertial samples.
+
+        Args:
+            index: Of the length sample, 0 <= index < N.
+
+        Returns:
+            A batch of one.
+        """
+        if not 0 <= index < len(self.time):
+            raise InvalidField("index", index, f"0 <= index < {len(self.time)}")
+        after = -np.inf if index == 0 else float(self.time[index - 1])
+        until = float(self.time[index])
+        return Measurement(
+            time=self.time[index : index + 1],
+            unstrained_length=self.unstrained_length[index : index + 1],
+            length_rate=_latest(self.length_rate, after, until),
+            tension=_latest(self.tension, after, until),
+            imu=_inertial(self.imu, after, until),
+        )
+
+    def pose_at(self, time: ArrayLike, *, gap_max: float = 0.5) -> PoseInterpolation:
+        """Measured poses at other times: positions linear, rotations along the great arc.
+
+        Args:
+            time: When [s], shape (B,).
+            gap_max: Longest distance of neighbouring stamps to interpolate across [s].
+
+        Returns:
+            The poses, and a mask that is False outside the range and inside longer gaps.
+        """
+        if self.poses is None:
+            raise InvalidField("poses", None, POSES_WANTED)
+        return self.poses.at(time, gap_max=gap_max)
+
+    def slice(self, start: int = 0, stop: int | None = None) -> Recording:
+        """Cut out length samples start <= i < stop, and of the others what lies in that time.
+
+        Args:
+            start: First length sample.
+            stop: One past the last; None: to the end.
+        """
+        end = len(self.time) if stop is None else stop
+        if not 0 <= start < end <= len(self.time):
+            raise InvalidField("slice", f"{start}:{stop}", f"0 <= start < stop <= {len(self.time)}")
+        first, last = self.time[start], self.time[end - 1]
+        return replace(
+            self,
+            time=self.time[start:end],
+            unstrained_length=self.unstrained_length[start:end],
+            length_rate=_cut(self.length_rate, first, last),
+            tension=_cut(self.tension, first, last),
+            command=_cut(self.command, first, last),
+            poses=_cut_poses(self.poses, first, last),
+            imu=_cut_imu(self.imu, first, last),
+        )
+
+    def require_cables(self, robot: Robot) -> None:
+        """Refuse a robot with another number of cables.
+
+        Raises:
+            InvalidField: The numbers differ.
+        """
+        if robot.n != self.n:
+            allowed = f"{robot.n} cables, as robot {robot.name!r} has"
+            if robot.n > self.n:
+                allowed += f"; is column 'unstrained_length_{self.n + 1:02d}_m' missing?"
+            raise InvalidField("unstrained_length", f"{self.n} cables", allowed)
+
+    def save(self, path: str | Path) -> None:
+        """Write ``.parquet`` or ``.csv``, lossless, and whole or not at all.
+
+        Raises:
+            InvalidField: Another suffix, or a folder that is not there.
+        """
+        from carosac_toolkit.recordings.files import save
+
+        save(self, path)
+
+    def export_tum(self, path: str | Path) -> None:
+        """Write the poses as a TUM trajectory: ``timestamp tx ty tz qx qy qz qw``."""
+        from carosac_toolkit.recordings.files import export_tum
+
+        export_tum(self, path)
+
+    def _check_stamped(self, name: str) -> None:
+        """Refuse a channel with another number of cables."""
+        channel: Stamped | None = getattr(self, name)
+        if channel is not None and channel.value.shape != (len(channel.time), self.n):
+            allowed = f"shape (K, {self.n}), one column per cable"
+            raise InvalidField(f"{name}.value", f"shape {channel.value.shape}", allowed)
+
+
+def load_recording(path: str | Path) -> Recording:
+    """Read a recording.
+
+    ``.parquet`` or ``.csv`` (`carosac_toolkit.recordings`), SCAMPI ``.mat``, or the ``.jsonl`` of
+    a run (`carosac_toolkit.recordings.crash_safe`).
+
+    Args:
+        path: The file.
+
+    Raises:
+        MissingFile: There is no such file.
+        InvalidField: A suffix that is not known.
+        InvalidFile: A file that is no recording, with all its faults in one message.
+    """
+    from carosac_toolkit.recordings.files import load
+
+    return load(path)
+
+
+def _check_increasing(name: str, time: Array) -> None:
+    """Refuse an empty channel and times that do not strictly increase."""
+    if time.ndim != 1 or len(time) == 0:
+        raise InvalidField(name, f"shape {time.shape}", "(K,), K >= 1, or the whole channel None")
+    bad = np.diff(time) <= 0
+    if bad.any():
+        index = int(np.argmax(bad)) + 1
+        raise InvalidField(f"{name}[{index}]", f"{time[index]} s", f"> {time[index - 1]} s")
+
+
+def _latest(channel: Stamped | None, after: float, until: float) -> Stamped | None:
+    """Return the last sample with after < time <= until, as a batch of one."""
+    if channel is None:
+        return None
+    index = int(np.searchsorted(channel.time, until, side="right")) - 1
+    if index < 0 or channel.time[index] <= after:
+        return None
+    row = np.s_[index : index + 1]
+    return Stamped(time=channel.time[row], value=channel.value[row])
+
+
+def _inertial(imu: Imu | None, after: float, until: float) -> Imu | None:
+    """Return all samples with after < time <= until, with a batch axis of one."""
+    if imu is None:
+        return None
+    new = (imu.time > after) & (imu.time <= until)
+    if not new.any():
+        return None
+    return Imu(
+        time=imu.time[None, new],
+        angular_rate=imu.angular_rate[None, new],
+        specific_force=imu.specific_force[None, new],
+    )
+
+
+def _cut(channel: Stamped | None, first: float, last: float) -> Stamped | None:
+    """Return the samples with first <= time <= last, or None where there are none."""
+    if channel is None:
+        return None
+    keep = (channel.time >= first) & (channel.time <= last)
+    return Stamped(time=channel.time[keep], value=channel.value[keep]) if keep.any() else None
+
+
+def _cut_poses(poses: PoseSamples | None, first: float, last: float) -> PoseSamples | None:
+    if poses is None:
+        return None
+    keep = (poses.time >= first) & (poses.time <= last)
+    if not keep.any():
+        return None
+    return PoseSamples(
+        time=poses.time[keep], position=poses.position[keep], quaternion=poses.quaternion[keep]
+    )
+
+
+def _cut_imu(imu: Imu | None, first: float, last: float) -> Imu | None:
+    if imu is None:
+        return None
+    keep = (imu.time >= first) & (imu.time <= last)
+    if not keep.any():
+        return None
+    return Imu(
+        time=imu.time[keep],
+        angular_rate=imu.angular_rate[keep],
+        specific_force=imu.specific_force[keep],
+    )

@@ -1,0 +1,1 @@
+"""Report pages of studies and validations, with their pictures."""

@@ -1,0 +1,138 @@
+"""A study as a page: table, failures, pictures and settings, in its folder."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+
+from carosac_toolkit.reports.page import (
+    bullets,
+    definitions,
+    made_with,
+    page,
+    picture,
+    png,
+    repeat,
+    table,
+    write_files,
+)
+from carosac_toolkit.studies.compare.paired import Block, paired_blocks
+from carosac_toolkit.studies.compare.paper_tables import explanation, latex, markdown, sheets
+from carosac_toolkit.studies.compare.results import StudyResults, estimated, tracked
+from carosac_toolkit.studies.compare.tables import failures, header, name_columns, rows, units
+
+TABLES_MARKDOWN, TABLES_LATEX, STATISTICS = "tables.md", "tables.tex", "statistics.json"
+CAPTIONS = {
+    "paired": "Every error over that of the baseline on the same draws, with its interval: left of "
+    "1 is better.",
+    "paths": "One case: where the platform origin went, against the reference.",
+    "error_over_time": "One case: absolute tracking error per axis; grey: the reference rests.",
+    "error_violins": "Distribution of the absolute tracking error over the samples of all "
+    "trajectories, first seed.",
+    "rmse_gaussians": "How much the RMSE differs from case to case, over all trajectories and "
+    "seeds: the narrower, the more one case says about the next.",
+    "regions_and_estimates": "Tracking error in the centre and near the boundary of the workspace "
+    "box, and estimation error per axis, over all cases.",
+    "estimation": "Distribution of the absolute estimation error over the samples of all "
+    "trajectories, first seed; where an estimator has a covariance, also whether its errors are as "
+    "large as it says.",
+}
+
+
+def write_report(
+    results: StudyResults,
+    said: Sequence[str],
+    words: Sequence[str],
+    blocks: Sequence[Block] | None = None,
+) -> list[Path]:
+    """Draw the pictures and write tables and ``report.html`` into the folder of the study.
+
+    Args:
+        results: What was found.
+        said: Sentences on it.
+        words: The command that repeats it.
+        blocks: Its paired comparisons; by default those with the first of each block.
+
+    Returns:
+        The files, the report last.
+    """
+    from carosac_toolkit.pictures.comparison import PICTURES
+    from carosac_toolkit.pictures.paired import comparable, draw_paired
+
+    blocks = paired_blocks(results) if blocks is None else blocks
+    names = list(PICTURES) if tracked(results.rows) else []
+    if all(len(tracked(rows)) < 2 for rows in results.groups):  # one case does not scatter
+        names = [name for name in names if name != "rmse_gaussians"]
+    if not names and estimated(results.rows):  # nothing follows commands on a recording
+        names = ["estimation"]
+    images = {f"{name}.png": png(PICTURES[name](results)) for name in names}
+    if comparable(blocks):
+        images = {"paired.png": png(draw_paired(blocks)), **images}
+    document = _html(results, said, words, images, blocks)
+    origin = _origin(results, words)
+    tables = {
+        TABLES_MARKDOWN: markdown(blocks, f"```text\n{origin}\n```"),
+        TABLES_LATEX: latex(blocks, origin),
+        STATISTICS: json.dumps([block.data() for block in blocks], indent=1) + "\n",
+    }
+    files = {name: text.encode() for name, text in tables.items()}
+    return write_files(results.folder, {**images, **files, "report.html": document.encode()})
+
+
+def _origin(results: StudyResults, words: Sequence[str]) -> str:
+    """How the numbers were made, in lines of text."""
+    digests = dict.fromkeys(
+        f"robot {row['robot']}: sha256 {digest}"
+        for row in results.rows
+        if (digest := json.loads(str(row["settings"])).get("robot_digest"))
+    )
+    made = [f"{name}: {text}" for name, text in made_with().items() if text]
+    return "\n".join([f"command: {shlex.join(words)}", *digests, *made])
+
+
+def _html(
+    results: StudyResults,
+    said: Sequence[str],
+    words: Sequence[str],
+    images: Mapping[str, bytes],
+    blocks: Sequence[Block],
+) -> str:
+    """The whole document."""
+    names = list(dict.fromkeys(str(row["controller"]) for row in results.rows))
+    lost = "\n".join(failures(results))
+    parts = [
+        bullets(said),
+        f"<h2>Errors</h2><p>{escape(units(results))}</p>",
+        table(header(results), rows(results), left=name_columns(results)),
+        f"<h2>Paired comparison</h2><p>{escape(explanation(blocks))}</p>",
+        *(
+            f"<h3>{escape(sheet.title)}</h3>"
+            + table(sheet.header, list(sheet.rows), left=sheet.left, bold=sheet.bold)
+            for sheet in sheets(blocks)
+        ),
+        f"<p>The same as {TABLES_MARKDOWN} and {TABLES_LATEX}, and all digits in {STATISTICS}, "
+        "beside this page.</p>",
+        f"<h2>Cases without a score</h2><pre>{escape(lost)}</pre>" if lost else "",
+        *(picture(image, CAPTIONS[Path(file).stem]) for file, image in images.items()),
+        "<h2>Settings</h2>",
+        definitions({**_settings(results), **made_with()}),
+        repeat(words),
+    ]
+    return page(f"Comparison of {', '.join(names)}", parts)
+
+
+def _settings(results: StudyResults) -> dict[str, str]:
+    """What the cases were."""
+    terms = {"cases": str(len(results.rows))}
+    for name in ("robot", "controller", "estimator", "suite", "trajectory", "perturbation", "seed"):
+        values = dict.fromkeys(str(row[name]) for row in results.rows)
+        terms[name] = ", ".join(values)
+    shared: dict[str, dict[str, None]] = {}
+    for row in results.rows:
+        for name, value in json.loads(str(row["settings"])).items():
+            shared.setdefault(name, {})[json.dumps(value).strip('"')] = None
+    terms |= {name: "; ".join(values) for name, values in shared.items()}
+    return terms | {"results": f"Parquet files beside this page, in {results.folder.resolve()}"}

@@ -1,0 +1,164 @@
+"""A validation as a folder: pictures, and one report.html that needs nothing else."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+
+from carosac_toolkit.recordings.metadata import RecordingMetadata
+from carosac_toolkit.reports.page import (
+    bullets,
+    definitions,
+    made_with,
+    page,
+    picture,
+    png,
+    repeat,
+    table,
+    warnings,
+    write_files,
+)
+from carosac_toolkit.validation.phases import REST_DURATION, REST_SPEED
+from carosac_toolkit.validation.result import ValidationResult
+from carosac_toolkit.validation.saved import SAMPLES, samples_bytes
+from carosac_toolkit.validation.tables import (
+    CAUSE_HEADER,
+    PART_HEADER,
+    cause_rows,
+    part_rows,
+    part_units,
+)
+
+SETTINGS = "report_settings.json"
+CAPTIONS = {
+    "paths": "Path of the platform origin: measured and modelled.",
+    "error_violins": "Distribution of the absolute position error per axis and in norm.",
+    "time_series": "Position and error over time; grey: the winches rest.",
+    "length_errors": "Measured cable lengths less those that each model predicts at the measured "
+    "pose: straight cables for a model without tensions, hanging and stretched ones otherwise.",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Context:
+    """Where a result comes from.
+
+    Attributes:
+        recording: Name or path of the recording, as it was given.
+        metadata: What it says about itself.
+        words: The command that repeats the validation.
+        file: The recording's file.
+        guess: How the robot was guessed, or empty.
+    """
+
+    recording: str
+    metadata: RecordingMetadata
+    words: list[str]
+    file: Path
+    guess: str = ""
+
+    @property
+    def settings(self) -> dict[str, object]:
+        """What a report is of; written beside it."""
+        return {"file": str(self.file.resolve()), "command": shlex.join(self.words)}
+
+
+def free_folder(base: Path, context: Context) -> Path:
+    """Choose a folder that holds no report of anything else: `base`, `base`-2, `base`-3, ...
+
+    Args:
+        base: The first choice.
+        context: A folder with a report of the same is free: that report is replaced.
+    """
+    for number in count(1):
+        folder = base if number == 1 else base.with_name(f"{base.name}-{number}")
+        if not folder.exists() or _settings(folder) == context.settings:
+            return folder
+    raise AssertionError("count() ends nowhere")
+
+
+def _settings(folder: Path) -> object:
+    """What the report in a folder is of, or None."""
+    try:
+        return json.loads((folder / SETTINGS).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+def write_report(
+    folder: Path, result: ValidationResult, said: list[str], context: Context
+) -> list[Path]:
+    """Draw the pictures and write the report; every file appears whole, or nothing does.
+
+    Args:
+        folder: Made if need be; files of an earlier report in it are replaced.
+        result: What was found.
+        said: Sentences on it.
+        context: Where it comes from.
+
+    Returns:
+        The files, the report last.
+    """
+    from carosac_toolkit.pictures.validation import PICTURES
+
+    images = {
+        f"{name}.png": png(draw(result))
+        for name, draw in (PICTURES.items() if _any_scored(result) else ())
+    }
+    settings = json.dumps(context.settings, indent=2, ensure_ascii=False) + "\n"
+    document = _html(result, said, context, images)
+    files = {SETTINGS: settings.encode()}
+    if images:
+        files[SAMPLES] = samples_bytes(result)
+    return write_files(folder, {**images, **files, "report.html": document.encode()})
+
+
+def _any_scored(result: ValidationResult) -> bool:
+    return any(model.scores is not None for model in result.models.values())
+
+
+def _html(
+    result: ValidationResult, said: list[str], context: Context, images: dict[str, bytes]
+) -> str:
+    """The whole document."""
+    name = f"Validation of {', '.join(result.models)} on {Path(context.recording).name}"
+    parts = [
+        *warnings(result.warnings),
+        bullets(said),
+        f"<h2>Errors</h2><p>{part_units(result)}. Error is model minus measured, in world frame W. "
+        f"At rest means that no cable length changes faster than {REST_SPEED * 1e3:g} mm/s for at "
+        f"least {REST_DURATION:g} s; the platform may still sway.</p>",
+        table(PART_HEADER, part_rows(result), left=2),
+        "<h2>What may explain them</h2><p>Delay: least squares of the error in motion on the "
+        "measured velocity; positive means that poses are late against the lengths. Sway: the "
+        "frequency that fits the error at rest best, on the axis that swings most.</p>",
+        table(CAUSE_HEADER, cause_rows(result), left=1),
+        *(picture(image, CAPTIONS[Path(file).stem]) for file, image in images.items()),
+        "<h2>Provenance</h2>",
+        definitions({**_provenance(result, context), **made_with()}),
+        repeat(context.words),
+    ]
+    return page(name, parts)
+
+
+def _provenance(result: ValidationResult, context: Context) -> dict[str, str]:
+    """What went in."""
+    metadata, robot = context.metadata, result.robot
+    return {
+        "recording": context.recording,
+        "description": metadata.description,
+        "source": metadata.source,
+        "licence": metadata.licence,
+        "cite": metadata.citation,
+        "written by": metadata.created_by,
+        "samples scored": f"{result.samples} of {result.start}:{result.stop}, "
+        f"{len(result.rests)} rests",
+        "robot": f"{robot.name}: {robot.description}",
+        "robot chosen by": context.guess,
+        "robot licence": robot.licence,
+        "seed": str(result.seed),
+        "models": ", ".join(result.models) + "; each with its default settings",
+    }

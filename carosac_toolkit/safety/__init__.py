@@ -1,0 +1,1 @@
+"""Limits of commands and the stop that always remains possible."""

@@ -1,0 +1,250 @@
+r"""The safety layer that every moving driver shares: what may be sent, and what was changed.
+
+Lengths commanded at a fixed period h define speed, acceleration and jerk of each cable by
+differences (`carosac_toolkit.physics.motion.braking`). Nothing leaves `Limiter.apply` from which
+the controlled stop could not bring all cables to rest within every limit: length, speed,
+acceleration and jerk of each cable, and the workspace box. The braking distance counts at the
+length limits and at the box.
+
+Order of precedence:
+
+1. What is asked passes, bit by bit, where it keeps all limits and leaves room to stop.
+2. Else the cables go together, by one common factor, along the straight line in length space to
+   what is asked, as far as that is admissible and does not end beyond it. The line starts at the
+   step in which they match its pace with jerks and accelerations in proportion, so that motions in
+   proportion stay so; where that step is not admissible, at the next step of the controlled stop.
+3. The controlled stop is always allowed. It comes before the jump limit: where a winch is stuck and
+   stopping leads farther from the measured length than `jump_max`, the cables brake, and the hit is
+   reported at every call. Only commands that close that gap go through until it is closed.
+
+Acceleration and jerk are never exceeded to keep another limit. The box is that of the straight-line
+position at the home rotation (`straight_line`), followed from where `reset` found it: weight and
+stretch of the cables, sway and tilt are not in it. Keep the box inside what must not be touched by
+that much: sag and stretch (compare `statics.forward_kinematics` with the straight line), the
+amplitude of sway, and the motion of the outermost point under tilt.
+
+The limits hold at each period. Between two commands the winches interpolate. The controlled stop
+brakes each cable on its own; with more cables than degrees of freedom its tensions are not bounded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from carosac_toolkit.base.arrays import Array, batch
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.values import Command, LimitHit
+from carosac_toolkit.physics.cable.straight_line import forward_kinematics
+from carosac_toolkit.physics.motion.braking import BOX_SLACK, Brakes, Motion, Slack
+from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.limits_report import limit_hits, rate_hits
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitSettings:
+    """What the robot file does not say about limits.
+
+    Attributes:
+        jerk_max: Largest change of acceleration of a cable [m/s^3]. The default takes winches of
+            5 m/s^2 to full acceleration in 25 ms.
+        jump_max: Largest distance of a command from the measured length [m]; must exceed what the
+            winches lag behind at full speed. The default is twice that of winches of 2.5 m/s with
+            a lag of 50 ms and 10 ms of delay.
+        box: Whether the straight-line position must stay in the robot's workspace box.
+    """
+
+    jerk_max: float = 200.0
+    jump_max: float = 0.3
+    box: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that are not positive."""
+        for name, unit in (("jerk_max", "m/s^3"), ("jump_max", "m")):
+            value = getattr(self, name)
+            if not value > 0.0 or not np.isfinite(value):
+                raise InvalidField(name, f"{value} {unit}", f"{name} > 0, finite")
+
+
+class Limiter:
+    """Keeps the commands of B robots of n cables within limits; each row on its own.
+
+    Each call of `apply` or `brake` stands for one period, whatever the time of the command says:
+    it is passed on and not checked, as the clocks of drivers jitter. A driver that misses a tick
+    makes no call for it, and its winches hold the last command.
+    """
+
+    def __init__(
+        self, robot: Robot, settings: LimitSettings | None = None, *, period: float
+    ) -> None:
+        """Set up; call `reset` before anything else.
+
+        Args:
+            robot: Robot description, n cables.
+            settings: None takes the defaults.
+            period: Time between two commands [s].
+
+        Raises:
+            InvalidField: A period that is not positive, or so short that the rounding of lengths
+                hides the jerk limit.
+        """
+        self.robot = robot
+        self.settings = LimitSettings() if settings is None else settings
+        if not period > 0.0 or not np.isfinite(period):
+            raise InvalidField("period", f"{period} s", "period > 0, finite")
+        if Slack.of(robot, self.settings.jerk_max, period).jerk > 0.01 * self.settings.jerk_max:
+            raise InvalidField(
+                "period", f"{period} s",
+                f"periods at which {self.settings.jerk_max} m/s^3 is not lost in rounding",
+            )  # fmt: skip
+        self.period = float(period)
+        self._brakes: Brakes | None = None
+        self._size = 0
+
+    @property
+    def stopped(self) -> bool:
+        """Whether all cables are at rest: no speed and no acceleration."""
+        motion = self._now()[1]
+        return not (motion.speed.any() or motion.acceleration.any())
+
+    @property
+    def motion(self) -> Motion:
+        """Length, speed and acceleration of what was last sent, as copies."""
+        return Motion(*(part.copy() for part in self._now()[1]))
+
+    def reset(self, unstrained_length: ArrayLike, *, time: ArrayLike | None = None) -> None:
+        """Start at rest.
+
+        Args:
+            unstrained_length: Where the winches stand [m], shape (B, n).
+            time: Time of the state [s], shape (B,), from which `brake` counts; None is 0.
+
+        Raises:
+            InvalidField: Lengths outside the length limits, or, with the box on, lengths whose
+                straight-line position is outside the box: move in with the box off.
+        """
+        length = batch("unstrained_length", unstrained_length, (self.robot.n,))
+        size = len(length)
+        start = np.zeros(size) if time is None else batch("time", time, ())
+        if start.shape != (size,):
+            raise InvalidField("time", f"shape {start.shape}", f"shape {(size,)}")
+        _check_lengths(self.robot, length)
+        position = _check_box(self.robot, length) if self.settings.box else np.zeros((size, 3))
+        if self._brakes is None or self._size != size:
+            s = self.settings
+            self._brakes = Brakes(
+                self.robot, size, period=self.period, jerk_max=s.jerk_max, jump_max=s.jump_max,
+                box=s.box,
+            )  # fmt: skip
+            self._size = size
+        rest = np.zeros_like(length)
+        self._motion = Motion(length, rest, rest, position)
+        self._asked = length
+        self._time = start
+
+    def apply(self, command: Command, actual: ArrayLike | None = None) -> Command:
+        """What may be sent of a command, for the next period.
+
+        Args:
+            command: What a controller asks for; a `length_rate` is kept within the speed limits,
+                and follows the lengths where they were changed.
+            actual: Measured unstrained lengths [m], shape (B, n); None: no jump limit.
+
+        Returns:
+            The command itself where nothing had to change, else what to send instead. `limited`
+            lists, row by row, each limit that was in the way with the value asked and the value
+            sent, for the step or for the stop that would follow it, whichever breaks the limit:
+            ``length`` [m], ``speed`` [m/s], ``acceleration`` [m/s^2], ``jerk`` [m/s^3], ``jump``
+            (distance from the measured length [m]), ``box`` (distance outside [m], no cable),
+            ``length_rate`` [m/s]; and ``coordination`` [m] for a cable that broke none and was
+            changed to stay with the others. Each changed length is in one of them.
+
+        Raises:
+            InvalidField: Another shape, or a number that is not finite; nothing has changed then.
+        """
+        brakes, motion = self._now()
+        asked = self._checked("unstrained_length", command.unstrained_length)
+        measured = None if actual is None else self._checked("actual", actual)
+        sent = brakes.limit(motion, asked, self._pace(asked), measured)
+        hits: list[LimitHit] = []
+        changed = (sent.length != asked).any(axis=1)
+        far = False
+        if measured is not None:
+            far = bool((np.abs(sent.length - measured) > self.settings.jump_max).any())
+        if far or changed.any():
+            hits += limit_hits(
+                self.robot, self.settings.jerk_max, self.settings.jump_max, self.period,
+                brakes, motion, asked, sent, measured,
+            )  # fmt: skip
+        rate = command.length_rate
+        if rate is not None:
+            rate = np.where(changed[:, None], sent.speed, rate)
+            rate = np.clip(rate, -self.robot.speed_max, self.robot.speed_max)
+            hits += rate_hits(command.length_rate, rate)
+        self._motion, self._asked, self._time = sent, asked, command.time
+        if not hits:
+            return command
+        return Command(
+            time=command.time,
+            unstrained_length=sent.length,
+            length_rate=rate,
+            limited=(*command.limited, *hits),
+        )
+
+    def brake(self) -> Command:
+        """The next command of the controlled stop, one period after the last one.
+
+        Call it until `stopped`; after that it holds the lengths.
+        """
+        brakes, motion = self._now()
+        self._motion = brakes.stop(motion)
+        self._asked = self._motion.length
+        self._time = self._time + self.period
+        return Command(time=self._time, unstrained_length=self._motion.length)
+
+    def _now(self) -> tuple[Brakes, Motion]:
+        """The brakes and the motion, once there are any."""
+        if self._brakes is None:
+            raise InvalidField("limiter", "no lengths to start from", "a call of reset() first")
+        return self._brakes, self._motion
+
+    def _checked(self, name: str, value: ArrayLike) -> Array:
+        """Refuse another shape or numbers that are not finite."""
+        array = batch(name, value, (self.robot.n,))
+        if len(array) != self._size:
+            allowed = f"shape {(self._size, self.robot.n)}, as at reset()"
+            raise InvalidField(name, f"shape {array.shape}", allowed)
+        return array
+
+    def _pace(self, asked: Array) -> Array:
+        """Speed at which what is asked moves [m/s]; 0 where it jumps faster than a winch can."""
+        with np.errstate(over="ignore"):  # a jump beyond all numbers is a jump
+            pace = (asked - self._asked) / self.period
+        return np.where(np.abs(pace) <= self.robot.speed_max, pace, 0.0)
+
+
+def _check_lengths(robot: Robot, length: Array) -> None:
+    """Refuse lengths outside the length limits."""
+    bad = (length < robot.length_min) | (length > robot.length_max)
+    if bad.any():
+        row, i = (int(k) for k in np.argwhere(bad)[0])
+        allowed = f"{robot.length_min[i]} m <= length <= {robot.length_max[i]} m"
+        raise InvalidField(f"unstrained_length[{row}, {i}]", f"{length[row, i]} m", allowed)
+
+
+def _check_box(robot: Robot, length: Array) -> Array:
+    """The straight-line positions [m], (B, 3); refuse any outside the workspace box."""
+    fit = forward_kinematics(robot, length)
+    low, high = robot.workspace_min - BOX_SLACK, robot.workspace_max + BOX_SLACK
+    inside = ((fit.position >= low) & (fit.position <= high)).all(axis=1)
+    bad = ~(inside & fit.converged)
+    if bad.any():
+        row = int(np.argmax(bad))
+        what = "no straight-line position"
+        if fit.converged[row]:
+            what = f"straight-line position {np.round(fit.position[row], 4).tolist()} m"
+        box = f"{robot.workspace_min.tolist()} to {robot.workspace_max.tolist()} m"
+        raise InvalidField(f"unstrained_length[{row}]", what, f"in the workspace box {box}")
+    return fit.position

@@ -1,0 +1,1 @@
+"""Comparative studies: settings, results, paired statistics and tables."""

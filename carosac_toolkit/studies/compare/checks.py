@@ -1,0 +1,161 @@
+"""Whether a study can run at all: names that lead somewhere, numbers in their range."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from carosac_toolkit import trajectories
+from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
+from carosac_toolkit.base.numbers import check_whole
+from carosac_toolkit.base.settings import filled
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.plugin_settings import check_types
+from carosac_toolkit.loop.protocols import replays
+from carosac_toolkit.robot.file import load_robot
+from carosac_toolkit.robot.perturbations import CONDITIONS
+from carosac_toolkit.studies.run.folder import check_statuses
+from carosac_toolkit.studies.run.run_case import GIVEN, own_settings, plugin_name
+
+if TYPE_CHECKING:
+    from carosac_toolkit.studies.compare.study import Study
+
+
+RECORDED = "recorded"  # the path of a recording, the only one on a driver that replays
+
+
+def check_study(study: Study) -> None:
+    """Refuse a study that could not run.
+
+    Raises:
+        CarosacError: What is wrong, and what is allowed.
+    """
+    for name, unit in (("speed_max", "m/s"), ("acceleration_max", "m/s^2")):
+        _positive(name, getattr(study, name), unit)
+    study.cases()
+    _check_execution(study)
+    for robot in study.robots:
+        load_robot(robot)
+    driver = _plugin("drivers", study.driver)
+    paths = (RECORDED, *trajectories.NAMES) if replays(driver) else trajectories.NAMES
+    _known("trajectory", study.trajectories, paths)
+    _known("perturbation", study.perturbations, sorted(CONDITIONS))
+    own = own_settings(study.driver, study.driver_settings)
+    for taken in sorted(set(GIVEN) & set(own)):
+        value = repr(own[taken])
+        raise InvalidField(f"driver_settings.{taken}", value, "none: each case says it")
+    _check_suites(driver, study.driver, study.suites)
+    _check_settings("driver_settings", study.driver, driver, own)
+    for kind in ("controllers", "estimators"):
+        names = getattr(study, kind)
+        wanted = getattr(study, f"{kind[:-1]}_settings")
+        _known(f"{kind[:-1]}_settings", wanted, names)
+        for name in names:
+            if kind == "estimators" and name == "truth":
+                _check_truth(driver, study.driver)
+                continue
+            plugin = _plugin(kind, name)
+            _check_settings(f"{kind[:-1]}_settings", name, plugin, wanted.get(name, {}))
+
+
+def _check_execution(study: Study) -> None:
+    """Refuse what `run_cases` would refuse, before anybody is told that something runs."""
+    if not 0.0 < study.timeout < 1e7:
+        raise InvalidField("timeout", f"{study.timeout} s", "0 < timeout < 1e7 s")
+    check_statuses(study.retry)
+    check_whole("batch", study.batch, 1)
+    if study.workers is not None and study.scheduler is not None:
+        allowed = "no number of workers with a scheduler"
+        raise InvalidField("workers", str(study.workers), allowed)
+    if study.workers is not None and study.workers < 0:
+        raise InvalidField("workers", str(study.workers), "0 or more")
+
+
+def _positive(name: str, value: Any, unit: str) -> None:
+    """Refuse what is no positive finite number."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InvalidField(name, repr(value), f"a number [{unit}]")
+    if not (value > 0.0 and np.isfinite(value)):
+        raise InvalidField(name, f"{value} {unit}", f"{name} > 0, finite")
+
+
+def _known(field: str, names: Any, allowed: Sequence[str]) -> None:
+    """Refuse names that are not in a list."""
+    for name in names:
+        if name not in allowed:
+            said = f"one of {list(allowed)}{did_you_mean(name, allowed)}"
+            raise InvalidField(field, repr(name), said)
+
+
+def _plugin(kind: Any, name: str) -> Any:
+    """Import a plug-in; whatever its import raises is one message.
+
+    Raises:
+        CarosacError: Its label is empty, it is not there, cannot be imported or has no `build`.
+    """
+    _, at, label = name.partition("@")
+    if at and not label:
+        raise InvalidField(kind[:-1], repr(name), "NAME, or NAME@LABEL with a label")
+    try:
+        plugin = plugins.load(kind, plugin_name(name))
+    except CarosacError:
+        raise
+    except Exception as error:
+        raise CarosacError(
+            f"{kind[:-1]} '{name}': its import raised {type(error).__name__}: {error}"
+        ) from error
+    if not callable(getattr(plugin, "build", None)):
+        allowed = "a class with build(robot, settings, *, seed)"
+        raise InvalidField(kind[:-1], repr(name), allowed)
+    return plugin
+
+
+def _check_suites(driver: Any, name: str, suites: Sequence[str]) -> None:
+    """Refuse sensor suites that the driver does not have."""
+    kinds = getattr(driver, "Settings", None)
+    has_suites = is_dataclass(kinds) and "suite" in {field.name for field in fields(kinds)}
+    for suite in suites:
+        if not has_suites and suite != "lengths":
+            allowed = f"'lengths': driver {name} has no choice of sensors"
+            raise InvalidField("suite", repr(suite), allowed)
+        if has_suites:
+            replace(kinds(), suite=suite)  # type: ignore[misc]
+
+
+def _check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any]) -> None:
+    """Refuse settings that a plug-in does not have."""
+    check = getattr(plugin, "check_settings", None)
+    if not wanted and check is None:
+        return
+    kinds = getattr(plugin, "Settings", None)
+    if not is_dataclass(kinds):
+        raise InvalidField(field, repr(dict(wanted)), f"nothing: {name} has no settings")
+    where, usual = f"{field} of {name}", kinds()  # type: ignore[operator]
+    _known(where, wanted, sorted(item.name for item in fields(kinds)))
+    check_types(where, usual, wanted)
+    try:
+        chosen = filled(where, usual, wanted)
+    except TypeError as error:
+        raise InvalidField(field, repr(dict(wanted)), f"settings of {name}: {error}") from error
+    if check is not None:
+        _ask(name, check, chosen)
+
+
+def _ask(name: str, check: Any, chosen: Any) -> None:
+    """Let a plug-in check its settings; whatever that raises is one message."""
+    try:
+        check(chosen)
+    except CarosacError:
+        raise
+    except Exception as error:
+        said = f"{name}: check_settings raised {type(error).__name__}: {error}"
+        raise CarosacError(said) from error
+
+
+def _check_truth(driver: Any, name: str) -> None:
+    """Refuse the estimator `truth` where nobody knows it."""
+    if replays(driver) or not callable(getattr(driver, "truth", None)):
+        raise InvalidField("estimator", "'truth'", f"another one: driver {name} knows no truth")

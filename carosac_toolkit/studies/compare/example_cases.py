@@ -1,0 +1,90 @@
+"""Example cases: how one case of each kind went, kept with its row for pictures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.studies.compare.results import scored, tracked
+from carosac_toolkit.studies.run.rows import Row
+
+MM = 1e3
+REST_SPEED = 5e-3  # [m/s]: slower references count as rest
+REST_TIME = 0.3  # [s]: shorter ones are the beginning of a motion
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Example:
+    """One case as it went, S samples.
+
+    Attributes:
+        trajectory: Its name.
+        title: Robot, trajectory and seed.
+        time: From the start [s], shape (S,).
+        reference: Platform origin asked for in W [m], shape (S, 3).
+        position: True platform origin in W [m], shape (S, 3).
+        belief: Believed platform origin in W [m], shape (S, 3); None where it was not kept.
+    """
+
+    trajectory: str
+    title: str
+    time: Array
+    reference: Array
+    position: Array
+    belief: Array | None = None
+
+    @property
+    def error(self) -> Array:
+        """Absolute tracking error per axis and in norm [mm], shape (S, 4)."""
+        return _absolute(self.position - self.reference)
+
+    @property
+    def estimation_error(self) -> Array:
+        """Absolute estimation error per axis and in norm [mm], shape (S, 4), where it was kept."""
+        assert self.belief is not None
+        return _absolute(self.belief - self.position)
+
+    def rests(self) -> list[tuple[float, float]]:
+        """Start and end of each rest of the reference [s]."""
+        speed = np.linalg.norm(np.diff(self.reference, axis=0), axis=1) / np.diff(self.time)
+        resting = np.concatenate([[False], speed < REST_SPEED, [False]]).astype(int)
+        edges = np.flatnonzero(np.diff(resting))
+        spans = [(float(self.time[a]), float(self.time[b])) for a, b in edges.reshape(-1, 2)]
+        return [(start, end) for start, end in spans if end - start > REST_TIME]
+
+
+def examples_of(rows: Sequence[Row]) -> list[Example]:
+    """Cases whose course was kept."""
+    return [example for row in tracked(rows) if (example := _example(row)) is not None]
+
+
+def estimates_of(rows: Sequence[Row]) -> list[Example]:
+    """Cases whose course was kept with what was believed, also those that track nothing."""
+    examples = (_example(row) for row in scored(rows))
+    return [one for one in examples if one is not None and one.belief is not None]
+
+
+def _absolute(error: Array) -> Array:
+    """Error (S, 3) [m] per axis and in norm [mm], shape (S, 4)."""
+    return MM * np.column_stack([np.abs(error), np.linalg.norm(error, axis=1)])
+
+
+def _example(row: Row) -> Example | None:
+    """The course of a case, or None where it was not kept."""
+    if row.get("series") is None:
+        return None
+    series = json.loads(str(row["series"]))
+    if series["position_m"] is None:
+        return None
+    return Example(
+        trajectory=str(row["trajectory"]),
+        title=f"{row['robot']}, {row['trajectory']}, seed {row['seed']}",
+        time=np.array(series["time_s"]),
+        reference=np.array(series["reference_m"]),
+        position=np.array(series["position_m"]),
+        belief=np.array(series["belief_m"]) if series.get("belief_m") is not None else None,
+    )

@@ -1,0 +1,293 @@
+"""Paired statistics as tables for a paper: Markdown and LaTeX, and text for the terminal."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import floor, isfinite, log10
+
+from carosac_toolkit.studies.compare.paired import LEVEL, Block, Compared
+from carosac_toolkit.studies.compare.pairs import Estimate, Pair
+from carosac_toolkit.studies.compare.resampling import CONFIDENCE, FEWEST, smallest_p
+from carosac_toolkit.studies.compare.results import LATENCIES, WAYS
+from carosac_toolkit.text_tables import counted, fit, wrapped
+
+TITLES = {
+    "tracking": "tracking",
+    "tracking_centre": "centre",
+    "tracking_boundary": "boundary",
+    "residual_sway": "sway",
+    "estimation": "estimation",
+}
+SHOWN = ("tracking", "estimation")  # in the terminal
+MM = 1e3
+MOST_DECIMALS = 2
+DIGITS = 3  # significant ones of the smallest number of a column, where it is not below them
+P_SHOWN = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sheet:
+    """One table, cells as text without any mark-up.
+
+    Attributes:
+        title: What it is of.
+        header: Column titles, with units.
+        rows: Cells.
+        left: Columns on the left that hold names.
+        bold: Row and column of cells that stand out.
+    """
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    left: int
+    bold: frozenset[tuple[int, int]] = frozenset()
+
+
+def sheets(blocks: Sequence[Block]) -> list[Sheet]:
+    """All tables of a study: errors of each block, and its paired differences."""
+    found = []
+    for block in blocks:
+        found.append(_errors(block))
+        if differing(block):
+            found.append(_differences(block))
+    return found
+
+
+def explanation(blocks: Sequence[Block]) -> str:
+    """What the columns of all tables mean."""
+    percent = f"{100 * CONFIDENCE:.0f} %"
+    seeds = min(block.seeds for block in blocks)
+    text = (
+        "Errors are RMSEs of a case in norm. Typical: median over the seeds of each path, mean "
+        f"over the paths; in brackets its {percent} interval. Sway is the RMS swing in the 3 s "
+        "after the end. Centre: the reference is in the middle half of each side of the workspace "
+        "box; boundary: it is not. Latency is that of estimator and controller, per cycle: median "
+        "over the cases of median, 95th and 99th percentile. Differences are paired: same plant, "
+        "path and noise, minus the baseline, over the cases that both solved; ratio: of the "
+        "typical errors in the same cases. Won: cases with the smaller error; a case that failed "
+        "is lost. Intervals: cluster bootstrap over the seeds, expanded percentiles. p: two-sided, "
+        "of cases won against lost, labels exchanged seed by seed, adjusted by Holm for all "
+        "comparisons of the same error in a table. Bold: smallest, and better than each of the "
+        "others: all intervals of its paired differences exclude zero, and p after Holm is at "
+        f"most {LEVEL:g}."
+    )
+    if seeds < FEWEST:
+        text += f" Intervals need {FEWEST} seeds or more; here are {seeds}."
+    lowest, fewest, others = max(
+        (_lowest_p(block), block.seeds, _others(block)) for block in blocks
+    )
+    if lowest > LEVEL:
+        text += (
+            f" With {counted(fewest, 'seed')} and {counted(others, 'comparison')} no p is below "
+            f"{lowest:.2g} after Holm: nothing can be shown at the level {LEVEL:g}."
+        )
+    return text
+
+
+def _others(block: Block) -> int:
+    """How many are compared with one."""
+    return max(len(block.compared) - 1, 1)
+
+
+def _lowest_p(block: Block) -> float:
+    """The smallest p that a comparison can have, adjusted for the number of them."""
+    return min(1.0, _others(block) * smallest_p(block.seeds))
+
+
+def text_tables(blocks: Sequence[Block], width: int) -> str:
+    """The paired differences of tracking and estimation, within a width."""
+    parts = []
+    for block in blocks:
+        if any(name in differing(block) for name in SHOWN):
+            sheet = _differences(block, SHOWN)
+            parts.append(wrapped(f"Paired, {sheet.title}", width) + f"\n\n{_text(sheet, width)}")
+    return "\n\n".join(parts)
+
+
+def text_errors(blocks: Sequence[Block], width: int) -> str:
+    """The typical errors, within a width."""
+    found = [_errors(block) for block in blocks]
+    return "\n\n".join(f"{wrapped(one.title, width)}\n\n{_text(one, width)}" for one in found)
+
+
+def differing(block: Block) -> list[str]:
+    """Errors in which anything differs from the baseline: estimates may move nothing, say."""
+    return [
+        name for name in TITLES
+        if any(
+            (pair := one.pairs.get(name)) is not None and (pair.won or pair.lost)
+            for one in block.compared
+        )
+    ]  # fmt: skip
+
+
+def _text(sheet: Sheet, width: int) -> str:
+    """One table within a width."""
+    groups = (sheet.left, *[1] * (len(sheet.header) - sheet.left))
+    return fit(sheet.header, list(sheet.rows), groups, width)
+
+
+def markdown(blocks: Sequence[Block], origin: str = "") -> str:
+    """All tables as Markdown.
+
+    Args:
+        blocks: Of the study.
+        origin: How they were made, as a last paragraph.
+    """
+    parts = [f"**{sheet.title}**\n\n{markdown_table(sheet)}" for sheet in sheets(blocks)]
+    return "\n\n".join(filter(None, [*parts, explanation(blocks), origin])) + "\n"
+
+
+def latex(blocks: Sequence[Block], origin: str = "") -> str:
+    r"""All tables as LaTeX, to be read with ``\input``; they need the package booktabs.
+
+    Args:
+        blocks: Of the study.
+        origin: How they were made, as a comment.
+    """
+    head = ["% \\usepackage{booktabs}", *(f"% {line}" for line in origin.splitlines())]
+    notes = f"% {explanation(blocks)}"
+    return "\n\n".join(["\n".join([*head, notes]), *map(_latex_table, sheets(blocks))]) + "\n"
+
+
+def _errors(block: Block) -> Sheet:
+    """Typical errors, and latencies."""
+    names = _names(block)
+    errors = [name for name in TITLES if any(name in one.typical for one in block.compared)]
+    rows, bold = [], set()
+    places = {name: _decimals([_value(one, name) for one in block.compared]) for name in errors}
+    for k, one in enumerate(block.compared):
+        cells = [_estimate(one.typical.get(name), MM, places[name]) for name in errors]
+        latency = " / ".join(_milliseconds(one.latency[name]) for name in LATENCIES)
+        known = [one.names[name] for name in names]
+        rows.append((*known, *cells, f"{one.failures}/{one.cases}", latency))
+        bold |= {(k, len(names) + errors.index(name)) for name in one.best}
+    titles = [f"{TITLES[name]} [mm]" for name in errors]
+    header = (*names, *titles, "failed", "latency 50/95/99 % [ms]")
+    title = f"{_where(block)}: typical errors"
+    return Sheet(
+        title=title, header=header, rows=tuple(rows), left=len(names), bold=frozenset(bold)
+    )
+
+
+def _differences(block: Block, wanted: Sequence[str] = tuple(TITLES)) -> Sheet:
+    """Paired differences with the baseline."""
+    names, rows = _names(block), []
+    errors = [name for name in wanted if name in differing(block)]
+    for name in errors:
+        pairs = [(one, one.pairs[name]) for one in block.compared if name in one.pairs]
+        places = _decimals(
+            [abs(pair.difference.value) * MM for _, pair in pairs if pair.difference is not None]
+        )
+        rows += [
+            (TITLES[name], *(one.names[x] for x in names), *_pair(pair, places))
+            for one, pair in pairs
+        ]
+    header = ("error", *names, "difference [mm]", "ratio [-]", "won", "p", "failed")
+    title = f"{_where(block)}: against {block.baseline}"
+    return Sheet(title=title, header=header, rows=tuple(rows), left=1 + len(names))
+
+
+def _pair(pair: Pair, places: int) -> tuple[str, ...]:
+    """Cells of a comparison."""
+    return (
+        _estimate(pair.difference, MM, places, signed=True),
+        _estimate(pair.ratio, 1.0, 2),
+        f"{pair.won}/{pair.cases}",
+        _p(pair.p_holm),
+        f"{pair.failed[0]}, {pair.failed[1]}",
+    )
+
+
+def _where(block: Block) -> str:
+    """What a table is of."""
+    draws = f"{counted(block.seeds, 'seed')} x {counted(block.trajectories, 'path')}"
+    return f"{block.robot}, {block.perturbation}, {draws}"
+
+
+def _names(block: Block) -> list[str]:
+    """What tells the groups of a block apart."""
+    varies = [n for n in WAYS if len({one.names[n] for one in block.compared}) > 1]
+    return varies or ["controller"]
+
+
+def _value(one: Compared, name: str) -> float:
+    """A typical error in mm; not finite where there is none."""
+    return MM * one.typical[name].value if name in one.typical else float("nan")
+
+
+def _decimals(values: Sequence[float]) -> int:
+    """How many decimals a column of numbers has: the same for all."""
+    known = [abs(value) for value in values if isfinite(value) and value != 0.0]
+    if not known:
+        return 1
+    return min(MOST_DECIMALS, max(0, DIGITS - 1 - floor(log10(min(known)))))
+
+
+def _estimate(one: Estimate | None, factor: float, places: int, *, signed: bool = False) -> str:
+    """A number with its interval."""
+    if one is None:
+        return "-"
+    sign = "+" if signed else ""
+    text = f"{factor * one.value:{sign}.{places}f}"
+    if one.low is None or one.high is None:
+        return text
+    low, high = (f"{factor * end:{sign}.{places}f}" for end in (one.low, one.high))
+    return f"{text} ({low}, {high})"
+
+
+def _p(value: float | None) -> str:
+    """A p; small ones only as such."""
+    if value is None:
+        return "-"
+    return f"<{P_SHOWN:g}" if value < P_SHOWN else f"{value:.3f}"
+
+
+def _milliseconds(value: float | None) -> str:
+    return "-" if value is None else f"{1e3 * value:.2f}"
+
+
+def markdown_table(sheet: Sheet) -> str:
+    """One table as Markdown."""
+    lines = [f"| {' | '.join(sheet.header)} |"]
+    lines.append("|" + "---|" * sheet.left + "---:|" * (len(sheet.header) - sheet.left))
+    for k, row in enumerate(sheet.rows):
+        cells = [f"**{text}**" if (k, i) in sheet.bold else text for i, text in enumerate(row)]
+        lines.append(f"| {' | '.join(text.replace('|', '&#124;') for text in cells)} |")
+    return "\n".join(lines)
+
+
+def _latex_table(sheet: Sheet) -> str:
+    """One table as LaTeX."""
+    columns = "l" * sheet.left + "r" * (len(sheet.header) - sheet.left)
+    body = []
+    for k, row in enumerate(sheet.rows):
+        cells = [_latex_cell(text, (k, i) in sheet.bold) for i, text in enumerate(row)]
+        body.append(" & ".join(cells) + r" \\")
+    titles = " & ".join(_latex_cell(text) for text in sheet.header)
+    return "\n".join([
+        r"\begin{table}", r"  \centering", rf"  \caption{{{_latex_cell(sheet.title)}}}",
+        rf"  \begin{{tabular}}{{{columns}}}", r"    \toprule", rf"    {titles} \\",
+        r"    \midrule", *(f"    {line}" for line in body), r"    \bottomrule",
+        r"  \end{tabular}", r"\end{table}",
+    ])  # fmt: skip
+
+
+_LATEX = {
+    "\\": r"\textbackslash{}", "_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#", "$": r"\$",
+    "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+    "<": "$<$", ">": "$>$", "\u00b1": r"$\pm$",
+}  # fmt: skip
+
+
+_SIGNED = re.compile(r"(?<![\w.])([+-]\d[\d.]*)")
+
+
+def _latex_cell(text: str, bold: bool = False) -> str:
+    """Text for LaTeX: special characters, and numbers with a true minus sign."""
+    done = "".join(_LATEX.get(character, character) for character in text)
+    done = _SIGNED.sub(r"$\1$", done)
+    return rf"\textbf{{{done}}}" if bold else done

@@ -1,0 +1,191 @@
+"""What a study found: its rows, and one line per way of control.
+
+How rows become one line:
+
+* Squared errors are pooled: an RMSE over cases is the root of the mean of their squared RMSEs,
+  weighted with their numbers of steps, so that it is the RMSE of all steps together. Centre and
+  boundary are weighted with their own steps; the sway after the end is weighted evenly.
+* The standard deviation is that of the cases' RMSEs in norm (trajectories and seeds alike).
+* NEES and NIS are means over the cases, each the mean of one run. Samples of a run depend on each
+  other, and runs of one seed have plant and sensor biases in common, so the band in which 95 % of
+  such means lie is that of as many independent draws as there are seeds: wider than it could be,
+  never narrower.
+* Latencies are medians over the cases of their median, 95th and 99th percentile.
+* Cases that failed, crashed or timed out have no errors; they are counted, with their reasons.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit.loop.consistency import POSE_SIZE, STATE_SIZE, band
+from carosac_toolkit.studies.run.rows import Row
+
+WAYS = ("controller", "estimator", "suite")  # what is compared
+GROUP = ("robot", "controller", "estimator", "suite", "perturbation")
+PAIR = ("trajectory", "seed")  # with robot and perturbation: the same plant on the same path
+NAMES = ("x", "y", "z", "norm")
+LATENCIES = ("latency_median_s", "latency_p95_s", "latency_p99_s")
+_NUMBER = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StudyResults:
+    """Rows of a study, and their summary.
+
+    Attributes:
+        rows: One per case, in the order of the cases.
+        folder: Where they are kept.
+    """
+
+    rows: tuple[Row, ...]
+    folder: Path
+
+    @cached_property
+    def groups(self) -> list[list[Row]]:
+        """Rows of each robot, controller, estimator, suite and perturbation, in order."""
+        found: dict[tuple[Any, ...], list[Row]] = {}
+        for row in self.rows:
+            found.setdefault(tuple(row[name] for name in GROUP), []).append(row)
+        return list(found.values())
+
+    @cached_property
+    def summary(self) -> list[dict[str, Any]]:
+        """One line per group; what is unknown is None."""
+        return [_line(rows) for rows in self.groups]
+
+    @cached_property
+    def labels(self) -> list[str]:
+        """Short names of the groups, all different: what they do not share."""
+        return self.labels_of(GROUP)
+
+    def labels_of(self, names: Sequence[str]) -> list[str]:
+        """Names of the groups by those of some fields that they do not share."""
+        return labels_by(names, self.summary)
+
+    @property
+    def complete(self) -> bool:
+        """Whether at least one case of every group succeeded."""
+        return all(line["failures"] < line["cases"] for line in self.summary)
+
+    def data(self) -> dict[str, Any]:
+        """All numbers under names with units, ready for JSON."""
+        return {"summary": self.summary, "cases": len(self.rows)}
+
+
+def labels_by(names: Sequence[str], lines: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Name lines by those of some fields that they do not share."""
+    varies = [name for name in names if len({line[name] for line in lines}) > 1]
+    return [" / ".join(str(line[name]) for name in varies or ["controller"]) for line in lines]
+
+
+def scored(rows: Sequence[Row]) -> list[Row]:
+    """Rows of cases that succeeded."""
+    return [row for row in rows if row["status"] == "ok"]
+
+
+def tracked(rows: Sequence[Row]) -> list[Row]:
+    """Rows with a tracking error: a driver that follows commands, and a known truth."""
+    return [row for row in scored(rows) if row.get("tracking_rmse_norm_m") is not None]
+
+
+def estimated(rows: Sequence[Row]) -> list[Row]:
+    """Rows with an estimation error: cases that succeeded, and a known truth."""
+    return [row for row in scored(rows) if row.get("estimation_rmse_norm_m") is not None]
+
+
+def pooled(rows: Sequence[Row], name: str, weights: Sequence[float]) -> float | None:
+    """Root of the weighted mean of squares of a column, None where no row has it."""
+    pairs = [(row.get(name), w) for row, w in zip(rows, weights, strict=True)]
+    known = [(float(value), w) for value, w in pairs if value is not None and w > 0]
+    if not known:
+        return None
+    values, counts = np.array(known).T
+    return float(np.sqrt((counts * values**2).sum() / counts.sum()))
+
+
+def steps(rows: Sequence[Row]) -> list[float]:
+    """Number of steps of each row."""
+    return [_number(row, "steps") for row in rows]
+
+
+def reasons(rows: Sequence[Row]) -> dict[str, int]:
+    """Why cases have no scores, the most frequent first; those that differ in numbers are one."""
+    counts: dict[str, int] = {}
+    shown: dict[str, str] = {}
+    for row in rows:
+        if row["status"] == "ok":
+            continue
+        text = f"{str(row['status']).replace('_', ' ')}: {row['reason']}"
+        kind = shown.setdefault(_NUMBER.sub("#", text), text)
+        counts[kind] = counts.get(kind, 0) + 1
+    return dict(sorted(counts.items(), key=lambda pair: -pair[1]))
+
+
+def _line(rows: Sequence[Row]) -> dict[str, Any]:
+    """Summary of one group."""
+    good, moved = scored(rows), tracked(rows)
+    norms = [float(row["tracking_rmse_norm_m"] or 0.0) for row in moved]
+    inside = [_number(row, "centre_steps") for row in moved]
+    outside = [all_steps - k for all_steps, k in zip(steps(moved), inside, strict=True)]
+    return {
+        **{name: rows[0][name] for name in GROUP},
+        "cases": len(rows),
+        "failures": len(rows) - len(good),
+        "incomplete": sum(row.get("completed") is False for row in good),
+        "tracking_rmse_m": _per_axis(moved, "tracking"),
+        "tracking_std_m": float(np.std(norms, ddof=1)) if len(norms) > 1 else None,
+        "estimation_rmse_m": _per_axis(good, "estimation"),
+        "estimation_p95_m": _mean(good, "estimation_p95_m"),
+        "orientation_rmse_rad": pooled(good, "orientation_rmse_rad", steps(good)),
+        "nees_pose": _normalised(good, "nees_pose", POSE_SIZE),
+        "nees": _normalised(good, "nees", STATE_SIZE),
+        "nis": _normalised(good, "nis", _mean(good, "nis_dof")),
+        "rejected_share": _mean(good, "rejected_share"),
+        "covariance_faults": int(sum(_number(row, "covariance_faults") for row in good)),
+        "tracking_centre_m": pooled(moved, "tracking_centre_m", inside),
+        "tracking_boundary_m": pooled(moved, "tracking_boundary_m", outside),
+        "residual_sway_m": pooled(moved, "residual_sway_m", [1.0] * len(moved)),
+        "command_rmse_m": pooled(good, "command_rmse_m", steps(good)),
+        "limited": int(sum(_number(row, "limited") for row in good)),
+        **{name: _middle(good, name) for name in LATENCIES},
+        "reasons": reasons(rows),
+    }
+
+
+def _per_axis(rows: Sequence[Row], what: str) -> dict[str, float | None]:
+    """Pooled error per axis and in norm [m]."""
+    return {axis: pooled(rows, f"{what}_rmse_{axis}_m", steps(rows)) for axis in NAMES}
+
+
+def _mean(rows: Sequence[Row], name: str) -> float | None:
+    """Mean of a column, None where no row has it."""
+    known = [float(value) for row in rows if (value := row.get(name)) is not None]
+    return float(np.mean(known)) if known else None
+
+
+def _middle(rows: Sequence[Row], name: str) -> float | None:
+    """Median of a column, None where no row has it."""
+    known = [float(value) for row in rows if (value := row.get(name)) is not None]
+    return float(np.median(known)) if known else None
+
+
+def _normalised(rows: Sequence[Row], name: str, dof: float | None) -> dict[str, Any] | None:
+    """Mean of normalised squares over cases, with the band that 95 % of such means lie in."""
+    mean, seeds = _mean(rows, name), len({x["seed"] for x in rows if x.get(name) is not None})
+    if mean is None or dof is None:
+        return None
+    return {"mean": mean, "band": list(band(dof, seeds)), "seeds": seeds}
+
+
+def _number(row: Row, name: str) -> float:
+    """A number of a row; 0 where it has none."""
+    value = row.get(name)
+    return float(value) if isinstance(value, int | float) else 0.0

@@ -1,0 +1,193 @@
+"""A comparative study as one value: what is compared, on what, and how it is run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+from carosac_toolkit import trajectories
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.studies.compare.checks import RECORDED, check_study
+from carosac_toolkit.studies.compare.results import StudyResults
+from carosac_toolkit.studies.run.batching import Batching
+from carosac_toolkit.studies.run.case import Case, product
+from carosac_toolkit.studies.run.cluster import remote_client, usable_cores
+from carosac_toolkit.studies.run.engine import TIMEOUT, run_cases
+from carosac_toolkit.studies.run.folder import free_folder
+from carosac_toolkit.studies.run.run_case import DRIVER, robot_digest
+
+FUNCTION = "carosac_toolkit.studies.run.run_case:run_case"
+GROUP = "carosac_toolkit.studies.run.run_together:group_of"
+TOGETHER = "carosac_toolkit.studies.run.run_together:run_together"
+FOLDER = Path("carosac-results") / "compare"
+SEEDS = 10
+QUICK_SEEDS = 2
+CONTROLLERS = ("straight_line", "kinematic_solver")
+ESTIMATORS = ("kinematic_solver",)
+TRAJECTORIES = ("minimum_snap", "cubic_spline", "waypoints", "circle", "spiral")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """Controllers and estimators, each run on the same draws of plant and noise, and scored.
+
+    Every combination of the first seven is one case. Cases that differ in controller or estimator
+    alone meet the same plant, the same trajectory and the same sensor noise.
+
+    Attributes:
+        robots: Bundled names, or paths of robot files.
+        controllers: Names, or ``module:Class``.
+        estimators: Names, or ``module:Class``; ``truth`` is what a simulated driver knows.
+        suites: Sensor suites that the driver has.
+        trajectories: Of the catalogue, `carosac_toolkit.trajectories.NAMES`; on the driver
+            `replay` all of these are ``recorded`` instead, the path of the recording.
+        perturbations: Conditions that the plants are drawn from.
+        seeds: How many draws, 0, 1, 2 and so on; or which.
+        driver: Name, or ``module:Class``.
+        speed_max: Of the trajectories [m/s].
+        acceleration_max: Of the trajectories [m/s^2].
+        controller_settings: By the name of a controller, fields of its own settings.
+        estimator_settings: By the name of an estimator, fields of its own settings.
+        driver_settings: Fields of the driver's own settings.
+        output: Folder of the results; a second run with the same folder goes on. None is
+            ``carosac-results/compare``, numbered where another study is there already.
+        scheduler: Address of a dask scheduler, or None for processes of this machine.
+        workers: How many processes; 0 is this one; None is as many as there are cores.
+        timeout: How long a case may run [s].
+        retry: Statuses of finished cases to run again: ``failed``, ``crashed``, ``timed_out``.
+        batch: How many seeds run together in one simulation, where driver, controller and estimator
+            can; 1 is each alone. The rows are the same to rounding, but without latencies.
+    """
+
+    robots: Sequence[str] = ("carosac",)
+    controllers: Sequence[str] = CONTROLLERS
+    estimators: Sequence[str] = ESTIMATORS
+    suites: Sequence[str] = ("lengths",)
+    trajectories: Sequence[str] = TRAJECTORIES
+    perturbations: Sequence[str] = ("nominal-1",)
+    seeds: int | Sequence[int] = SEEDS
+    driver: str = DRIVER
+    speed_max: float = 1.0
+    acceleration_max: float = 1.0
+    controller_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    estimator_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    driver_settings: Mapping[str, Any] = field(default_factory=dict)
+    output: str | Path | None = None
+    scheduler: str | None = None
+    workers: int | None = None
+    timeout: float = TIMEOUT
+    retry: Sequence[str] = ()
+    batch: int = 1
+
+    def __post_init__(self) -> None:
+        """Turn lists into tuples; a name alone would be taken letter by letter."""
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.name in ("seeds", "retry", *AXES) and not isinstance(value, int):
+                if isinstance(value, str) or not isinstance(value, Sequence):
+                    raise InvalidField(item.name, repr(value), "a list")
+                object.__setattr__(self, item.name, tuple(value))
+        known = self.trajectories and set(self.trajectories) <= set(trajectories.NAMES)
+        if self.driver == "replay" and known:  # `check` refuses all others
+            object.__setattr__(self, "trajectories", (RECORDED,))
+        if isinstance(self.seeds, int) and (isinstance(self.seeds, bool) or self.seeds < 1):
+            raise InvalidField("seeds", repr(self.seeds), "1 or more, or a list of seeds")
+
+    def quick(self) -> Study:
+        """The same with the first two seeds: for a first look, in under a minute."""
+        return replace(self, seeds=self.seed_list[:QUICK_SEEDS])
+
+    @property
+    def seed_list(self) -> tuple[int, ...]:
+        """The seeds themselves."""
+        return tuple(range(self.seeds)) if isinstance(self.seeds, int) else tuple(self.seeds)
+
+    def cases(self) -> list[Case]:
+        """All cases, those of one controller and estimator together, the seeds changing fastest.
+
+        Raises:
+            InvalidField: An axis is empty or names a value twice, or a value is not allowed.
+        """
+        cases = product(
+            **{name: getattr(self, name) for name in AXES},
+            seeds=self.seed_list,
+            settings=self._settings(),
+        )
+        return [replace(case, settings=self._settings_of(case)) for case in cases]
+
+    def check(self) -> None:
+        """Refuse what could not run, before any work is done and anything is written.
+
+        Raises:
+            CarosacError: A name that leads nowhere, a number out of its range, a scheduler that
+                does not answer.
+        """
+        check_study(self)
+        if self.scheduler is not None:
+            with remote_client(self.scheduler):
+                pass
+
+    def folder(self) -> Path:
+        """Where the results go."""
+        return Path(self.output) if self.output is not None else free_folder(FOLDER, self.cases())
+
+    def run(self, *, progress: bool = True) -> StudyResults:
+        """Check everything, run what is missing in the folder, and score.
+
+        Args:
+            progress: Whether to tell on standard error how far it is.
+
+        Raises:
+            CarosacError: As `check` and `run_cases`.
+        """
+        self.check()
+        folder = self.folder()
+        rows = run_cases(
+            self.cases(), FUNCTION, folder=folder, scheduler=self.scheduler,
+            workers=self._worker_count(), timeout=self.timeout, retry=self.retry,
+            batching=self._batching(),
+            progress=progress,
+        )  # fmt: skip
+        return StudyResults(rows=tuple(rows), folder=folder)
+
+    def _batching(self) -> Batching | None:
+        """How cases run together."""
+        if self.batch == 1:
+            return None
+        return Batching(group=GROUP, function=TOGETHER, size=self.batch)
+
+    def _worker_count(self) -> int | None:
+        """Workers to ask for: code from outside never runs in this process unless asked to.
+
+        A plug-in of the user may hang or end its process, which must cost its own cases only.
+        """
+        outside = any(":" in name for name in (*self.controllers, *self.estimators, self.driver))
+        if self.workers is None and self.scheduler is None and outside:
+            return usable_cores()
+        return self.workers
+
+    def _settings(self) -> dict[str, Any]:
+        """What all cases share; pictures are of the first seed."""
+        settings: dict[str, Any] = {
+            "driver": self.driver,
+            "speed_max": float(self.speed_max),
+            "acceleration_max": float(self.acceleration_max),
+            "example_seed": self.seed_list[0] if self.seed_list else 0,
+        }
+        if self.driver_settings:
+            settings["driver_settings"] = dict(self.driver_settings)
+        return settings
+
+    def _settings_of(self, case: Case) -> dict[str, Any]:
+        """Settings of one case, those of its own controller and estimator included."""
+        settings = dict(case.settings) | {"robot_digest": robot_digest(case.robot)}
+        if case.controller in self.controller_settings:
+            settings["controller_settings"] = dict(self.controller_settings[case.controller])
+        if case.estimator in self.estimator_settings:
+            settings["estimator_settings"] = dict(self.estimator_settings[case.estimator])
+        return settings
+
+
+AXES = ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations")

@@ -1,0 +1,237 @@
+"""Results of a reference suite as small files: one row per case, and what they are rows of."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile, MissingFile
+from carosac_toolkit.studies.compare.paired import Block, paired_blocks
+from carosac_toolkit.studies.compare.paper_tables import explanation, markdown_table, sheets
+from carosac_toolkit.studies.compare.results import WAYS, StudyResults
+from carosac_toolkit.studies.reference.cases import TRACKING, ReferenceSuite, Task
+from carosac_toolkit.studies.run.rows import STATUSES, Row
+
+RESULTS, RECORD, TABLES = "results.csv", "reference.json", "tables.md"
+SCHEMA = "carosac-reference/1"
+PUBLISHED = "published"
+TEXT = (
+    "part", "robot", "controller", "estimator", "suite", "perturbation", "trajectory", "seed",
+    "status", "reason",
+)  # fmt: skip
+NUMBERS = (
+    "tracking_rmse_x_m", "tracking_rmse_y_m", "tracking_rmse_z_m", "tracking_rmse_norm_m",
+    "tracking_centre_m", "tracking_boundary_m", "residual_sway_m", "estimation_rmse_x_m",
+    "estimation_rmse_y_m", "estimation_rmse_z_m", "estimation_rmse_norm_m",
+    "orientation_rmse_rad", "latency_median_s", "latency_p95_s", "latency_p99_s", "wall_time_s",
+    "steps", "centre_steps", "limited",
+)  # fmt: skip
+
+
+class OtherSuite(CarosacError):
+    """Results of another definition, which cannot be compared with these."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PartResults:
+    """What was found in one part of a suite on one robot.
+
+    Attributes:
+        task: What was run.
+        results: Its rows, with those of others where they were asked for.
+    """
+
+    task: Task
+    results: StudyResults
+
+    @cached_property
+    def blocks(self) -> list[Block]:
+        """Its paired comparisons with its baseline."""
+        labels = zip(self.results.labels_of(WAYS), self.results.summary, strict=True)
+        wanted = self.task.baseline
+        names = [x for x, line in labels if (line["controller"], line["estimator"]) == wanted]
+        return paired_blocks(self.results, names[0])
+
+    @property
+    def rows(self) -> list[Row]:
+        """Its rows, each with its part."""
+        return [row | {"part": self.task.part} for row in self.results.rows]
+
+
+def write_rows(parts: Sequence[PartResults]) -> str:
+    """Rows of all parts as CSV: six digits of each number, one row per case."""
+    stream = io.StringIO()
+    writer: Any = csv.writer(stream, lineterminator="\n")
+    writer.writerow((*TEXT, *NUMBERS))
+    for part in parts:
+        for row in part.rows:
+            known = {**row, "reason": row["reason"] or ""}
+            cells = [str(known[name]).replace("\n", " ") for name in TEXT]
+            writer.writerow([*cells, *(_digits(row.get(name)) for name in NUMBERS)])
+    return stream.getvalue()
+
+
+def read_rows(folder: Path) -> list[Row]:
+    """Rows that `write_rows` wrote; a number that is not there is None.
+
+    Raises:
+        MissingFile: There are none.
+        InvalidFile: The file is none of this kind.
+    """
+    path = folder / RESULTS
+    reader = csv.DictReader(io.StringIO(_text(path)))
+    missing = [name for name in (*TEXT, *NUMBERS) if name not in (reader.fieldnames or ())]
+    if missing:
+        raise InvalidFile(path, [f"header: got no {', '.join(missing)}; allowed: all columns"])
+    rows, faults = [], []
+    for line in reader:
+        try:
+            rows.append(_row(line))
+        except InvalidField as error:
+            faults.append(f"line {reader.line_num}, {error}")
+    if faults:
+        raise InvalidFile(path, faults)
+    return rows
+
+
+def read_record(folder: Path) -> dict[str, Any]:
+    """What the results of a folder are of.
+
+    Raises:
+        MissingFile: There is no record.
+        InvalidFile: It is none of a suite.
+    """
+    path = folder / RECORD
+    try:
+        found = json.loads(_text(path))
+    except ValueError as error:
+        raise InvalidFile(path, [f"this is no JSON: {error}"]) from error
+    schema = found.get("schema") if isinstance(found, dict) else None
+    if schema != SCHEMA:
+        raise InvalidFile(path, [f"schema: got {schema!r}; allowed: {SCHEMA!r}"])
+    faults = [
+        f"{name}: got {found.get(name)!r}; allowed: a text"
+        for name in ("suite", "digest")
+        if not isinstance(found.get(name), str)
+    ]
+    if faults:
+        raise InvalidFile(path, faults)
+    return dict(found)
+
+
+def _text(path: Path) -> str:
+    """Content of a file of results."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise MissingFile(path, "this is no folder of a reference suite") from error
+    except UnicodeDecodeError as error:
+        raise InvalidFile(path, [f"not UTF-8 text (byte {error.start})"]) from error
+    except OSError as error:
+        raise InvalidFile(path, [f"cannot be read: {error.strerror}"]) from error
+
+
+def check_same(suite: ReferenceSuite, folder: Path) -> None:
+    """Refuse to compare with results of another definition.
+
+    Raises:
+        OtherSuite: They are of another one.
+    """
+    other = read_record(folder)
+    if other["digest"] != suite.digest:
+        raise OtherSuite(
+            f"{folder} holds results of {other['suite']} ({other['digest']}); these are of "
+            f"{suite.name} ({suite.digest}). Results of different definitions cannot be compared"
+        )
+
+
+def with_published(part: PartResults, rows: Sequence[Row]) -> PartResults:
+    """Set rows of others, from the same draws, beside those of a part.
+
+    What ran here as well is left out of theirs: it tells whether both agree.
+    """
+    here = {_way(row) for row in part.results.rows}
+    others = [
+        row | {_axis(part): f"{row[_axis(part)]} ({PUBLISHED})"}
+        for row in rows
+        if (row["part"], row["robot"]) == (part.task.part, part.task.robot)
+        and _way(row) not in here
+    ]
+    return replace(part, results=replace(part.results, rows=(*part.results.rows, *others)))
+
+
+def tables(suite: ReferenceSuite, parts: Sequence[PartResults], origin: str) -> str:
+    """All tables as Markdown."""
+    head = f"Suite `{suite.name}`, definition `{suite.digest}`."
+    texts = []
+    for part in parts:
+        shown = [f"**{one.title}**\n\n{markdown_table(one)}" for one in sheets(part.blocks)]
+        texts += [f"### {part.task.part.capitalize()}, {part.task.robot}", *shown]
+    blocks = [block for part in parts for block in part.blocks]
+    return "\n\n".join([head, *texts, explanation(blocks), origin]) + "\n"
+
+
+def record(
+    suite: ReferenceSuite, parts: Sequence[PartResults], made: Mapping[str, str], command: str
+) -> dict[str, Any]:
+    """What results are of, and their paired comparisons."""
+    return {
+        "schema": SCHEMA,
+        "suite": suite.name,
+        "digest": suite.digest,
+        "command": command,
+        "made": dict(made),
+        "parts": [
+            {"part": part.task.part, "blocks": [block.data() for block in part.blocks]}
+            for part in parts
+        ],
+    }
+
+
+def _axis(part: PartResults) -> str:
+    """What the entries of a part are."""
+    return "controller" if part.task.part == TRACKING else "estimator"
+
+
+def _way(row: Row) -> tuple[str, str]:
+    return str(row["controller"]), str(row["estimator"])
+
+
+def _digits(value: Any) -> str:
+    return "" if value is None else f"{value:.6g}"
+
+
+def _row(line: Mapping[str, str | None]) -> Row:
+    """One line as a row of a study.
+
+    Raises:
+        InvalidField: A cell that is missing, or none of its kind.
+    """
+    cells = {name: line[name] for name in (*TEXT, *NUMBERS)}
+    short = [name for name, cell in cells.items() if cell is None]
+    if short:
+        raise InvalidField(short[0], "nothing", "a cell in each column")
+    row: Row = {name: cells[name] for name in TEXT}
+    if row["status"] not in STATUSES:
+        raise InvalidField("status", repr(row["status"]), f"one of {list(STATUSES)}")
+    row |= {name: _number(name, cell, float) if (cell := cells[name]) else None for name in NUMBERS}
+    seed = _number("seed", cells["seed"] or "", int)
+    return row | {"seed": seed, "reason": cells["reason"] or None, "settings": "{}"}
+
+
+def _number(name: str, cell: str, kind: type[int] | type[float]) -> int | float:
+    """A finite number."""
+    try:
+        value = kind(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InvalidField(name, repr(cell), "a finite number")
+    return value

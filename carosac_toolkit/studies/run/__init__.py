@@ -1,0 +1,1 @@
+"""Cases of a study, run to rows on one machine or many."""

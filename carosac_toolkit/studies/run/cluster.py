@@ -1,0 +1,128 @@
+"""Workers: processes of this machine, or those of a dask scheduler that runs already."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from carosac_toolkit.base.errors import CarosacError, InvalidField
+
+LOOPBACK = "127.0.0.1"
+CONNECT_TIMEOUT = 20.0  # [s]
+ONE_THREAD = {
+    name: "1"
+    for name in (
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "BLIS_NUM_THREADS",
+        "VECLIB_MAXIMUM_THREADS",
+        "NUMEXPR_NUM_THREADS",
+    )
+}
+"""Environment of workers. Warp runs CPU kernels in the thread that launches them."""
+
+_CONFIG = {
+    "distributed.admin.system-monitor.gil.enabled": False,
+    "distributed.deploy.lost-worker-timeout": "365 days",  # one that starts again is not lost
+    "distributed.diagnostics.nvml": False,
+    "distributed.nanny.pre-spawn-environ": {},
+    "distributed.scheduler.allowed-failures": 1000,  # workers count the deaths of their cases
+    "distributed.scheduler.no-workers-timeout": "60s",
+    "distributed.scheduler.work-stealing": True,
+    "distributed.scheduler.worker-saturation": 1.0,  # the other cases wait at the scheduler
+    "distributed.scheduler.worker-ttl": None,  # compiled code may hold the interpreter for long
+    "distributed.worker.preload": ["carosac_toolkit.studies.run.worker_setup"],
+    "distributed.worker.profile.enabled": False,
+}
+
+
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    from dask.system import CPU_COUNT
+
+    return int(CPU_COUNT)
+
+
+@contextmanager
+def local_client(workers: int) -> Iterator[Any]:
+    """Start worker processes with one thread each; they end with the block or with this process.
+
+    Nothing listens on any network but the loopback interface.
+
+    Args:
+        workers: How many.
+    """
+    import dask
+    from distributed import Client, LocalCluster
+
+    with _environment(ONE_THREAD), _hidden_main(), dask.config.set(_CONFIG):
+        cluster = LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            host=LOOPBACK,
+            dashboard_address=f"{LOOPBACK}:0",
+            memory_limit=0,  # none: the system ends what takes too much, and the case says so
+            silence_logs=logging.CRITICAL,
+        )
+        with cluster, Client(cluster, set_as_default=False) as client:
+            yield client
+
+
+@contextmanager
+def remote_client(address: str) -> Iterator[Any]:
+    """Connect to a scheduler.
+
+    Args:
+        address: Such as ``tcp://host:8786``.
+
+    Raises:
+        InvalidField: No scheduler answers there.
+        CarosacError: It has no workers.
+    """
+    from distributed import Client
+
+    allowed = "address of a running dask scheduler, such as 'tcp://host:8786'"
+    try:
+        client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise InvalidField("scheduler", repr(address), f"{allowed} ({error})") from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=CONNECT_TIMEOUT)
+        except TimeoutError as error:
+            raise CarosacError(f"the scheduler at {address} has no workers") from error
+        yield client
+
+
+@contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    """Set environment variables, which new processes inherit, for as long as the block lasts."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def _hidden_main() -> Iterator[None]:
+    """Keep new processes from running the user's script again, guarded by __name__ or not."""
+    main: dict[str, Any] = vars(sys.modules["__main__"])
+    before: dict[str, Any] = {name: main[name] for name in ("__file__", "__spec__") if name in main}
+    main.pop("__file__", None)
+    main["__spec__"] = None
+    try:
+        yield
+    finally:
+        main.update(before)

@@ -1,0 +1,143 @@
+"""Hand tasks to workers and take their rows back, as they come."""
+
+from __future__ import annotations
+
+import asyncio
+import uuid
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import wait
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.studies.run.case import Case
+from carosac_toolkit.studies.run.execution import Done, Task, crashed_row, run_task
+from carosac_toolkit.studies.run.rows import Row
+from carosac_toolkit.studies.run.worker_presence import LOST_AFTER, LostScheduler, Presence
+
+TICK = 0.25  # [s] the longest wait without a sign of life
+WINDOW = 256  # tasks that the scheduler knows at a time, at least
+TASKS_PER_THREAD = 16
+
+
+class Dispatcher:
+    """Sends tasks to a dask scheduler, no more at a time than keep its workers busy.
+
+    Args:
+        client: Client of the scheduler.
+        tasks: What to do.
+        say: Tells the user a line.
+    """
+
+    def __init__(self, client: Any, tasks: Sequence[Task], say: Callable[[str], None]) -> None:
+        self._client = client
+        self._presence = Presence(client, say)
+        self._waiting = deque(tasks)
+        self._suspects: deque[Task] = deque()
+        self._alone: Task | None = None
+        self._running: dict[str, tuple[Any, Task]] = {}
+        self._done: SimpleQueue[str] = SimpleQueue()
+        self._token = uuid.uuid4().hex[:8]
+        threads = sum(client.nthreads().values())
+        self._window = max(WINDOW, TASKS_PER_THREAD * threads)
+
+    def batches(self) -> Iterator[list[Row]]:
+        """Yield rows until there is one per task; an empty list now and then while none comes.
+
+        Raises:
+            LostScheduler: There is nobody left to do the work.
+            CarosacError: A worker refuses it.
+        """
+        self._fill()
+        while self._running:
+            done = self._wait()
+            yield self._collect(done) if done else []
+            self._fill()
+
+    def _fill(self) -> None:
+        """Send tasks when few are left; send suspects one by one when all others are done."""
+        if self._waiting and len(self._running) <= self._window // 2:
+            count = min(len(self._waiting), self._window - len(self._running))
+            self._send([self._waiting.popleft() for _ in range(count)])
+        elif not self._running and self._suspects:
+            self._alone = self._suspects.popleft()
+            self._send([self._alone])
+
+    def _send(self, tasks: Sequence[Task]) -> None:
+        """Give tasks to the scheduler."""
+        turn = "alone" if self._alone else "case"
+        keys = [f"{turn}-{self._token}-{task.identity}" for task in tasks]
+        futures = self._client.map(run_task, tasks, key=keys, pure=False, retries=0)
+        for future, task in zip(futures, tasks, strict=True):
+            self._watch(future, task)
+
+    def _watch(self, future: Any, task: Task) -> None:
+        """Be told when a task ends."""
+        self._running[future.key] = future, task
+        future.add_done_callback(lambda future: self._done.put(future.key))
+
+    def _wait(self) -> list[str]:
+        """Keys of tasks that have ended, all there are; none after a while."""
+        keys = []
+        try:
+            keys.append(self._done.get(timeout=TICK))
+            while True:
+                keys.append(self._done.get_nowait())
+        except Empty:
+            pass
+        if keys:
+            self._presence.confirm()
+        else:
+            self._presence.check()
+        return [key for key in keys if key in self._running]
+
+    def _collect(self, keys: Sequence[str]) -> list[Row]:
+        """Take the results of tasks that have ended."""
+        ended = [(*self._running.pop(key), key) for key in keys]
+        failed = [key for future, _, key in ended if future.status in ("error", "cancelled")]
+        good = [future for future, _, key in ended if key not in failed]
+        try:
+            done = {answer.identity: answer.rows for answer in self._results(good)}
+            errors = {
+                x.key: x.exception(timeout=LOST_AFTER) for x, _, key in ended if key in failed
+            }
+        except (OSError, TimeoutError) as error:
+            raise LostScheduler(
+                f"the scheduler does not give its results ({error}); run again to go on"
+            ) from error
+        rows = [row for answer in done.values() for row in answer]
+        for future, task, key in ended:
+            if key in errors:
+                rows += self._judge(task, errors[key])
+            elif task.identity not in done:  # its result died with a worker: it runs again
+                self._watch(future, task)
+            elif not done[task.identity]:  # together they could not run
+                self._waiting.extend(task.alone())
+        return rows
+
+    def _results(self, futures: Sequence[Any]) -> list[Done]:
+        """Answers of tasks that have ended; a row that died with its worker is waited for."""
+        coroutine = self._client.gather(list(futures), errors="skip", asynchronous=True)
+        answer = asyncio.run_coroutine_threadsafe(coroutine, self._client.loop.asyncio_loop)
+        try:
+            while not wait([answer], timeout=TICK).done:
+                self._presence.check()
+            return list(answer.result())
+        finally:
+            answer.cancel()
+
+    def _judge(self, task: Task, error: BaseException | None) -> list[Row]:
+        """Decide on a task that gave no row: suspect it, give it up, or end the study."""
+        from distributed import KilledWorker
+
+        if isinstance(error, CarosacError):
+            raise error
+        if not isinstance(error, KilledWorker):
+            raise LostScheduler(
+                f"no worker could run the case {task.identity}: {type(error).__name__}: {error}"
+            ) from error
+        if self._alone is None:  # its neighbours on the same worker are suspects as well
+            self._suspects.extend(task.alone())
+            return []
+        return [crashed_row(Case.from_dict(task.cases[0]), error.allowed_failures + 1)]

@@ -1,0 +1,107 @@
+"""How good an estimate was in one run, and how good it said it was."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.loop.consistency import (
+    POSE_SIZE,
+    STATE_SIZE,
+    Innovations,
+    normalised_square,
+    state_error,
+)
+from carosac_toolkit.loop.loop import Log
+from carosac_toolkit.loop.values import Belief, State
+
+QUANTILE = 0.95
+NAMES = (
+    "orientation_rmse_rad", "estimation_p95_m", "orientation_p95_rad", "nees_pose", "nees",
+    "nees_pose_p95", "covariance_faults", "nis", "nis_dof", "rejected_share",
+)  # fmt: skip
+
+
+def estimation_scores(log: Log) -> dict[str, Any]:
+    """Score the beliefs of one run, all cycles of all worlds alike.
+
+    Args:
+        log: What happened.
+
+    Returns:
+        All of `NAMES`, None where it is not known:
+
+        * root mean square of the angle between believed and true orientation [rad], and 95th
+          percentiles of the error in position [m] and orientation [rad];
+        * normalised estimation error squared over its degrees of freedom (1 is right), as mean
+          over time: of the pose (6) and, where both have a twist, of all (12), and the 95th
+          percentile of that of the pose; of cycles with a usable covariance only;
+        * cycles whose covariance was not positive definite;
+        * normalised innovation squared over its degrees of freedom, the mean degrees of freedom of
+          a cycle with measurements, and the share of cycles in which any was rejected.
+    """
+    row: dict[str, Any] = dict.fromkeys(NAMES)
+    if log.innovations is not None:
+        row |= _innovation_scores(log.innovations)
+    if log.position is None or log.rotation is None:
+        return row
+    error = _errors(log, log.position, log.rotation)
+    distance, angle = (np.linalg.norm(error[:, k : k + 3], axis=1) for k in (0, 3))
+    row |= {
+        "orientation_rmse_rad": float(np.sqrt((angle**2).mean())),
+        "estimation_p95_m": float(np.quantile(distance, QUANTILE)),
+        "orientation_p95_rad": float(np.quantile(angle, QUANTILE)),
+    }
+    if log.belief_covariance is None:
+        return row
+    return row | _consistency(error, log.belief_covariance.reshape(-1, STATE_SIZE, STATE_SIZE))
+
+
+def _errors(log: Log, position: Array, rotation: Array) -> Array:
+    """Errors of all beliefs in the order of their covariance, (T B, 12), or (T B, 6)."""
+
+    def flat(values: Array | None, *shape: int) -> Array | None:
+        return None if values is None else values.reshape(-1, *shape)
+
+    time = np.repeat(log.time, position.shape[1])
+    truth = State(
+        time=time, position=position.reshape(-1, 3), rotation=rotation.reshape(-1, 3, 3),
+        twist=flat(log.twist, 6),
+    )  # fmt: skip
+    belief = Belief(
+        time=time,
+        position=log.belief_position.reshape(-1, 3),
+        rotation=log.belief_rotation.reshape(-1, 3, 3),
+        twist=flat(log.belief_twist, 6),
+    )
+    return state_error(truth, belief)
+
+
+def _consistency(error: Array, covariance: Array) -> dict[str, Any]:
+    """Mean normalised squares of errors (S, 6 or 12) with covariances (S, 12, 12)."""
+    row: dict[str, Any] = {}
+    for name, size in (("nees_pose", POSE_SIZE), ("nees", STATE_SIZE)):
+        if error.shape[1] < size:
+            continue
+        block = covariance[:, :size, :size]
+        usable = np.linalg.eigvalsh(block)[:, 0] > 0.0
+        row["covariance_faults"] = int((~usable).sum())
+        if not usable.any():
+            continue
+        squares = normalised_square(error[usable, :size], block[usable])
+        row[name] = float(squares.mean())
+        if name == "nees_pose":
+            row["nees_pose_p95"] = float(np.quantile(squares, QUANTILE))
+    return row
+
+
+def _innovation_scores(innovations: Innovations) -> dict[str, Any]:
+    """Mean normalised innovation squared, and what was rejected."""
+    total, measured = float(innovations.dof.sum()), int((innovations.dof > 0.0).sum())
+    return {
+        "nis": float(innovations.squares.sum()) / total if total > 0.0 else None,
+        "nis_dof": total / measured if measured else None,
+        "rejected_share": float((innovations.rejected > 0.0).mean()),
+    }

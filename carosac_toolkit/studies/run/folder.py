@@ -1,0 +1,249 @@
+"""The folder of a study: what was asked, the rows so far, and one run at a time."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from carosac_toolkit import __version__
+from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile, MissingFile
+from carosac_toolkit.studies.run.case import NAMES, Case, canonical
+from carosac_toolkit.studies.run.row_files import (
+    drop_rows,
+    merge_parts,
+    read_parts,
+    write_part,
+    write_whole,
+)
+from carosac_toolkit.studies.run.rows import STATUSES, Row, in_common_columns
+
+MANIFEST = "study.json"
+SCHEMA = "carosac-study/1"
+MERGE_AFTER = 100  # small parts
+
+
+class StudyConflict(CarosacError):
+    """The folder holds another study than the one that was asked for, or is in use."""
+
+
+class StudyFolder:
+    """Rows of one study on disk.
+
+    Args:
+        path: The folder.
+        cases: The cases of the study, in order.
+    """
+
+    def __init__(self, path: Path, cases: Sequence[Case]) -> None:
+        self.path = path
+        self._identities = {case.identity for case in cases}
+        self._parts = 0
+
+    def finished(self) -> dict[str, Row]:
+        """Rows of this study that are on disk, by case."""
+        return {name: x for name, x in read_parts(self.path).items() if name in self._identities}
+
+    def forget(self, statuses: Collection[str]) -> None:
+        """Remove rows with these statuses."""
+        drop_rows(self.path, self._identities, statuses)
+
+    def forget_cases(self, identities: Collection[str]) -> None:
+        """Remove the rows of some cases of this study."""
+        drop_rows(self.path, self._identities & set(identities), STATUSES)
+
+    def append(self, rows: Sequence[Row]) -> None:
+        """Bring rows to the disk."""
+        if not rows:
+            return
+        write_part(self.path, rows)
+        self._parts += 1
+        if self._parts >= MERGE_AFTER:
+            self.merge()
+
+    def merge(self) -> None:
+        """Make one file of many."""
+        merge_parts(self.path, self._identities)
+        self._parts = 0
+
+
+@contextmanager
+def opened(path: Path, cases: Sequence[Case], function: str) -> Iterator[StudyFolder]:
+    """Take a folder for a study for as long as the block lasts.
+
+    Raises:
+        StudyConflict: It holds another study, or another process runs in it.
+    """
+    path.mkdir(parents=True, exist_ok=True)
+    with _locked(path):
+        _agree(path, cases, function)
+        for left_over in path.glob(".part-*.tmp"):
+            left_over.unlink()
+        for left_over in path.glob(".running-*"):
+            shutil.rmtree(left_over, ignore_errors=True)
+        yield StudyFolder(path, cases)
+
+
+@contextmanager
+def notes_folder(path: Path) -> Iterator[str]:
+    """Give a folder for the notes of running cases, which goes with the block."""
+    notes = tempfile.mkdtemp(prefix=".running-", dir=path.resolve())
+    try:
+        yield notes
+    finally:
+        shutil.rmtree(notes, ignore_errors=True)
+
+
+def read_cases(folder: str | Path) -> list[Case]:
+    """Return the cases that a study was asked for, in order.
+
+    Raises:
+        MissingFile: There is no study in the folder.
+        InvalidFile: Its ``study.json`` is broken, or of another version of the toolkit.
+    """
+    manifest = _read_manifest(Path(folder))
+    if manifest["toolkit"] != __version__:
+        fault = f"toolkit: got {manifest['toolkit']}; allowed: {__version__}, the one installed"
+        raise InvalidFile(Path(folder) / MANIFEST, [fault])
+    settings = manifest["settings"]
+    return [
+        Case(**dict(zip((*NAMES, "seed"), values, strict=True)), settings=settings[index])
+        for _, *values, index in manifest["cases"]
+    ]
+
+
+def read_rows(folder: str | Path) -> list[Row]:
+    """Return the rows of a study, one per finished case, in the order of the cases.
+
+    All rows have the same columns; None stands where a case has no value. Rows in the folder that
+    belong to no case of the study are left out. This works while the study runs, too.
+
+    Raises:
+        MissingFile: There is no study in the folder.
+        InvalidFile: A file in it is broken; the message names it.
+    """
+    order = [entry[0] for entry in _read_manifest(Path(folder))["cases"]]
+    found = read_parts(Path(folder))
+    return in_common_columns(found[name] for name in order if name in found)
+
+
+def free_folder(base: Path, cases: Sequence[Case]) -> Path:
+    """Choose a folder that holds none but some of these cases: `base`, `base`-2, `base`-3, ..."""
+    asked = {case.identity for case in cases}
+    for number in count(1):
+        folder = base if number == 1 else base.with_name(f"{base.name}-{number}")
+        if not (folder / MANIFEST).exists():
+            return folder
+        try:
+            if {case.identity for case in read_cases(folder)} <= asked:
+                return folder
+        except CarosacError:  # broken, or of another version: not ours to touch
+            continue
+    raise AssertionError("count() ends nowhere")
+
+
+def check_statuses(retry: Collection[str]) -> None:
+    """Refuse what is no status of an unfinished case."""
+    allowed = [status for status in STATUSES if status != "ok"]
+    for status in retry:
+        if status not in allowed:
+            raise InvalidField("retry", repr(status), f"some of {allowed}")
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold the folder's lock, which the system takes back from a process that dies."""
+    try:
+        import fcntl
+    except ImportError:  # a system without such locks
+        yield
+        return
+    with (path / ".lock").open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise StudyConflict(f"{path}: another process runs a study in this folder") from error
+        yield
+
+
+def _agree(path: Path, cases: Sequence[Case], function: str) -> None:
+    """Compare what is asked with the manifest; write it where there is none, or cases are added."""
+    asked = _manifest(cases, function)
+    file = path / MANIFEST
+    if file.is_file():
+        held = _read_manifest(path)
+        for key in ("toolkit", "function"):
+            if held[key] != asked[key]:
+                raise _conflict(path, f"{key} {held[key]}", f"{key} {asked[key]}")
+        missing = [x for x in held["cases"] if x[0] not in {y[0] for y in asked["cases"]}]
+        if missing:
+            there = f"among its {len(held['cases'])} cases {_axes(held, missing)}"
+            raise _conflict(path, there, _axes(asked, asked["cases"]))
+        if held["cases"] == asked["cases"]:
+            return
+    write_whole(file, lambda out: out.write(json.dumps(asked).encode()))
+
+
+def _manifest(cases: Sequence[Case], function: str) -> dict[str, Any]:
+    """What is asked, as JSON."""
+    texts = [canonical(dict(case.settings)) for case in cases]
+    index = {text: i for i, text in enumerate(dict.fromkeys(texts))}
+    return {
+        "schema": SCHEMA,
+        "toolkit": __version__,
+        "function": function,
+        "fields": ["case", *NAMES, "seed", "settings"],
+        "settings": [json.loads(text) for text in index],
+        "cases": [
+            [case.identity, *(getattr(case, name) for name in NAMES), case.seed, index[text]]
+            for case, text in zip(cases, texts, strict=True)
+        ],
+    }
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    """Read what a study was asked for."""
+    file = path / MANIFEST
+    try:
+        manifest = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise MissingFile(file, "this is no folder of a study") from error
+    except ValueError as error:
+        raise InvalidFile(file, [f"this is no JSON: {error}"]) from error
+    schema = manifest.get("schema") if isinstance(manifest, dict) else None
+    if schema != SCHEMA:
+        raise InvalidFile(file, [f"schema: got {schema!r}; allowed: {SCHEMA!r}"])
+    kinds = {"toolkit": str, "function": str, "settings": list, "cases": list}
+    faults = [
+        f"{name}: got {manifest.get(name)!r}; allowed: a {'text' if kind is str else 'list'}"
+        for name, kind in kinds.items()
+        if not isinstance(manifest.get(name), kind)
+    ]
+    if faults:
+        raise InvalidFile(file, faults)
+    return manifest  # type: ignore[no-any-return]
+
+
+def _conflict(path: Path, held: str, asked: str) -> StudyConflict:
+    """Say that a folder holds something else."""
+    return StudyConflict(
+        f"{path} holds another study: it has {held}; asked for is {asked}. "
+        "Use another folder, or remove this one"
+    )
+
+
+def _axes(manifest: dict[str, Any], entries: list[list[Any]]) -> str:
+    """Say in short what some cases of a study are."""
+    text = []
+    for i, name in enumerate((*NAMES, "seed"), start=1):
+        values = list(dict.fromkeys(str(entry[i]) for entry in entries))
+        more = f" and {len(values) - 3} more" if len(values) > 3 else ""
+        text.append(f"{name} {', '.join(values[:3])}{more}")
+    settings = {canonical(manifest["settings"][entry[-1]]) for entry in entries}
+    shown = min(settings) if len(settings) == 1 else f"{len(settings)} different"
+    return f"{len(entries)} cases with " + "; ".join([*text, f"settings {shown[:200]}"])

@@ -1,0 +1,156 @@
+"""Rows on disk: small Parquet files that appear whole or not at all, merged now and then."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
+from typing import Any
+
+from carosac_toolkit.base.errors import InvalidFile
+from carosac_toolkit.studies.run.rows import Row, column_kinds, in_common_columns
+
+PATTERN = "part-*.parquet"
+LARGE = 10_000  # rows of a part that is not merged any more
+READ_ATTEMPTS = 5
+_JSON = {b"carosac": b"json"}  # marks a column of JSON texts: its values are of several types
+
+
+def part_files(folder: Path) -> list[Path]:
+    """All parts, oldest first."""
+    return sorted(folder.glob(PATTERN))
+
+
+def write_part(folder: Path, rows: Sequence[Row]) -> Path:
+    """Write rows as a new part, the last one."""
+    last = [path.stem.split("-")[1] for path in part_files(folder)[-1:]]
+    number = int(last[0]) + 1 if last and last[0].isdigit() else len(part_files(folder))
+    path = folder / f"part-{number:08d}.parquet"
+    replace_part(path, rows)
+    return path
+
+
+def replace_part(path: Path, rows: Sequence[Row]) -> None:
+    """Write rows as this part: another process sees all of it, or what was there before."""
+    import pyarrow.parquet as pq
+
+    table = _table(in_common_columns(rows))
+
+    def write(file: Any) -> None:
+        pq.write_table(table, file)
+
+    write_whole(path, write)
+
+
+def write_whole(path: Path, write: Callable[[Any], None]) -> None:
+    """Write a file under a temporary name, bring it to the disk, and give it its name."""
+    temporary = path.with_name(f".{path.name}.tmp")
+    with temporary.open("wb") as file:
+        write(file)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
+
+
+def read_part(path: Path) -> list[Row]:
+    """Read the rows of one part.
+
+    Raises:
+        InvalidFile: It is no whole part.
+        FileNotFoundError: It is not there.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.ParquetFile(path).read()
+    except FileNotFoundError:
+        raise
+    except (pa.ArrowException, OSError) as error:
+        detail = (str(error).splitlines() or [type(error).__name__])[0]
+        fault = f"this is no whole Parquet file: {detail}; delete it and run the study again: only"
+        raise InvalidFile(path, [f"{fault} the cases in it run again"]) from error
+    if not {"case", "status"} <= set(table.schema.names):
+        raise InvalidFile(path, ["this is no part of a study: it lacks the column case or status"])
+    rows: list[Row] = table.to_pylist()
+    for item in table.schema:
+        if item.metadata and dict(item.metadata).get(b"carosac") == b"json":
+            for row in rows:
+                text = row[item.name]
+                row[item.name] = None if text is None else json.loads(str(text))
+    return rows
+
+
+def read_parts(folder: Path) -> dict[str, Row]:
+    """Read all rows by case; of rows with the same case the first one counts.
+
+    Raises:
+        InvalidFile: A part is broken.
+    """
+    for attempt in range(READ_ATTEMPTS):
+        found: dict[str, Row] = {}
+        try:
+            for path in part_files(folder):
+                for row in read_part(path):
+                    found.setdefault(str(row["case"]), row)
+            return found
+        except FileNotFoundError:  # a running study has just merged parts: look again
+            if attempt == READ_ATTEMPTS - 1:
+                raise
+    return found
+
+
+def merge_parts(folder: Path, known: Collection[str]) -> None:
+    """Merge the small parts into one; parts with any case that is not known stay as they are.
+
+    The merged part appears before the others go. Should the process die in between, rows are there
+    twice until the next merge, and readers take the first.
+    """
+    rows: dict[str, Row] = {}
+    merged: list[Path] = []
+    for path in part_files(folder):
+        part = read_part(path)
+        if len(part) < LARGE and all(row["case"] in known for row in part):
+            merged.append(path)
+            for row in part:
+                rows.setdefault(str(row["case"]), row)
+    if len(merged) > 1:
+        write_part(folder, list(rows.values()))
+        for path in merged:
+            path.unlink()
+
+
+def drop_rows(folder: Path, known: Collection[str], statuses: Collection[str]) -> None:
+    """Remove the rows of known cases with these statuses, so that they run again."""
+    for path in part_files(folder):
+        rows = read_part(path)
+        kept = [x for x in rows if x["case"] not in known or x["status"] not in statuses]
+        if not kept:
+            with contextlib.suppress(FileNotFoundError):
+                path.unlink()
+        elif len(kept) < len(rows):
+            replace_part(path, kept)
+
+
+def _table(rows: Sequence[Row]) -> Any:
+    """Arrow table of rows that share their columns."""
+    import pyarrow as pa
+
+    fields, arrays = [], []
+    for name in rows[0] if rows else ():
+        values: list[Any] = [row[name] for row in rows]
+        metadata = None
+        if len(column_kinds(rows, name)) > 1 or any(_is_huge(value) for value in values):
+            values = [None if value is None else json.dumps(value) for value in values]
+            metadata = _JSON
+        array = pa.array(values)
+        arrays.append(array)
+        fields.append(pa.field(name, array.type, metadata=metadata))
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+
+
+def _is_huge(value: Any) -> bool:
+    """Whether a whole number does not fit a Parquet integer."""
+    return isinstance(value, int) and not -(2**63) <= value < 2**63

@@ -1,0 +1,125 @@
+"""Cases that differ in the seed alone, run as one batch: what Python costs is paid once for all.
+
+Each row is what `run_case` gives, to rounding, but for the latencies, which a batch does not have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.loop import plugins as registry
+from carosac_toolkit.loop.loop import run
+from carosac_toolkit.loop.protocols import replays
+from carosac_toolkit.loop.values import Reference
+from carosac_toolkit.robot.perturbations import draw_plant, find_condition
+from carosac_toolkit.studies.compare.results import LATENCIES
+from carosac_toolkit.studies.run.case import Case, canonical
+from carosac_toolkit.studies.run.run_case import (
+    DRIVER,
+    REST,
+    build_part,
+    digest_of,
+    estimator_of,
+    example_series,
+    given_to_driver,
+    known_settings,
+    path_of,
+    period_of,
+    plugin_name,
+    robot_of,
+    score,
+)
+from carosac_toolkit.trajectories.trajectory import Trajectory
+
+
+def group_of(case: Case) -> str | None:
+    """What cases of one batch have in common; None where driver or plug-ins want one robot.
+
+    The driver has to have `build_batch`, controller and estimator have to be `batched`.
+    """
+    settings = known_settings(case.settings)
+    driver = registry.load("drivers", str(settings.get("driver", DRIVER)))
+    plugins = [registry.load("controllers", plugin_name(case.controller))]
+    if case.estimator != "truth":
+        plugins.append(registry.load("estimators", plugin_name(case.estimator)))
+    if replays(driver) or not hasattr(driver, "build_batch"):
+        return None
+    if not all(getattr(plugin, "batched", False) for plugin in plugins):
+        return None
+    return canonical(case.to_dict() | {"seed": None})
+
+
+def run_together(cases: Sequence[Case]) -> list[dict[str, Any]]:
+    """Run and score cases of one group.
+
+    Args:
+        cases: Of one `group_of`, which differ in their seeds.
+
+    Returns:
+        A row for each, as `run_case`; the latencies are None.
+
+    Raises:
+        CarosacError: Anything that goes wrong in any of them; then run each alone.
+    """
+    first = cases[0]
+    settings = known_settings(first.settings)
+    robot = robot_of(first.robot, digest_of(first))
+    condition = find_condition(first.perturbation)
+    plants = [
+        draw_plant(robot, condition, np.random.default_rng(case.plant_seed)) for case in cases
+    ]
+    paths = Paths(tuple(path_of(case, robot) for case in cases))
+    controller = build_part("controllers", first.controller, robot, first, "controller_settings")
+    driver = build_part(
+        "drivers", str(settings.get("driver", DRIVER)), plants, first, "driver_settings",
+        given_to_driver(first, condition, period_of(controller), paths.starts),
+        seeds=[case.sensor_seed for case in cases],
+    )  # fmt: skip
+    if getattr(driver, "real_time", False):
+        raise CarosacError("a driver in real time runs one case at a time")
+    estimator = estimator_of(first, robot, driver)
+    log = run(driver, estimator, controller, paths, duration=REST + paths.duration)
+    if not log.completed:
+        raise CarosacError("the driver stopped before the end")
+    rows = []
+    for b, (case, path) in enumerate(zip(cases, paths.paths, strict=True)):
+        cycles = max(1, round((REST + path.duration) / controller.period))
+        alone = log.world(b, cycles)
+        row = score(alone, robot, path.duration) | dict.fromkeys(LATENCIES)
+        rows.append(row | {"series": example_series(case, alone)})
+    return rows
+
+
+@dataclass(frozen=True)
+class Paths:
+    """What B robots follow, each its own; the shorter ones rest at their end.
+
+    Attributes:
+        paths: One for each robot.
+    """
+
+    paths: tuple[Trajectory, ...]
+
+    @property
+    def duration(self) -> float:
+        """Of the longest [s]."""
+        return max(path.duration for path in self.paths)
+
+    @property
+    def starts(self) -> tuple[tuple[float, ...], ...]:
+        """Where each begins in W [m]."""
+        places = (path.sample(np.zeros(1)).position[0] for path in self.paths)
+        return tuple(tuple(float(x) for x in place) for place in places)
+
+    def window(self, time: float, horizon: float, period: float) -> Reference:
+        """As `Trajectory.window`, a row for each robot."""
+        each = [path.window(time, horizon, period) for path in self.paths]
+        names = ("time", "position", "velocity", "acceleration")
+        return Reference(
+            **{name: np.concatenate([getattr(one, name) for one in each]) for name in names}
+        )

@@ -1,0 +1,239 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from operator import attrgetter
+
+import numpy as np
+import pytest
+
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.drivers.quasi_static import QuasiStaticPlant
+from carosac_toolkit.drivers.sensor_suite import SensorSuite
+from carosac_toolkit.drivers.sensors import PERFECT, SUITES, SensorSettings
+from tests.plants import TurningPlant
+
+ALL = "lengths+imu+pose"
+NOISY = SensorSettings(tension=True)
+
+
+def measured(suite, settings, *, plant=None, seed=0, period=0.02, count=50):
+    """One measurement a period, of a plant that is advanced from sample to sample."""
+    plant = plant or TurningPlant()
+    plant.reset(None)
+    sensors = SensorSuite(suite, settings, plant, seed)
+    sensors.sample(plant, 0.0)
+    now, found = 0.0, [sensors.measure(0.0)]
+    for k in range(1, count):
+        while now < k * period - 1e-9:
+            step = min(sensors.next_due, k * period) - now
+            plant.advance(None, step)
+            now += step
+            sensors.sample(plant, now)
+        found.append(sensors.measure(now))
+    return found
+
+
+def inertial(found, channel):
+    """All inertial samples of one channel in a row, shape (B, K, 3) or (B, K)."""
+    return np.concatenate([getattr(m.imu, channel) for m in found if m.imu], axis=1)
+
+
+def test_a_suite_has_its_sensors_and_no_others():
+    for suite in SUITES:
+        found = measured(suite, PERFECT, count=2)[-1]
+        assert (found.imu is not None) == ("imu" in suite)
+        assert (found.pose is not None) == ("pose" in suite)
+        assert found.tension is None
+        assert measured(suite, NOISY, count=2)[-1].tension is not None
+
+
+def test_an_imu_at_rest_feels_its_own_weight_upwards():
+    found = measured("lengths+imu", PERFECT, plant=TurningPlant(speed=0.0, spin=0.0), count=3)
+    force = inertial(found, "specific_force")
+    assert force == pytest.approx(np.tile([0.0, 0.0, 9.81], (1, force.shape[1], 1)), abs=1e-12)
+    assert not inertial(found, "angular_rate").any()
+
+
+def test_an_imu_is_the_second_derivative_of_the_pose():
+    plant = TurningPlant(size=2)
+    found = measured("lengths+imu", PERFECT, plant=plant)
+    time, force, rate = (
+        inertial(found, name) for name in ("time", "specific_force", "angular_rate")
+    )
+    h = 1e-4
+    for b in range(2):
+        clocks = time[b] + 0.1 * b
+        past, here, ahead = (plant.position_at(clocks + d) for d in (-h, 0.0, h))
+        turn = plant.rotation_at(clocks)
+        in_world = (past - 2.0 * here + ahead) / h**2 + np.array([0.0, 0.0, 9.81])
+        assert np.einsum("kij,kj->ki", turn, force[b]) == pytest.approx(in_world, abs=1e-6)
+        change = (plant.rotation_at(clocks + h) - plant.rotation_at(clocks - h)) / (2.0 * h)
+        skew = turn.swapaxes(1, 2) @ change  # R^T dR/dt
+        seen = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
+        assert rate[b] == pytest.approx(seen, abs=1e-6)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.012])
+def test_every_inertial_sample_is_measured_once_and_when_it_has_arrived(delay):
+    found = measured(
+        "lengths+imu", replace(PERFECT, imu_delay=delay), plant=TurningPlant(size=2), period=0.013
+    )
+    stamps = inertial(found, "time")
+    assert stamps[0] == pytest.approx(np.arange(stamps.shape[1]) / 200.0)
+    assert np.array_equal(stamps[0], stamps[1])
+    last = -1.0
+    for m in found:
+        for taken in [] if m.imu is None else m.imu.time[0]:
+            assert last < taken + delay <= m.time[0] + 1e-9
+        last = m.time[0] + 1e-9
+    assert stamps[0, -1] > found[-1].time[0] - delay - 1 / 200.0
+
+
+def test_without_a_new_inertial_sample_there_is_none():
+    found = measured("lengths+imu", PERFECT, period=0.002, count=20)
+    assert [m.imu is None for m in found[:6]] == [False, True, True, False, True, False]
+
+
+def test_measuring_again_at_the_same_time_says_the_same():
+    plant = TurningPlant()
+    sensors = SensorSuite(ALL, NOISY, plant, 0)
+    sensors.sample(plant, 0.0)
+    assert sensors.measure(0.0) is sensors.measure(0.0)
+    assert sensors.measure(0.0).imu is not None
+
+
+def test_inertial_noise_and_bias_have_their_standard_deviations():
+    settings = SensorSettings()
+    still = TurningPlant(size=400, speed=0.0, spin=0.0)
+    found = measured("lengths+imu", settings, plant=still, period=0.1, count=3)
+    for channel, noise, bias, truth in (
+        ("angular_rate", 3.5e-3, 5e-3, 0.0),
+        ("specific_force", 0.017, 0.05, [0.0, 0.0, 9.81]),
+    ):
+        error = inertial(found, channel) - truth
+        mean = error.mean(axis=1)
+        spread = (error - mean[:, None]).std() * np.sqrt(error.shape[1] / (error.shape[1] - 1))
+        assert spread == pytest.approx(noise, rel=5.0 / np.sqrt(2 * error.size))
+        assert mean.std() == pytest.approx(bias, rel=5.0 / np.sqrt(2 * mean.size))
+        assert abs(mean.mean()) < 5.0 * bias / np.sqrt(mean.size)
+
+
+def test_tensions_have_noise_bias_rate_and_delay():
+    plant = TurningPlant(size=200)
+    exact = replace(PERFECT, tension=True, tension_rate=50.0, tension_delay=0.03)
+    for m in measured("lengths", exact, plant=plant)[3:]:
+        taken = m.tension.time
+        assert m.time[0] - 0.05 < taken[0] <= m.time[0] - 0.03 + 1e-9
+        truth = 100.0 + 10.0 * plant.length_at(taken + 0.1 * np.arange(200))
+        assert m.tension.value == pytest.approx(truth, abs=1e-9)
+    settings = replace(PERFECT, tension=True, tension_noise=2.0, tension_bias=4.0)
+    found = measured("lengths", settings, plant=plant)
+    truth = np.stack(
+        [100.0 + 10.0 * plant.length_at(m.tension.time + 0.1 * np.arange(200)) for m in found]
+    )
+    error = np.stack([m.tension.value for m in found]) - truth
+    assert error.std(axis=0, ddof=1).mean() == pytest.approx(2.0, rel=0.02)
+    assert error.mean(axis=0).std() == pytest.approx(4.0, rel=5.0 / np.sqrt(2 * 800))
+
+
+def test_another_sensor_changes_nothing_that_this_one_says():
+    lone = measured("lengths", SensorSettings(), seed=7)
+    posed = measured("lengths+pose", SensorSettings(), seed=7)
+    full = measured(ALL, replace(NOISY, imu_rate=333.0, tension_rate=40.0), seed=7)
+    for one, two, three in zip(lone, posed, full, strict=True):
+        assert np.array_equal(one.unstrained_length, two.unstrained_length)
+        assert np.array_equal(one.unstrained_length, three.unstrained_length)
+        assert np.array_equal(one.length_rate.value, three.length_rate.value)
+        # advanced in other steps, the clock of the plant differs by rounding
+        assert two.pose.position == pytest.approx(three.pose.position, abs=1e-12)
+
+
+def test_draws_of_encoders_and_motion_capture_are_those_of_always():
+    plant = TurningPlant()
+    sensors = SensorSuite(ALL, NOISY, plant, 11)
+    bias, encoders, mocap = map(np.random.default_rng, np.random.SeedSequence(11).spawn(3))
+    assert np.array_equal(sensors.encoder_bias, 5e-3 * bias.standard_normal((1, 4)))
+    sensors.sample(plant, 0.0)
+    found = sensors.measure(0.0)
+    reading = plant.read_lengths() + sensors.encoder_bias + 0.2e-3 * encoders.standard_normal(4)
+    assert found.unstrained_length == pytest.approx(np.round(reading / 5e-5) * 5e-5, abs=1e-12)
+    moved = found.pose.position - plant.truth().position
+    assert moved[0] == pytest.approx(1e-3 * mocap.standard_normal(6)[3:], abs=1e-15)
+
+
+def test_robots_of_a_batch_have_errors_of_their_own():
+    found = measured(ALL, NOISY, plant=TurningPlant(size=3, speed=0.0, spin=0.0), count=5)[-1]
+    off = found.unstrained_length - TurningPlant(size=3).read_lengths()
+    for value in (off, found.pose.position, found.imu.angular_rate[:, 0], found.tension.value):
+        assert len(np.unique(value[:, 0])) == 3
+    assert found.time.shape == (3,)
+
+
+def test_a_plant_without_inertia_has_no_imu():
+    with pytest.raises(InvalidField, match=r"suite: got .*'lengths\+pose'\]: no inertia here"):
+        SensorSuite("lengths+imu", PERFECT, QuasiStaticPlant(TurningPlant().robot), 0)
+    with pytest.raises(InvalidField, match=r"suite: got 'pose'; allowed: one of \['lengths', "):
+        SensorSuite("pose", PERFECT, TurningPlant(), 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("imu_rate", 0.0), ("angular_rate_noise", -1.0), ("specific_force_bias", np.nan),
+        ("imu_delay", -0.1), ("tension_rate", 0.0), ("tension_noise", -1.0), ("tension", 1),
+        ("angular_rate_bias", -1.0),
+    ],
+)  # fmt: skip
+def test_impossible_numbers_are_refused(name, value):
+    with pytest.raises(InvalidField, match=f"^{name}: got .*; allowed: "):
+        SensorSettings(**{name: value})
+
+
+def test_noise_and_bias_that_are_named_like_rates_may_be_zero():
+    assert SensorSettings(angular_rate_noise=0.0, angular_rate_bias=0.0).angular_rate_bias == 0.0
+
+
+def set_down_anew(rows, *, imu_delay=0.0):
+    """Measurements of three moving robots each 25 ms; some are set down anew after 75 ms."""
+    settings = replace(
+        NOISY, encoder_noise=0.0, position_noise=0.0, rotation_noise=0.0, angular_rate_noise=0.0,
+        specific_force_noise=0.0, tension_noise=0.0, imu_delay=imu_delay, encoder_delay=0.02,
+    )  # fmt: skip
+    plant = TurningPlant(size=3)
+    plant.reset(None)
+    sensors = SensorSuite(ALL, settings, plant, 4)
+    sensors.sample(plant, 0.0)
+    now, found = 0.0, []
+    for k in range(1, 9):
+        while now < 0.025 * k - 1e-9:
+            step = min(sensors.next_due, 0.025 * k) - now
+            plant.advance(None, step)
+            now += step
+            sensors.sample(plant, now)
+        found.append(sensors.measure(now))
+        if k == 3 and rows is not None:
+            sensors.renew(np.array(rows))
+            sensors.restart(np.array(rows), plant, now)
+            found.append(sensors.measure(now))
+    return found, sensors
+
+
+def biases(sensors):
+    return sensors.encoder_bias, sensors._tension_bias, sensors._imu_bias
+
+
+@pytest.mark.parametrize("imu_delay", [0.0, 0.012])
+def test_a_robot_that_is_set_down_anew_leaves_the_sensors_of_others_alone(imu_delay):
+    alone, one = set_down_anew(None, imu_delay=imu_delay)
+    found, other = set_down_anew([1], imu_delay=imu_delay)
+    fresh = found.pop(3)
+    for mine, theirs in zip(biases(one), biases(other), strict=True):
+        np.testing.assert_array_equal(mine[[0, 2]], theirs[[0, 2]])
+        assert (mine[1] != theirs[1]).all()
+    for a, b in zip(alone, found, strict=True):
+        for channel in ("unstrained_length", "length_rate.value", "pose.position", "tension.value",
+                        "imu.angular_rate", "imu.specific_force"):  # fmt: skip
+            first, second = (attrgetter(channel)(x) for x in (a, b))
+            np.testing.assert_array_equal(first[[0, 2]], second[[0, 2]])
+    assert (fresh.imu is None) == (imu_delay > 0.0)  # its samples are on the way
+    assert not fresh.length_rate.value[1].any()
