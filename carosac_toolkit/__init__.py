@@ -9,6 +9,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from carosac_toolkit.base.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from carosac_toolkit import loop, trajectories, workspace
     from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
@@ -24,8 +26,6 @@ if TYPE_CHECKING:
     from carosac_toolkit.studies.compare.results import StudyResults
     from carosac_toolkit.studies.compare.study import Study
     from carosac_toolkit.validation import validate
-
-__version__ = "0.1.0"
 
 _HOME = {
     "Belief": "loop.values",

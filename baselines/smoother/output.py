@@ -10,8 +10,8 @@ import numpy as np
 
 from baselines.smoother.pictures import draw_estimate, draw_unknowns
 from baselines.smoother.result import Smoothed
-from carosac_toolkit import __version__
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.version import __version__
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.reports.page import png, write_files

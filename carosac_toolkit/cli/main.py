@@ -11,8 +11,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
-from carosac_toolkit import __version__
 from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
+from carosac_toolkit.base.version import __version__
 from carosac_toolkit.loop.plugins import entry_points_of, load
 
 _USAGE = """usage: carosac {group}COMMAND [options]

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from carosac_toolkit import __version__
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.units import parse_quantity
+from carosac_toolkit.base.version import __version__
 from carosac_toolkit.interchange.bag import Bag
 from carosac_toolkit.interchange.bag_channels import (
     STAMPS,

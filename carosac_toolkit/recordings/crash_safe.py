@@ -21,10 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit import __version__
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField, InvalidFile
 from carosac_toolkit.base.rotations import from_matrix
+from carosac_toolkit.base.version import __version__
 from carosac_toolkit.loop.values import Belief, Command, Imu, Measurement, Stamped
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples

@@ -17,8 +17,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from carosac_toolkit import __version__
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.version import __version__
 from carosac_toolkit.text_tables import Rows
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from itertools import product as combinations
 from types import MappingProxyType
 from typing import Any
 
-from carosac_toolkit import __version__
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.version import __version__
 
 SEED_BITS = 63  # a signed 64-bit integer holds every seed
 

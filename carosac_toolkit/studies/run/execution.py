@@ -10,8 +10,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from carosac_toolkit import __version__
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.version import __version__
 from carosac_toolkit.studies.run.case import Case
 from carosac_toolkit.studies.run.crash_notes import Death, noted, read_death
 from carosac_toolkit.studies.run.rows import Row, checked_values, make_row

@@ -11,8 +11,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from carosac_toolkit import __version__
 from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile, MissingFile
+from carosac_toolkit.base.version import __version__
 from carosac_toolkit.studies.run.case import NAMES, Case, canonical
 from carosac_toolkit.studies.run.row_files import (
     drop_rows,
