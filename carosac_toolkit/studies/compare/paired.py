@@ -9,8 +9,8 @@ from typing import Any
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.studies.compare.pairs import Estimate, Pair, compare, typical_of
 from carosac_toolkit.studies.compare.resampling import holm
-from carosac_toolkit.studies.compare.results import LATENCIES, WAYS, StudyResults, labels_by
-from carosac_toolkit.studies.run.rows import Row
+from carosac_toolkit.studies.compare.results import WAYS, StudyResults, labels_by
+from carosac_toolkit.studies.run.rows import LATENCIES, Row
 
 BLOCK = ("robot", "perturbation")  # groups that met the same plants
 LEVEL = 0.05  # of a difference that counts

@@ -10,7 +10,8 @@ from math import floor, isfinite, log10
 from carosac_toolkit.studies.compare.paired import LEVEL, Block, Compared
 from carosac_toolkit.studies.compare.pairs import Estimate, Pair
 from carosac_toolkit.studies.compare.resampling import CONFIDENCE, FEWEST, smallest_p
-from carosac_toolkit.studies.compare.results import LATENCIES, WAYS
+from carosac_toolkit.studies.compare.results import WAYS
+from carosac_toolkit.studies.run.rows import LATENCIES
 from carosac_toolkit.text_tables import counted, fit, wrapped
 
 TITLES = {

@@ -26,13 +26,12 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.loop.consistency import POSE_SIZE, STATE_SIZE, band
-from carosac_toolkit.studies.run.rows import Row
+from carosac_toolkit.studies.run.rows import LATENCIES, Row
 
 WAYS = ("controller", "estimator", "suite")  # what is compared
 GROUP = ("robot", "controller", "estimator", "suite", "perturbation")
 PAIR = ("trajectory", "seed")  # with robot and perturbation: the same plant on the same path
 NAMES = ("x", "y", "z", "norm")
-LATENCIES = ("latency_median_s", "latency_p95_s", "latency_p99_s")
 _NUMBER = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 
 

@@ -15,6 +15,7 @@ Status = Literal["ok", "failed", "crashed", "timed_out"]
 
 STATUSES: tuple[str, ...] = get_args(Status)
 OWN_COLUMNS = ("case", "status", "reason", *NAMES, "seed", "settings", "wall_time_s")
+LATENCIES = ("latency_median_s", "latency_p95_s", "latency_p99_s")  # of one run; none in a batch
 REASON_LENGTH = 1000  # characters kept of a message
 
 

@@ -17,8 +17,8 @@ from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.protocols import replays
 from carosac_toolkit.loop.values import Reference
 from carosac_toolkit.robot.perturbations import draw_plant, find_condition
-from carosac_toolkit.studies.compare.results import LATENCIES
 from carosac_toolkit.studies.run.case import Case, canonical
+from carosac_toolkit.studies.run.rows import LATENCIES
 from carosac_toolkit.studies.run.run_case import (
     DRIVER,
     REST,
