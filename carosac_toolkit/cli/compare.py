@@ -10,13 +10,12 @@ Exit status 1 means that a row of the table is empty: none of its cases succeede
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Annotated
-
-import tyro
+from dataclasses import replace
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder
+from carosac_toolkit.cli.common import CommandResult
+from carosac_toolkit.cli.compare_options import Options
+from carosac_toolkit.cli.compare_reference import run_suite
 from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.reports.study import TABLES_LATEX, TABLES_MARKDOWN, write_report
@@ -30,12 +29,9 @@ from carosac_toolkit.studies.compare.study import (
     ESTIMATORS,
     QUICK_SEEDS,
     SEEDS,
-    TRAJECTORIES,
     Study,
 )
 from carosac_toolkit.studies.compare.tables import failures, text_table, units
-from carosac_toolkit.studies.run.engine import TIMEOUT
-from carosac_toolkit.studies.run.run_case import DRIVER
 from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 
 PAIRED_UNITS = (
@@ -46,74 +42,9 @@ PAIRED_UNITS = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Options(CommonOptions):
-    """Options of ``carosac compare``."""
-
-    robots: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--robot"])] = ("carosac",)
-    """Bundled robots or YAML files."""
-    controllers: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--controller"])] = ()
-    """Controllers by name, or `module:Class` for your own; by default straight_line and
-    kinematic_solver."""
-    estimators: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--estimator"])] = ()
-    """Estimators by name, or `module:Class`; `truth` is what a simulated driver knows; by default
-    kinematic_solver. NAME@LABEL is NAME with settings of its own, here and among the
-    controllers."""
-    suite: str | None = None
-    """Run a reference suite, `reference`: it fixes robots, paths, plants, seeds and sensors. With
-    --controllers or --estimators only these run, beside its baseline."""
-    against: str | None = None
-    """With --suite: folder of results of the same suite to compare with in pairs, such as
-    benchmarks/reference."""
-    suites: tuple[str, ...] = ("lengths",)
-    """Sensor suites of the driver."""
-    trajectories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--trajectory"])] = TRAJECTORIES
-    """Trajectories of the catalogue."""
-    perturbations: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--perturbation"])] = (
-        "nominal-1",
-    )
-    """By how much plants differ from the nominal robot."""
-    seeds: int | None = None
-    """How many draws of plant, path and noise, counted up from --seed; by default 10."""
-    driver: str = DRIVER
-    """What is controlled: `simulator`, `quasi_static` (no sway), a recording by `replay`, or
-    `module:Class`."""
-    speed: float = 1.0
-    """Largest speed of the trajectories [m/s]."""
-    acceleration: float = 1.0
-    """Largest acceleration of the trajectories [m/s^2]."""
-    settings: Annotated[
-        tuple[str, ...], tyro.conf.arg(name="set", metavar="SETTING"), tyro.conf.UseAppendAction
-    ] = ()
-    """Setting of a plug-in: controller.NAME.FIELD=VALUE, estimator.NAME.FIELD=VALUE or
-    driver.FIELD=VALUE, VALUE as JSON or text; may be given several times."""
-    baseline: str | None = None
-    """What all others are compared with in pairs: a controller, or `CONTROLLER / ESTIMATOR / SUITE`
-    as far as they differ; by default the first row of the table."""
-    quick: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Two draws, unless --seeds says otherwise; with the other defaults, in under a minute. A full
-    run in the same folder goes on from there."""
-    scheduler: str | None = None
-    """Address of a dask scheduler, such as tcp://host:8786."""
-    workers: int | None = None
-    """Worker processes on this machine; 0 is none but this one; by default one per core."""
-    batch: int = 1
-    """How many seeds run together in one simulation, where driver, controller and estimator can:
-    10 together are 2 to 3 times faster on a CPU; the same numbers to rounding, but no latencies."""
-    timeout: float = TIMEOUT
-    """How long a case may run [s]."""
-    retry: tuple[str, ...] = ()
-    """Run again what has ended as `failed`, `crashed` or `timed_out`."""
-    output: OutputFolder = None
-    """Folder of the results; goes on with the study that is there. By default
-    carosac-results/compare, numbered where another study is there already."""
-
-
 def run(options: Options) -> CommandResult:
     """Run the study, print and draw it."""
     if options.suite is not None:
-        from carosac_toolkit.cli.compare_reference import run_suite
-
         return run_suite(options, options.suite)
     if options.against is not None:
         raise InvalidField("--against", repr(options.against), "nothing without --suite")

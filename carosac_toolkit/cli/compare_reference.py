@@ -8,10 +8,11 @@ import time
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult
+from carosac_toolkit.cli.compare_options import Options
 from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.output_files import write_json
 from carosac_toolkit.reports.page import check_folder, made_with, write_files
@@ -35,9 +36,6 @@ from carosac_toolkit.studies.reference.results import (
 )
 from carosac_toolkit.studies.run.rows import Row
 from carosac_toolkit.text_tables import counted, terminal_width, wrapped
-
-if TYPE_CHECKING:
-    from carosac_toolkit.cli.compare import Options
 
 FREE = (
     "suite", "controllers", "estimators", "settings", "against", "quick", "scheduler", "workers",
