@@ -33,13 +33,13 @@ from carosac_toolkit.live.exit_reasons import Ending, ending_of
 from carosac_toolkit.live.hand_target import HELP
 from carosac_toolkit.live.library_noise import without_ads_lines
 from carosac_toolkit.live.messages import say
-from carosac_toolkit.live.plugins import build_controller, build_estimator
 from carosac_toolkit.live.real_time import quick_threads, take_priority
 from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.live.statistics import Statistics
 from carosac_toolkit.live.steering import place, steered
 from carosac_toolkit.loop.loop import Path as Followed
 from carosac_toolkit.loop.loop import run as run_loop
+from carosac_toolkit.loop.plugin_builder import build_controller, build_estimator
 from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.recordings.crash_safe import CrashSafeRecorder
 from carosac_toolkit.robot.file import load_robot

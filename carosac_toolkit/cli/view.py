@@ -27,15 +27,14 @@ import numpy as np
 import tyro
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.base.settings import filled
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, period_of_rate
 from carosac_toolkit.drivers.simulated import SimulatedDriver
 from carosac_toolkit.live.hand_target import HandTarget
-from carosac_toolkit.live.plugins import build_controller, build_estimator
 from carosac_toolkit.live.real_time import take_priority
 from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.loop import plugins
-from carosac_toolkit.loop.plugin_settings import check_types, chosen_settings
+from carosac_toolkit.loop.plugin_builder import build_controller, build_estimator, build_plugin
+from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.output_files import check_writable
 from carosac_toolkit.robot.file import list_robots, load_robot
 from carosac_toolkit.robot.robot import Robot
@@ -276,12 +275,11 @@ def _driver(options: Options, robot: Robot, asked: Any, period: float) -> Simula
     for name in TAKEN:
         if name in own:
             raise InvalidField("--set", f"driver.{name}={own[name]!r}", "what the options say")
-    settings: Any = plugin.Settings()
-    check_types("driver", settings, own)
-    given = {"suite": options.suite, "period": period, "real_time": True, **own}
-    build: Any = plugin
-    made: SimulatedDriver = build.build(robot, filled("driver", settings, given), seed=options.seed)
-    return made
+    offered = {"suite": options.suite, "period": period, "real_time": True}
+    driver: SimulatedDriver = build_plugin(
+        plugin, robot, where="driver", asked=own, offered=offered, seed=options.seed
+    )
+    return driver
 
 
 def _page(options: Options, robot: Robot, title: str) -> closing[Page]:

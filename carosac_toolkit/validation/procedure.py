@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.plugin_builder import build_plugin
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.cable.lengths import length_at_tension
 from carosac_toolkit.recordings.encoders import calibrated
@@ -19,7 +20,7 @@ from carosac_toolkit.validation.diagnostics import find_delay, find_sway, rest_f
 from carosac_toolkit.validation.phases import find_phases, slope
 from carosac_toolkit.validation.plausibility import exit_point_distance, find_mix_ups
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
-from carosac_toolkit.validation.run import ModelRun, build_model, load_model, run_open_loop
+from carosac_toolkit.validation.run import ModelRun, load_model, run_open_loop
 from carosac_toolkit.validation.scores import rotation_angle, score_lengths, score_poses
 
 DEFAULT_MODELS = ("straight_line", "kinematic_solver", "simulator")
@@ -143,7 +144,8 @@ class _Scoring:
     def result(self, name: str, target: Any, stop: int, seed: int) -> ModelResult:
         """Run and score one model."""
         try:
-            run = run_open_loop(build_model(target, self._robot, seed), self._recording, stop)
+            model = build_plugin(target, self._robot, where=name, seed=seed)
+            run = run_open_loop(model, self._recording, stop)
             return self._score(name, run)
         except (Exception, SystemExit) as error:  # a user's model may raise anything
             reason = f"{type(error).__name__}: {error}".splitlines()[0]

@@ -15,7 +15,6 @@ from carosac_toolkit.loop.loop import checked_belief
 from carosac_toolkit.loop.protocols import Estimator
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.recordings.recording import Recording
-from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,13 +51,6 @@ def load_model(name: str) -> Any:
         allowed = "something with build(robot, settings, *, seed)"
         raise InvalidField("estimator", repr(name), allowed)
     return target
-
-
-def build_model(target: Any, robot: Robot, seed: int) -> Estimator:
-    """Build an estimator with its default settings for a robot."""
-    settings = getattr(target, "Settings", None)
-    built: Estimator = target.build(robot, settings() if settings is not None else None, seed=seed)
-    return built
 
 
 def run_open_loop(model: Estimator, recording: Recording, stop: int) -> ModelRun:

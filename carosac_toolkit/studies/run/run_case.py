@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from functools import lru_cache
 from typing import Any
 
@@ -15,10 +14,10 @@ from carosac_toolkit import trajectories
 from carosac_toolkit.base.arrays import Array, evenly
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.rotations import from_matrix
-from carosac_toolkit.base.settings import filled
 from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import BadPlugin, Log, run
+from carosac_toolkit.loop.plugin_builder import build_plugin
 from carosac_toolkit.loop.protocols import TruthSource, replays
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.robot.file import load_robot, robot_text
@@ -248,23 +247,18 @@ def build_part(
         seeds: For a driver of a batch, one for each robot.
     """
     plugin = plugins.load(kind, plugin_name(name))
-    kinds = getattr(plugin, "Settings", None)
     seed = case.sensor_seed if kind == "drivers" else case.rng_seed
     asked = dict(case.settings.get(key, {}))
     if kind == "drivers":
         asked = own_settings(name, asked)
-    if kinds is None:
-        if asked:
-            raise InvalidField(key, asked, f"nothing: {name} has no Settings")
-        return plugin.build(robot, None, seed=seed)
-    known, given = {field.name for field in fields(kinds)}, given or {}
-    for taken in sorted(set(given) & set(asked)):
-        raise InvalidField(f"{key}.{taken}", repr(asked[taken]), "none: the case itself says it")
-    wanted = {k: v for k, v in given.items() if k in known} | asked
-    chosen = filled(key, kinds(), wanted)
-    if seeds is not None:
-        return plugin.build_batch(robot, chosen, seeds=seeds)
-    return plugin.build(robot, chosen, seed=seed)
+    offered = given or {}
+    if hasattr(plugin, "Settings"):
+        for taken in sorted(set(offered) & set(asked)):
+            allowed = "none: the case itself says it"
+            raise InvalidField(f"{key}.{taken}", repr(asked[taken]), allowed)
+    return build_plugin(
+        plugin, robot, where=key, asked=asked, offered=offered, seed=seed, seeds=seeds
+    )
 
 
 def own_settings(name: str, asked: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,75 @@
+"""Builds plug-ins with their settings: for studies, live runs, guards, emulators and validations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from types import MappingProxyType
+from typing import Any
+
+from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.settings import filled
+from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.plugin_settings import check_types
+from carosac_toolkit.robot.robot import Robot
+
+NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+
+def build_plugin(
+    plugin: Any, robot: Robot | Sequence[Robot], *, where: str,
+    asked: Mapping[str, Any] = NOTHING, offered: Mapping[str, Any] = NOTHING, seed: int = 0,
+    seeds: Sequence[int] | None = None,
+) -> Any:  # fmt: skip
+    """Build a plug-in with its own settings.
+
+    Args:
+        plugin: What `carosac_toolkit.loop.plugins.load` found.
+        robot: Its robot; several for a driver that simulates a batch.
+        where: Name of the settings in error messages.
+        asked: Fields of its settings that the user set; they win over `offered`.
+        offered: What the caller knows, for as many fields as the settings have.
+        seed: Of everything random in it.
+        seeds: Of a driver that simulates a batch, one for each robot.
+
+    Raises:
+        InvalidField: `asked` names a field that the settings do not have, or a value of another
+            type.
+    """
+    kind = getattr(plugin, "Settings", None)
+    if kind is None:
+        if asked:
+            raise InvalidField(where, dict(asked), f"nothing: {plugin.__name__} has no Settings")
+        return plugin.build(robot, None, seed=seed)
+    check_types(where, kind(), asked)
+    names = {field.name for field in fields(kind)}
+    known = {name: value for name, value in offered.items() if name in names}
+    settings = filled(where, kind(), {**known, **asked})
+    if seeds is not None:
+        return plugin.build_batch(robot, settings, seeds=seeds)
+    return plugin.build(robot, settings, seed=seed)
+
+
+def build_controller(
+    name: str, robot: Robot, chosen: Mapping[str, Any], period: float, *, seed: int
+) -> Any:
+    """Build a controller of a live run.
+
+    Args:
+        name: Registered, or ``module:Class``.
+        robot: The nominal robot.
+        chosen: Result of `carosac_toolkit.loop.plugin_settings.chosen_settings`.
+        period: Of the commands [s], for a controller whose period can be chosen and was not.
+        seed: Of everything random in it.
+    """
+    asked = chosen["controller_settings"].get(name, {})
+    plugin, where = plugins.load("controllers", name), f"controller.{name}"
+    offered = {"period": period}
+    return build_plugin(plugin, robot, where=where, asked=asked, offered=offered, seed=seed)
+
+
+def build_estimator(name: str, robot: Robot, chosen: Mapping[str, Any], *, seed: int) -> Any:
+    """Build an estimator of a live run; arguments as of `build_controller`."""
+    asked = chosen["estimator_settings"].get(name, {})
+    plugin = plugins.load("estimators", name)
+    return build_plugin(plugin, robot, where=f"estimator.{name}", asked=asked, seed=seed)
