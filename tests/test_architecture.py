@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterable
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
@@ -31,7 +32,8 @@ LAYERS = (
     ("physics.motion",),
     ("recordings",),
     ("trajectories",),
-    ("safety", "safety.guard"),
+    ("safety",),
+    ("safety.guard",),
     ("drivers",),
     ("plc",),
     ("plc.emulator",),
@@ -155,6 +157,100 @@ def test_values_protocols_and_robot_stay_light():
     )  # fmt: skip
     loaded = loaded_by([f"carosac_toolkit.{name}" for name in names])
     assert loaded & (HEAVY | {"warp"}) == set()
+
+
+def subpackage(module: str) -> str:
+    """Folder of a module of ours: its subpackage, or the package itself."""
+    path = ROOT / Path(*module.split("."))
+    return module if path.is_dir() else module.rpartition(".")[0]
+
+
+@lru_cache
+def file_imports() -> dict[str, set[str]]:
+    """Imports from file to file inside our packages, deferred ones and those for types included."""
+    known = {module for package in MAY_IMPORT for module in modules_of(package)}
+    paths = {
+        m: p
+        for package in MAY_IMPORT
+        for m, p in zip(modules_of(package), sources(package), strict=True)
+    }
+    imports: dict[str, set[str]] = {}
+    for module, path in paths.items():
+        named = set()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                named |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                inner = {f"{node.module}.{alias.name}" for alias in node.names} & known
+                named |= inner or {str(node.module)}
+        imports[module] = (named & known) - {module}
+    return imports
+
+
+def layer_of(name: str) -> int:
+    """Line of a core subpackage in `LAYERS`."""
+    return next(k for k, line in enumerate(LAYERS) if name in line)
+
+
+def circles(imports: dict[str, set[str]]) -> list[list[str]]:
+    """Files that lie on circles of imports, or between two of them."""
+    left = {module: set(names) for module, names in imports.items()}
+    while True:  # take away what imports nothing that is left, then what nothing left imports
+        leaves = {m for m, names in left.items() if not names & left.keys()}
+        used = set().union(*left.values()) if left else set()
+        roots = {m for m in left if m not in used}
+        if not leaves | roots:
+            return [sorted(left)] if left else []
+        left = {m: names - leaves - roots for m, names in left.items() if m not in leaves | roots}
+
+
+def test_every_subpackage_of_the_core_has_its_layer_and_says_what_lives_there():
+    core = {subpackage(m).removeprefix("carosac_toolkit").lstrip(".") for m in file_imports()
+            if m.startswith("carosac_toolkit.")}  # fmt: skip
+    assert core <= {name for line in LAYERS for name in line}
+    loose = [p.name for p in (ROOT / "carosac_toolkit").glob("*.py") if p.name != "__init__.py"]
+    assert loose == []
+    for name in sorted(core):
+        tree = ast.parse(
+            (ROOT / "carosac_toolkit" / Path(*name.split(".")) / "__init__.py").read_text()
+        )
+        assert ast.get_docstring(tree), name
+
+
+def test_subpackages_import_only_what_lies_below_them():
+    print("\n" + "\n".join(f"{k:2d}  {' | '.join(line)}" for k, line in enumerate(LAYERS)))
+    prefix, faults = "carosac_toolkit.", []
+    for module, names in file_imports().items():
+        if not module.startswith(prefix):
+            continue
+        own = subpackage(module).removeprefix(prefix)
+        for name in sorted(names - {"carosac_toolkit"}):
+            other = subpackage(name).removeprefix(prefix)
+            if other != own and name.startswith(prefix) and layer_of(other) >= layer_of(own):
+                faults.append(f"{module} imports {name}")
+    assert faults == []
+
+
+def test_no_two_folders_import_each_other():
+    imports = file_imports()
+    pairs = {(subpackage(m), subpackage(n)) for m, names in imports.items() for n in names}
+    mutual = sorted((a, b) for a, b in pairs if a < b and (b, a) in pairs)
+    assert [pair for pair in mutual if "carosac_toolkit" not in pair] == []
+
+
+def test_no_files_import_one_another_in_a_circle():
+    imports = file_imports()
+    inner = {
+        m: names - {"carosac_toolkit"} for m, names in imports.items() if m != "carosac_toolkit"
+    }
+    assert circles(inner) == []
+
+
+def test_only_the_plc_command_imports_the_emulator():
+    users = {module for module, names in file_imports().items()
+             if any(name.startswith("carosac_toolkit.plc.emulator") for name in names)
+             and not module.startswith("carosac_toolkit.plc.emulator")}  # fmt: skip
+    assert users <= {"carosac_toolkit.cli.plc"}
 
 
 def test_distributed_packages_are_those_of_the_table():
