@@ -232,10 +232,10 @@ def test_subpackages_import_only_what_lies_below_them():
 
 
 def test_no_two_folders_import_each_other():
-    imports = file_imports()
-    pairs = {(subpackage(m), subpackage(n)) for m, names in imports.items() for n in names}
-    mutual = sorted((a, b) for a, b in pairs if a < b and (b, a) in pairs)
-    assert [pair for pair in mutual if "carosac_toolkit" not in pair] == []
+    """The `__init__` of a folder may hand on names of any folder below it."""
+    files = {m: names for m, names in file_imports().items() if subpackage(m) != m}
+    pairs = {(subpackage(m), subpackage(n)) for m, names in files.items() for n in names}
+    assert sorted((a, b) for a, b in pairs if a < b and (b, a) in pairs) == []
 
 
 def test_no_files_import_one_another_in_a_circle():
