@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.files import write_json
 from carosac_toolkit.cli.common import CommandResult
 from carosac_toolkit.loop.plugin_settings import chosen_settings
-from carosac_toolkit.output_files import write_json
 from carosac_toolkit.reports.page import check_folder, made_with, write_files
 from carosac_toolkit.reports.study import write_report
 from carosac_toolkit.studies.compare.findings import conclusions

@@ -19,6 +19,7 @@ from typing import Annotated
 import tyro
 
 from carosac_toolkit.base.errors import CarosacError, MissingFile
+from carosac_toolkit.base.files import check_writable, replacing
 from carosac_toolkit.base.yaml import format_path
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, format_table
 from carosac_toolkit.interchange.completion import (
@@ -30,7 +31,6 @@ from carosac_toolkit.interchange.completion import (
 )
 from carosac_toolkit.interchange.robots import read_robot
 from carosac_toolkit.interchange.source_file import SourceFile
-from carosac_toolkit.output_files import check_writable, replacing
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.text_tables import terminal_width, wrapped
 

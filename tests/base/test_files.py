@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.output_files import check_writable, replacing, write_json
+from carosac_toolkit.base.files import check_writable, replacing, write_json
 
 
 def test_json_takes_numpy_and_has_no_nan(tmp_path):
