@@ -16,6 +16,7 @@ from typing import Annotated
 import tyro
 
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.tables import counted, terminal_width, wrapped
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder
 from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.reports.page import check_folder
@@ -36,7 +37,6 @@ from carosac_toolkit.studies.compare.study import (
 from carosac_toolkit.studies.compare.tables import failures, text_table, units
 from carosac_toolkit.studies.run.engine import TIMEOUT
 from carosac_toolkit.studies.run.run_case import DRIVER
-from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 
 PAIRED_UNITS = (
     "difference: of the RMSE to that of the baseline in the same case, median over the seeds, mean "

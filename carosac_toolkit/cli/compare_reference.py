@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.files import write_json
+from carosac_toolkit.base.tables import counted, terminal_width, wrapped
 from carosac_toolkit.cli.common import CommandResult
 from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.reports.page import check_folder, made_with, write_files
@@ -34,7 +35,6 @@ from carosac_toolkit.studies.reference.results import (
     write_rows,
 )
 from carosac_toolkit.studies.run.rows import Row
-from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 
 if TYPE_CHECKING:
     from carosac_toolkit.cli.compare import Options

@@ -18,7 +18,8 @@ import tyro
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.files import check_writable
-from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, format_table
+from carosac_toolkit.base.tables import format_table
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.interchange.bag import Bag, Topic, open_bag
 from carosac_toolkit.interchange.bag_channels import (
     IMU,
