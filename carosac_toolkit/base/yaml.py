@@ -104,7 +104,8 @@ def _compose(text: str) -> Node | None:
     """Return the tree of a document; an anchor that is given twice is an error."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", ReusedAnchorWarning)
-        return YAML(typ="safe", pure=True).compose(text)
+        node: Node | None = YAML(typ="safe", pure=True).compose(text)
+        return node
 
 
 def _syntax_fault(error: MarkedYAMLError, lines: list[str]) -> tuple[int, str]:

@@ -1,6 +1,7 @@
 """Outputs are refused in words before any work, and are written whole or not at all."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,14 @@ def test_a_file_is_replaced_only_if_all_goes_well(tmp_path):
     with replacing(path) as temporary:
         temporary.write_text("new")
     assert path.read_text() == "new"
+
+
+def test_a_file_is_on_the_disk_before_it_takes_its_name(tmp_path, monkeypatch):
+    path, synced = tmp_path / "x.txt", []
+    monkeypatch.setattr(os, "fsync", lambda fd: synced.append((os.fstat(fd).st_ino, path.exists())))
+    with replacing(path) as temporary:
+        temporary.write_text("new")
+    assert synced == [(path.stat().st_ino, False)]
 
 
 def test_outputs_are_checked_before_any_work(tmp_path):
