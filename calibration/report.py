@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration.estimate import Estimate
 from calibration.observability import Observability
+from carosac_toolkit.base.tables import Rows, fit, terminal_width, wrapped
 from carosac_toolkit.reports.page import (
     bullets,
     definitions,
@@ -20,7 +21,6 @@ from carosac_toolkit.reports.page import (
     warnings,
     write_files,
 )
-from carosac_toolkit.text_tables import Rows, fit, terminal_width, wrapped
 
 PARAMETER_HEADER = (
     "parameter", "unit", "before", "known to", "after", "1 sigma", "moved by", "in sigmas before",

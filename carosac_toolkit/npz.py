@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carosac_toolkit.base.errors import InvalidField, MissingFile
+from carosac_toolkit.base.files import replacing
 
 
 def write_npz(path: str | Path, key: str, rest: Any, arrays: dict[str, NDArray[Any]]) -> None:
@@ -29,9 +30,8 @@ def write_npz(path: str | Path, key: str, rest: Any, arrays: dict[str, NDArray[A
     target = Path(path)
     if not target.parent.is_dir():
         raise MissingFile(target.parent, "the folder must exist")
-    temporary = target.with_name(target.name + ".part")
-    temporary.write_bytes(npz_bytes(key, rest, arrays))
-    temporary.replace(target)
+    with replacing(target) as temporary:
+        temporary.write_bytes(npz_bytes(key, rest, arrays))
 
 
 def npz_bytes(key: str, rest: Any, arrays: dict[str, NDArray[Any]]) -> bytes:

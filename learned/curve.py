@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from carosac_toolkit.output_files import replacing
+from carosac_toolkit.base.files import replacing
 
 CURVE, EPISODES = "curve.csv", "episodes.csv"
 COLUMNS = (

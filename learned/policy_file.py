@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import CarosacError, InvalidField, MissingFile
-from carosac_toolkit.output_files import replacing
+from carosac_toolkit.base.files import replacing
 from carosac_toolkit.robot.robot import Robot
 from learned.probe import check_probe, make_probe
 from learned.settings_data import environment_settings

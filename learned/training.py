@@ -19,7 +19,7 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.output_files import missing_folders, remove_empty
+from carosac_toolkit.base.files import missing_folders, remove_empty
 from carosac_toolkit.reports.page import commit_of_code
 from carosac_toolkit.robot.robot import Robot
 from learned.curve import (

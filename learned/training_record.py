@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.errors import InvalidField, MissingFile
-from carosac_toolkit.output_files import replacing
+from carosac_toolkit.base.files import replacing
 
 SETTINGS = "settings.json"
 UNKNOWN = "unknown"  # commit of code that is not under git

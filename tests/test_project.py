@@ -8,9 +8,9 @@ from importlib.metadata import requires
 from pathlib import Path
 
 import pytest
-import yaml
 
 import carosac_toolkit
+from carosac_toolkit.base.yaml import load_yaml
 from carosac_toolkit.robot.file import parse_robot
 from tests.programs import run_here
 from tests.warm_kernels import kernel_modules
@@ -26,7 +26,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 
 def test_one_version_everywhere():
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    citation = load_yaml((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     versions = {PROJECT["project"]["version"], carosac_toolkit.__version__, citation["version"]}
     assert len(versions) == 1
 

@@ -24,15 +24,15 @@ from baselines.smoother import Smoothed, SmootherSettings, smooth
 from baselines.smoother.output import FILES, recording_of, write
 from baselines.smoother.report import sentences, warnings
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.files import check_writable
+from carosac_toolkit.base.tables import terminal_width, wrapped
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.cli.outputs import same_file
-from carosac_toolkit.output_files import check_writable
 from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.recording import load_recording
 from carosac_toolkit.recordings.robot import FoundRobot, find_robot
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import list_robots
-from carosac_toolkit.text_tables import terminal_width, wrapped
 
 SUFFIXES = (".parquet", ".csv")
 RECORDING = "smoothed.parquet"

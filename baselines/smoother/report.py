@@ -6,7 +6,7 @@ import numpy as np
 
 from baselines.smoother.result import Smoothed
 from baselines.smoother.scores import Scores
-from carosac_toolkit.text_tables import counted
+from carosac_toolkit.base.tables import counted
 from carosac_toolkit.validation.plausibility import doubt_exit_points, exit_point_distance
 
 DOUBTFUL = 3.0  # sigma

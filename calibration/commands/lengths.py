@@ -41,13 +41,13 @@ from calibration.report import print_parameters, print_sentences
 from calibration.robot_update import check_output, write_robot
 from calibration.self_calibration.files import holds_motor_angles
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.tables import fit, terminal_width
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, OutputFolder
 from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.recording import load_recording
 from carosac_toolkit.recordings.robot import find_robot
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.text_tables import fit, terminal_width
 
 WITHOUT_POSES = ("recording", "robot", "output", "report", "json", "seed")  # options that count
 SENTENCES = 8  # on what is hardly known, on the screen; the report has all

@@ -32,10 +32,10 @@ from calibration.tachymeter.tables import (
     setup_rows,
 )
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.tables import fit, terminal_width
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, OutputFolder
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import load_robot
-from carosac_toolkit.text_tables import fit, terminal_width
 
 
 @dataclass(frozen=True, kw_only=True)

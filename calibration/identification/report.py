@@ -11,9 +11,9 @@ from calibration.identification.pictures import draw_motion, draw_rests
 from calibration.identification.result import Identification, Part
 from calibration.pictures import draw_learnt
 from calibration.report import observability_html, parameters_html, write_report
+from carosac_toolkit.base.tables import Rows
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.reports.page import png, table
-from carosac_toolkit.text_tables import Rows
 
 SCORE_HEADER = (
     "samples", "robot", "x [mm]", "y [mm]", "z [mm]", "norm [mm]", "largest [mm]", "angle [deg]",

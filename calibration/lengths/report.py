@@ -12,8 +12,8 @@ from calibration.lengths.planning import SuggestedPoses
 from calibration.lengths.result import LengthCalibration
 from calibration.report import blunders_html, observability_html, parameters_html
 from calibration.report import write_report as write_page
+from carosac_toolkit.base.tables import Rows
 from carosac_toolkit.reports.page import bullets, table
-from carosac_toolkit.text_tables import Rows
 
 CABLE_HEADER = (
     "cable", "RMS before [mm]", "RMS after [mm]", "exit point moved [mm]", "known to [mm]",

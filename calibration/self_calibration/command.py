@@ -20,10 +20,10 @@ from calibration.self_calibration.report import (
     write_report,
 )
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.tables import fit, terminal_width
 from carosac_toolkit.cli.common import CommandResult
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import list_robots, load_robot
-from carosac_toolkit.text_tables import fit, terminal_width
 
 
 class Options(Protocol):

@@ -14,7 +14,7 @@ import numpy as np
 from calibration.self_calibration.motor_angles import MotorAngles
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidFile, MissingFile
-from carosac_toolkit.output_files import replacing
+from carosac_toolkit.base.files import replacing
 from carosac_toolkit.recordings.table import shortened
 
 _MOTOR = re.compile(r"motor_(?:angle_)?(?P<cable>.+?)_(?P<unit>deg|rad)")

@@ -17,8 +17,8 @@ from calibration.report import write_report as write_page
 from calibration.self_calibration.pictures import draw_ellipses, draw_layout, draw_left_out
 from calibration.self_calibration.result import SelfCalibration
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.tables import Rows
 from carosac_toolkit.reports.page import png, table
-from carosac_toolkit.text_tables import Rows
 
 BLUNDER_HEADER = ("sample", "what was left out", "misfit [sigmas]")
 LEFT_OUT_HEADER = ("sample", "x [mm]", "y [mm]", "z [mm]", "distance [mm]", "1 sigma x, y, z [mm]")

@@ -15,8 +15,7 @@ import numpy as np
 
 from calibration.tachymeter.observations import face_one, polar
 from calibration.tachymeter.records import MILLIMETRE, Record, few, plain_name, read_lines
-from carosac_toolkit.base.errors import InvalidFile
-from carosac_toolkit.yaml_lines import did_you_mean
+from carosac_toolkit.base.errors import InvalidFile, did_you_mean
 
 ANGLES = {"gon": np.pi / 200.0, "deg": np.pi / 180.0, "rad": 1.0, "mil": np.pi / 3200.0}
 LENGTHS = {"m": 1.0, "mm": MILLIMETRE, "ft": 0.3048}

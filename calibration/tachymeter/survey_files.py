@@ -12,9 +12,8 @@ from calibration.tachymeter.gsi import read_gsi
 from calibration.tachymeter.observations import SIGHTINGS, Shot, Sighting, Survey
 from calibration.tachymeter.records import Record, few
 from calibration.tachymeter.targets import Point, Targets, read_targets
-from carosac_toolkit.base.errors import InvalidField, InvalidFile
+from carosac_toolkit.base.errors import InvalidField, InvalidFile, did_you_mean
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.yaml_lines import did_you_mean
 
 
 def read_survey(paths: Sequence[str], targets_path: str, robot: Robot) -> Survey:

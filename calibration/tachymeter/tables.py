@@ -6,7 +6,7 @@ import numpy as np
 
 from calibration.tachymeter.observations import ARCSEC, READINGS
 from calibration.tachymeter.result import MANY, PROBABILITY, TachymeterResult
-from carosac_toolkit.text_tables import Rows
+from carosac_toolkit.base.tables import Rows
 
 EXIT_HEADER = (
     "cable",

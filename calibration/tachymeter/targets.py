@@ -19,10 +19,10 @@ from calibration.tachymeter.observations import (
 )
 from calibration.tachymeter.records import MILLIMETRE, few, plain_name, read_lines
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import InvalidField, InvalidFile
+from carosac_toolkit.base.errors import InvalidField, InvalidFile, did_you_mean
 from carosac_toolkit.base.units import InvalidQuantity, parse_quantity
+from carosac_toolkit.base.yaml import Document, FieldPath, format_path, read_yaml
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.yaml_lines import Document, FieldPath, did_you_mean, format_path, read_yaml
 
 SCHEMA = "carosac-targets/1"
 _TOP = (

@@ -54,10 +54,16 @@ class MissingFile(CarosacError):
         self.path = str(path)
 
 
-def did_you_mean(name: object, names: Sequence[str]) -> str:
-    """The most similar of some names as a question, to be put after what is allowed; or nothing."""
+def nearest_name(name: object, names: Sequence[str]) -> str | None:
+    """Return the most similar of some names, or None if none is similar."""
     close = get_close_matches(str(name), names, n=1)
-    return f"; did you mean '{close[0]}'?" if close else ""
+    return close[0] if close else None
+
+
+def did_you_mean(name: object, names: Sequence[str]) -> str:
+    """Ask for the most similar of some names, to be put after what is allowed; or say nothing."""
+    near = nearest_name(name, names)
+    return f"; did you mean '{near}'?" if near else ""
 
 
 def _restored(

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from carosac_toolkit.cli.common import format_table
+from carosac_toolkit.base.tables import format_table
 from carosac_toolkit.inspection.report import CalibratedParameter, RobotReport
 
 _POINTS = {"exit_points": "exit point in W", "anchor_points": "anchor point in P"}

@@ -15,10 +15,10 @@ from typing import Annotated
 
 import tyro
 
+from carosac_toolkit.base.files import check_writable, replacing
 from carosac_toolkit.cli.check_tables import describe
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.inspection.report import report_robot
-from carosac_toolkit.output_files import check_writable, replacing
 from carosac_toolkit.robot.file import parse_file, robot_text
 
 

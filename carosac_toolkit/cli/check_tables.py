@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
+from carosac_toolkit.base.tables import format_table
 from carosac_toolkit.cli.calibration_tables import describe_calibration
-from carosac_toolkit.cli.common import format_table
 from carosac_toolkit.inspection.report import RobotReport
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""What all commands share: their common options, results and tables.
+"""What all commands share: their common options and results.
 
 A command is a module named in the entry-point group ``carosac.commands``. The first line of its
 docstring is its summary; it has a frozen dataclass ``Options`` that derives from `CommonOptions`
@@ -10,7 +10,6 @@ A field of type `Path`, best as `OutputFile` or `OutputFolder`, is an output and
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -56,34 +55,3 @@ def period_of_rate(rate: float) -> float:
     if not 0.0 < rate <= RATE_MAX:
         raise InvalidField("--rate", f"{rate} Hz", f"over 0 to {RATE_MAX:g} Hz")
     return 1.0 / rate
-
-
-def format_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Lay out rows in columns; columns of numbers are aligned to the right.
-
-    Args:
-        header: Column titles, with units.
-        rows: Cells; a float is printed with five significant digits.
-
-    Returns:
-        The table as text without a final newline.
-    """
-    cells = [[_cell(value) for value in row] for row in rows]
-    right = [
-        bool(rows) and all(isinstance(row[i], int | float) for row in rows)
-        for i in range(len(header))
-    ]
-    widths = [max(len(line[i]) for line in [list(header), *cells]) for i in range(len(header))]
-    lines = [list(header), ["-" * width for width in widths], *cells]
-    return "\n".join(
-        "  ".join(
-            cell.rjust(width) if to_right else cell.ljust(width)
-            for cell, width, to_right in zip(line, widths, right, strict=True)
-        ).rstrip()
-        for line in lines
-    )
-
-
-def _cell(value: object) -> str:
-    """Print one cell."""
-    return f"{value:.5g}" if isinstance(value, float) else str(value)

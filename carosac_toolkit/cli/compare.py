@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.tables import counted, terminal_width, wrapped
 from carosac_toolkit.cli.common import CommandResult
 from carosac_toolkit.cli.compare_options import Options
 from carosac_toolkit.cli.compare_reference import run_suite
@@ -32,7 +33,6 @@ from carosac_toolkit.studies.compare.study import (
     Study,
 )
 from carosac_toolkit.studies.compare.tables import failures, text_table, units
-from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 
 PAIRED_UNITS = (
     "difference: of the RMSE to that of the baseline in the same case, median over the seeds, mean "

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.files import write_json
+from carosac_toolkit.base.tables import counted, terminal_width, wrapped
 from carosac_toolkit.cli.common import CommandResult
 from carosac_toolkit.cli.compare_options import Options
 from carosac_toolkit.loop.plugin_settings import chosen_settings
-from carosac_toolkit.output_files import write_json
 from carosac_toolkit.reports.page import check_folder, made_with, write_files
 from carosac_toolkit.reports.study import write_report
 from carosac_toolkit.studies.compare.findings import conclusions
@@ -35,7 +36,6 @@ from carosac_toolkit.studies.reference.results import (
     write_rows,
 )
 from carosac_toolkit.studies.run.rows import Row
-from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 
 FREE = (
     "suite", "controllers", "estimators", "settings", "against", "quick", "scheduler", "workers",

@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.tables import counted, terminal_width, wrapped
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.reports.page import write_files
-from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -17,7 +17,9 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, format_table
+from carosac_toolkit.base.files import check_writable
+from carosac_toolkit.base.tables import format_table
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.interchange.bag import Bag, Topic, open_bag
 from carosac_toolkit.interchange.bag_channels import (
     IMU,
@@ -27,7 +29,6 @@ from carosac_toolkit.interchange.bag_channels import (
     numeric,
 )
 from carosac_toolkit.interchange.bag_recording import Imported, Topics, read_bag
-from carosac_toolkit.output_files import check_writable
 
 _CHANNELS = ("tension", "command", "rates", "pose", "imu", "output")
 

@@ -19,7 +19,10 @@ from typing import Annotated
 import tyro
 
 from carosac_toolkit.base.errors import CarosacError, MissingFile
-from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, format_table
+from carosac_toolkit.base.files import check_writable, replacing
+from carosac_toolkit.base.tables import format_table, terminal_width, wrapped
+from carosac_toolkit.base.yaml import format_path
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.interchange.completion import (
     Completed,
     complete,
@@ -29,10 +32,7 @@ from carosac_toolkit.interchange.completion import (
 )
 from carosac_toolkit.interchange.robots import read_robot
 from carosac_toolkit.interchange.source_file import SourceFile
-from carosac_toolkit.output_files import check_writable, replacing
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.text_tables import terminal_width, wrapped
-from carosac_toolkit.yaml_lines import format_path
 
 
 @dataclass(frozen=True, kw_only=True)

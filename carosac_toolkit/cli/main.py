@@ -100,10 +100,10 @@ def _run(name: str, words: list[str]) -> int:
         spoken = [command.replace(".", " ") for command in _commands()]
         hint = did_you_mean(name, spoken)
         raise InvalidField("command", repr(name), f"{', '.join(spoken)}{hint}")
+    from carosac_toolkit.base.files import write_json
     from carosac_toolkit.cli.arguments import parse_options
     from carosac_toolkit.cli.common import CommandResult
     from carosac_toolkit.cli.outputs import check_outputs
-    from carosac_toolkit.output_files import write_json
 
     module: ModuleType = load("commands", name)
     options = parse_options(module, name.replace(".", " "), words)

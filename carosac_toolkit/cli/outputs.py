@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_type_hints
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.output_files import check_writable, try_folder
+from carosac_toolkit.base.files import check_writable, try_folder
 
 
 class _Named(NamedTuple):

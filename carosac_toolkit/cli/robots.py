@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from carosac_toolkit.cli.common import CommandResult, CommonOptions, format_table
+from carosac_toolkit.base.tables import format_table
+from carosac_toolkit.cli.common import CommandResult, CommonOptions
 from carosac_toolkit.robot.file import list_robots, load_robot
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.files import missing_folders, remove_empty
 from carosac_toolkit.base.settings import filled
 from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.drivers.guarded import GuardedDriver
@@ -23,7 +24,6 @@ from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import Path as Followed
 from carosac_toolkit.loop.plugin_settings import check_types
 from carosac_toolkit.loop.protocols import replays
-from carosac_toolkit.output_files import missing_folders, remove_empty
 from carosac_toolkit.recordings.crash_safe import CrashSafeRecorder
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.run_case import own_settings

@@ -18,13 +18,13 @@ from typing import Annotated
 
 import tyro
 
+from carosac_toolkit.base.tables import fit, terminal_width, wrapped
 from carosac_toolkit.cli.common import CommandResult, CommonOptions
 from carosac_toolkit.recordings.bundled import find_recording, list_recordings
 from carosac_toolkit.recordings.recording import Recording, load_recording
 from carosac_toolkit.recordings.robot import FoundRobot, find_robot
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.reports.validation import Context, free_folder, write_report
-from carosac_toolkit.text_tables import fit, terminal_width, wrapped
 from carosac_toolkit.validation import DEFAULT_MODELS, ValidationResult, validate
 from carosac_toolkit.validation.findings import conclusions
 from carosac_toolkit.validation.tables import (

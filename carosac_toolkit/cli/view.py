@@ -27,6 +27,7 @@ import numpy as np
 import tyro
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.files import check_writable
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, period_of_rate
 from carosac_toolkit.drivers.simulated import SimulatedDriver
 from carosac_toolkit.live.hand_target import HandTarget
@@ -35,7 +36,6 @@ from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.plugin_builder import build_controller, build_estimator, build_plugin
 from carosac_toolkit.loop.plugin_settings import chosen_settings
-from carosac_toolkit.output_files import check_writable
 from carosac_toolkit.robot.file import list_robots, load_robot
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.run_case import own_settings

@@ -24,9 +24,10 @@ import tyro
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder, format_table
+from carosac_toolkit.base.files import replacing
+from carosac_toolkit.base.tables import format_table
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder
 from carosac_toolkit.cli.position_option import Place
-from carosac_toolkit.output_files import replacing
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot

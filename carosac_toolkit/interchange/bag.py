@@ -10,7 +10,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile, MissingFile
+from carosac_toolkit.base.errors import (
+    CarosacError,
+    InvalidField,
+    InvalidFile,
+    MissingFile,
+    did_you_mean,
+)
 
 _SUFFIXES = (".bag", ".mcap", ".db3")
 _KINDS = "a .bag of ROS 1, the folder of a ROS 2 bag, or a single .mcap or .db3 file"
@@ -66,8 +72,6 @@ class Bag:
         """
         found = self.topics.get(name)
         if found is None:
-            from carosac_toolkit.yaml_lines import did_you_mean
-
             names = list(self.topics)
             allowed = f"a topic of the bag: {', '.join(names)}{did_you_mean(name, names)}"
             raise InvalidField(option, repr(name), allowed)

@@ -17,9 +17,9 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.rotations import from_matrix
+from carosac_toolkit.base.yaml import read_yaml
 from carosac_toolkit.interchange.draft import Draft
 from carosac_toolkit.interchange.source_file import SourceFile, about_centre_of_mass
-from carosac_toolkit.yaml_lines import read_yaml
 
 INERTIA_ABOUT = ("origin", "center_of_mass")
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile
+from carosac_toolkit.base.yaml import Document, FieldPath, dump_yaml, format_path, read_yaml
 from carosac_toolkit.interchange.draft import Draft
 from carosac_toolkit.robot.file import document_faults, fields_to_give, parse_robot
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.yaml_lines import Document, FieldPath, format_path, read_yaml
 
 _ORDER = (
     "schema", "name", "description", "licence", "gravity", "frame", "platform", "cable_types",
@@ -96,7 +95,8 @@ def robot_and_text(completed: Completed) -> tuple[Robot, str]:
         raise CarosacError("\n".join([*missing_lines(completed)]))
     data = {key: completed.draft.data[key] for key in _ORDER if key in completed.draft.data}
     rest = {key: value for key, value in completed.draft.data.items() if key not in _ORDER}
-    text = _dumped({**data, **rest, "provenance": _needed(completed.draft)})
+    content = {**data, **rest, "provenance": _needed(completed.draft)}
+    text = dump_yaml({key: _styled(value) for key, value in content.items()})
     return parse_robot(text, source="imported robot"), text
 
 
@@ -255,18 +255,6 @@ def _located(fault: tuple[FieldPath, str], document: Document) -> str:
     path, what = fault
     line = f"line {document.lines[path]}: " if path in document.lines else ""
     return f"{line}{format_path(path)}: {what}"
-
-
-def _dumped(data: dict[str, Any]) -> str:
-    """YAML in the style of the bundled files."""
-    from ruamel.yaml import YAML
-
-    yaml = YAML()
-    yaml.width = 4096
-    yaml.indent(mapping=2, sequence=4, offset=2)
-    stream = io.StringIO()
-    yaml.dump({key: _styled(value) for key, value in data.items()}, stream)
-    return stream.getvalue()
 
 
 def _styled(value: Any, inside: bool = False) -> Any:

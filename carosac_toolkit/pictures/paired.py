@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from carosac_toolkit.base.tables import counted
 from carosac_toolkit.pictures.drawing import COLORS, MEASURED, new_figure, put_legend
 from carosac_toolkit.studies.compare.paired import LEVEL, Block
 from carosac_toolkit.studies.compare.pairs import Pair
 from carosac_toolkit.studies.compare.paper_tables import TITLES, differing
-from carosac_toolkit.text_tables import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

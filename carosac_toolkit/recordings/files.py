@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from difflib import get_close_matches
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numpy as np
 
-from carosac_toolkit.base.errors import InvalidField, InvalidFile, MissingFile
+from carosac_toolkit.base.errors import InvalidField, InvalidFile, MissingFile, nearest_name
+from carosac_toolkit.base.files import replacing
 from carosac_toolkit.recordings.columns import POSES_WANTED
 from carosac_toolkit.recordings.csv_file import read_csv, write_csv
 from carosac_toolkit.recordings.parquet_file import read_parquet, write_parquet
@@ -69,7 +69,8 @@ def save(recording: Recording, path: str | Path) -> None:
     if writer is None:
         allowed = f"suffix {' or '.join(WRITERS)}"
         raise InvalidField("path", f"suffix {file.suffix!r} of {str(file)!r}", allowed)
-    _replace(file, lambda temporary: writer(recording, temporary))
+    with _replacing(file) as temporary:
+        writer(recording, temporary)
 
 
 def export_tum(recording: Recording, path: str | Path) -> None:
@@ -83,23 +84,15 @@ def export_tum(recording: Recording, path: str | Path) -> None:
         raise InvalidField("poses", None, POSES_WANTED)
     rows = np.column_stack([poses.time, poses.position, poses.quaternion[:, [1, 2, 3, 0]]])
     text = "\n".join(" ".join(map(repr, row)) for row in rows.tolist()) + "\n"
-
-    def write(temporary: Path) -> None:
+    with _replacing(Path(path)) as temporary:
         temporary.write_text("# timestamp tx ty tz qx qy qz qw\n" + text, encoding="utf-8")
 
-    _replace(Path(path), write)
 
-
-def _replace(file: Path, write: Callable[[Path], None]) -> None:
-    """Write beside the file, then rename; leave nothing behind on a failure."""
+def _replacing(file: Path) -> AbstractContextManager[Path]:
+    """Give a temporary path for a file, whose folder must be there."""
     if not file.parent.is_dir():
         raise InvalidField("path", repr(str(file)), "a file in a folder that exists")
-    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
-    try:
-        write(temporary)
-        os.replace(temporary, file)
-    finally:
-        temporary.unlink(missing_ok=True)
+    return replacing(file)
 
 
 def _neighbour(file: Path) -> str:
@@ -107,5 +100,5 @@ def _neighbour(file: Path) -> str:
     if not file.parent.is_dir():
         return f"there is no folder {str(file.parent)!r}"
     names = [entry.name for entry in file.parent.iterdir() if entry.suffix.lower() in READERS]
-    close = get_close_matches(file.name, names, n=1)
-    return f"did you mean {str(file.with_name(close[0]))!r}?" if close else ""
+    near = nearest_name(file.name, names)
+    return f"did you mean {str(file.with_name(near))!r}?" if near else ""

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import InvalidFile
+from carosac_toolkit.base.errors import InvalidFile, did_you_mean
 from carosac_toolkit.recordings.columns import FIXED, TIME, channel_columns, exit_point_columns
 from carosac_toolkit.recordings.conversion import SCHEMA, from_table
 from carosac_toolkit.recordings.metadata import RecordingMetadata
@@ -39,8 +38,7 @@ def read_scampi_mat(path: Path) -> Recording:
     variables = _load(path)
     faults = []
     for name in (name for name in REQUIRED if name not in variables):
-        close = get_close_matches(name, variables, n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else f"; there are {sorted(variables)}"
+        hint = did_you_mean(name, list(variables)) or f"; there are {sorted(variables)}"
         faults.append(f"variable {name!r} is missing{hint}")
     if faults:
         raise InvalidFile(path, faults)

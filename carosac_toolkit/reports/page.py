@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.tables import Rows
 from carosac_toolkit.base.version import __version__
-from carosac_toolkit.text_tables import Rows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
+from carosac_toolkit.base.errors import did_you_mean
 from carosac_toolkit.base.units import is_quantity
-from carosac_toolkit.yaml_lines import FieldPath, did_you_mean, format_path
+from carosac_toolkit.base.yaml import FieldPath, format_path
 
 if TYPE_CHECKING:
     from carosac_toolkit.robot.schema import RobotFile

@@ -14,13 +14,19 @@ from typing import Any, get_args, get_origin
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
-from carosac_toolkit.base.errors import InvalidField, InvalidFile, MissingFile
+from carosac_toolkit.base.errors import (
+    InvalidField,
+    InvalidFile,
+    MissingFile,
+    did_you_mean,
+    nearest_name,
+)
 from carosac_toolkit.base.units import InvalidQuantity
+from carosac_toolkit.base.yaml import FieldPath, format_path, read_yaml
 from carosac_toolkit.robot.build import build_robot
 from carosac_toolkit.robot.checks import cross_faults
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.robot.schema import Reads, RobotFile
-from carosac_toolkit.yaml_lines import FieldPath, did_you_mean, format_path, nearest, read_yaml
 
 _SUFFIXES = (".yaml", ".yml")
 _LONGEST = 80
@@ -187,7 +193,7 @@ def _validate(
 def _unknown_keys(errors: list[ErrorDetails]) -> dict[FieldPath, str | None]:
     """Paths of keys that the schema does not know, with the key that was meant, if one is near."""
     return {
-        details["loc"]: nearest(str(details["loc"][-1]), _keys(RobotFile, details["loc"][:-1]))
+        details["loc"]: nearest_name(details["loc"][-1], _keys(RobotFile, details["loc"][:-1]))
         for details in errors
         if details["type"] == "extra_forbidden"
     }
@@ -218,9 +224,9 @@ def _schema_faults(
     }
     for path, meant in unknown.items():
         keys = ", ".join(_keys(RobotFile, path[:-1]))
-        hint = f"; did you mean '{meant}'" if meant else ""
+        hint = f"; did you mean '{meant}'?" if meant else ""
         if path[-1] in missing:
-            hint = f"; {format_path(missing[path[-1]])} is missing: is the indentation right"
+            hint = f"; {format_path(missing[path[-1]])} is missing: is the indentation right?"
         faults.append((path, f"unknown key; allowed: {keys}{hint}"))
     misspelt = {(*path[:-1], meant) for path, meant in unknown.items()}
     for details in errors:

@@ -7,17 +7,16 @@ either is the robot or does not come to be.
 from __future__ import annotations
 
 import copy
-import io
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.rotations import from_matrix
+from carosac_toolkit.base.yaml import dump_yaml, round_trip
 from carosac_toolkit.robot.differences import SAME, differing, same
 from carosac_toolkit.robot.file import parse_file, parse_robot
 from carosac_toolkit.robot.parameters import unit_of
@@ -59,15 +58,9 @@ def robot_document(text: str, robot: Robot, *, provenance: str) -> str:
     for name in changed:
         if name not in _WRITABLE:
             raise InvalidField(name, "another value", "the value of the old robot file")
-    yaml = YAML()
-    yaml.width = 4096
-    yaml.indent(mapping=2, sequence=4, offset=2)
-    yaml.preserve_quotes = True
-    writer = _Writer(yaml.load(text), file, old, robot, provenance)
+    writer = _Writer(round_trip().load(text), file, old, robot, provenance)
     writer.write(set(changed))
-    stream = io.StringIO()
-    yaml.dump(writer.document, stream)
-    written = stream.getvalue()
+    written = dump_yaml(writer.document)
     for name in differing(parse_robot(written, source="new robot file"), robot):
         if name != "provenance":
             raise CarosacError(f"new robot file: {name} does not come back as it was written")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from carosac_toolkit.text_tables import Rows
+from carosac_toolkit.base.tables import Rows
 from carosac_toolkit.validation.quantities import say_length, unit_for
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 from carosac_toolkit.validation.scores import PoseScores

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.output_files import replacing
+from carosac_toolkit.base.files import replacing
 from carosac_toolkit.viewer.colors import CABLES, hex_of, legend_html
 from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.replay import Replay

@@ -21,7 +21,8 @@ import tyro
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_whole
-from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder, format_table
+from carosac_toolkit.base.tables import format_table
+from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
 from learned.evaluation import (

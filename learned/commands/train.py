@@ -22,13 +22,13 @@ import tyro
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_whole
+from carosac_toolkit.base.tables import counted, terminal_width, wrapped
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFolder
 from carosac_toolkit.physics.device import check_device
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies.run.cluster import remote_client
 from carosac_toolkit.studies.run.folder import MANIFEST
-from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 from learned.changes import check_changes, read_changes, read_variations
 from learned.curve import CURVE, read_curve
 from learned.presets import Preset, Stage, find_preset

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from carosac_toolkit.output_files import check_writable, replacing
+from carosac_toolkit.base.files import check_writable, replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,11 +7,11 @@ import pytest
 import tyro
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.files import replacing
 from carosac_toolkit.cli import robots
 from carosac_toolkit.cli.common import CommonOptions, OutputFile, OutputFolder
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.cli.outputs import check_outputs
-from carosac_toolkit.output_files import replacing
 from carosac_toolkit.robot.file import robot_text
 
 

@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
-import yaml
 from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
 from carosac_toolkit.base.errors import InvalidFile
+from carosac_toolkit.base.yaml import dump_yaml
 from carosac_toolkit.interchange.cdpyr import read_cdpyr
 from carosac_toolkit.interchange.completion import complete, robot_and_text
 from tests.interchange.models import COGIRO_LENGTHS, REST, cdpyr, geometry
@@ -16,7 +16,7 @@ from tests.interchange.models import COGIRO_LENGTHS, REST, cdpyr, geometry
 
 def draft_of(folder, data, suffix=".json", **options):
     path = folder / f"box{suffix}"
-    text = json.dumps(data) if suffix == ".json" else yaml.safe_dump(data)
+    text = json.dumps(data) if suffix == ".json" else dump_yaml(data)
     path.write_text(text, encoding="utf-8")
     return read_cdpyr(path, **options)
 

@@ -82,7 +82,7 @@ def test_saving_replaces_a_file_whole_or_not_at_all(tmp_path, recording, monkeyp
 
     with monkeypatch.context() as patch:
         patch.setattr("carosac_toolkit.recordings.csv_file._cells", fail)
-        with pytest.raises(OSError, match="disk full"):
+        with pytest.raises(CarosacError, match="cannot be written: disk full"):
             recording.save(path)
     assert path.read_text() == "precious"
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.csv"]

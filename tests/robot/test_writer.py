@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.yaml import load_yaml
 from carosac_toolkit.robot.differences import differing
 from carosac_toolkit.robot.file import list_robots, parse_robot, robot_text
 from carosac_toolkit.robot.writer import robot_document
@@ -75,7 +75,7 @@ def test_every_bundled_robot_comes_back_with_other_numbers(name):
 def test_an_unchanged_robot_leaves_every_value_and_comment_of_its_file(name):
     text = robot_text(name)
     document = robot_document(text, parse_robot(text), provenance=SOURCE)
-    assert yaml.safe_load(document) == yaml.safe_load(text)
+    assert load_yaml(document) == load_yaml(text)
     assert comments(document) == comments(text)
     assert SOURCE not in document
 
@@ -96,7 +96,7 @@ COMMENTED = (
 def rewritten(text, **changes):
     """The text of a robot with other numbers, and as plain data."""
     document = robot_document(text, replace(parse_robot(text), **changes), provenance=SOURCE)
-    return document, yaml.safe_load(document)
+    return document, load_yaml(document)
 
 
 def test_comments_order_and_all_other_lines_stay():
@@ -109,7 +109,7 @@ def test_comments_order_and_all_other_lines_stay():
         calibrated=("mass",), calibration_covariance=[[1.0]],
     )  # fmt: skip
     assert comments(document) == comments(COMMENTED)
-    keys = list(yaml.safe_load(COMMENTED))
+    keys = list(load_yaml(COMMENTED))
     assert list(data) == [*keys[:-1], "sensors", "provenance", "calibration"]
     kept = document.splitlines()
     for line in COMMENTED.partition("provenance:")[0].splitlines():
@@ -119,7 +119,7 @@ def test_comments_order_and_all_other_lines_stay():
 def test_only_what_changed_is_written_and_says_where_it_comes_from():
     text = robot_text("carosac")
     _, data = rewritten(text, mass=25.0)
-    old = yaml.safe_load(text)
+    old = load_yaml(text)
     assert data["platform"].pop("mass") == "25 kg"
     old["platform"].pop("mass")
     assert data.pop("provenance") == old.pop("provenance") | {"platform.mass": SOURCE}
@@ -128,7 +128,7 @@ def test_only_what_changed_is_written_and_says_where_it_comes_from():
 
 def test_a_shared_cable_type_is_split_only_where_its_numbers_differ():
     text = robot_text("carosac")
-    (rope,) = yaml.safe_load(text)["cable_types"]
+    (rope,) = load_yaml(text)["cable_types"]
     _, same = rewritten(text, axial_stiffness=[9e5] * 4)
     assert list(same["cable_types"]) == [rope]
     assert same["cable_types"][rope]["axial_stiffness"] == "900000 N"
@@ -198,7 +198,7 @@ def test_payloads_are_taken_off_the_platform_that_was_estimated_with_them():
     assert bare == pytest.approx(heavier - 2.0)
     center = (heavier * np.array([0.01, 0.02, -0.08]) - 2.0 * np.array([0, 0.1, 0.2])) / bare
     assert data["platform"]["center_of_mass"] == pytest.approx(center)
-    assert data["platform"]["payloads"] == yaml.safe_load(PAYLOAD)["platform"]["payloads"]
+    assert data["platform"]["payloads"] == load_yaml(PAYLOAD)["platform"]["payloads"]
     sources = data["provenance"]
     assert sources["platform.payloads"] == "weighed"
     assert sources["platform.inertia"] == SOURCE  # that of the bare platform is another one
@@ -213,7 +213,7 @@ def test_a_platform_lighter_than_its_payloads_is_refused(changes):
 
 def test_stiffness_takes_the_place_of_modulus_and_density():
     text = robot_text("cogiro")
-    robot, kind = parse_robot(text), yaml.safe_load(text)["cable_types"]["steel"]
+    robot, kind = parse_robot(text), load_yaml(text)["cable_types"]["steel"]
     assert "youngs_modulus" in kind and "material_density" in kind
     _, data = rewritten(text, axial_stiffness=1.1 * robot.axial_stiffness)
     (steel,) = data["cable_types"].values()
@@ -227,7 +227,7 @@ def test_pulleys_and_unused_points_keep_their_source():
         "8.47185]}\n", "8.47185], pulley: {radius: 0.05, swivel_axis: [0, 0, 1]}}\n"
     )
     text = text.replace("platform:\n", "    spare: {position: [0, 0, 8]}\nplatform:\n", 1)
-    source = yaml.safe_load(text)["provenance"]["frame.exit_points"]
+    source = load_yaml(text)["provenance"]["frame.exit_points"]
     _, data = rewritten(text, exit_points=parse_robot(text).exit_points + 0.01)
     assert data["provenance"]["frame.exit_points"] == SOURCE
     assert data["provenance"]["frame.exit_points.front_left.pulley"] == source
@@ -239,7 +239,7 @@ def test_a_later_calibration_of_one_sensor_keeps_the_sources_of_the_others():
     first, _ = rewritten(robot_text("carosac"), length_offset=[0.1] * 4, length_scale=[1.0] * 4,
                          length_delay=0.03)  # fmt: skip
     robot = replace(parse_robot(first), length_delay=0.04)
-    sources = yaml.safe_load(robot_document(first, robot, provenance="later"))["provenance"]
+    sources = load_yaml(robot_document(first, robot, provenance="later"))["provenance"]
     assert sources["sensors.lengths"] == SOURCE and sources["sensors.lengths.delay"] == "later"
 
 

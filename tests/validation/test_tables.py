@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from carosac_toolkit.text_tables import fit
+from carosac_toolkit.base.tables import fit
 from carosac_toolkit.validation import validate
 from carosac_toolkit.validation.tables import (
     CAUSE_GROUPS,

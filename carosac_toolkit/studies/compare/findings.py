@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+from carosac_toolkit.base.tables import counted
 from carosac_toolkit.studies.compare.paired import LEVEL
 from carosac_toolkit.studies.compare.pairs import compare
 from carosac_toolkit.studies.compare.results import (
@@ -17,7 +18,6 @@ from carosac_toolkit.studies.compare.results import (
     tracked,
 )
 from carosac_toolkit.studies.run.rows import Row
-from carosac_toolkit.text_tables import counted
 from carosac_toolkit.validation.quantities import say_length
 
 SWAY_MIN = 1e-3  # [m]: a smaller swing is not worth a sentence

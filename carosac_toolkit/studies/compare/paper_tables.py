@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import floor, isfinite, log10
 
+from carosac_toolkit.base.tables import counted, fit, wrapped
 from carosac_toolkit.studies.compare.paired import LEVEL, Block, Compared
 from carosac_toolkit.studies.compare.pairs import Estimate, Pair
 from carosac_toolkit.studies.compare.resampling import CONFIDENCE, FEWEST, smallest_p
 from carosac_toolkit.studies.compare.results import WAYS
 from carosac_toolkit.studies.run.rows import LATENCIES
-from carosac_toolkit.text_tables import counted, fit, wrapped
 
 TITLES = {
     "tracking": "tracking",

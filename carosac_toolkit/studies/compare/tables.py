@@ -5,8 +5,8 @@ from __future__ import annotations
 import textwrap
 from typing import Any
 
+from carosac_toolkit.base.tables import Rows, counted, fit
 from carosac_toolkit.studies.compare.results import NAMES, StudyResults
-from carosac_toolkit.text_tables import Rows, counted, fit
 
 UNITS = (
     "Errors in mm. x, y, z, norm: RMSE of the tracking error, all steps of all cases; std: "

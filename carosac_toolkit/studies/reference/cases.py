@@ -61,13 +61,13 @@ class ReferenceSuite:
         Raises:
             InvalidField: There is none.
         """
-        import yaml
+        from carosac_toolkit.base.yaml import load_yaml
 
         name = LATEST if name == NEWEST else name
         if name not in suites():
             allowed = f"one of {[NEWEST, *suites()]}; sensors are chosen with --suites"
             raise InvalidField("suite", repr(name), allowed)
-        data = yaml.safe_load(_file(name).read_text(encoding="utf-8"))
+        data = load_yaml(_file(name).read_text(encoding="utf-8"))
         return cls(name=name, definition=data)
 
     @cached_property

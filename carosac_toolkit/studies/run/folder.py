@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile, MissingFile
+from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.version import __version__
 from carosac_toolkit.studies.run.case import NAMES, Case, canonical
 from carosac_toolkit.studies.run.row_files import (
@@ -19,7 +20,6 @@ from carosac_toolkit.studies.run.row_files import (
     merge_parts,
     read_parts,
     write_part,
-    write_whole,
 )
 from carosac_toolkit.studies.run.rows import STATUSES, Row, in_common_columns
 
@@ -82,7 +82,7 @@ def opened(path: Path, cases: Sequence[Case], function: str) -> Iterator[StudyFo
     path.mkdir(parents=True, exist_ok=True)
     with _locked(path):
         _agree(path, cases, function)
-        for left_over in path.glob(".part-*.tmp"):
+        for left_over in path.glob(".part-*"):
             left_over.unlink()
         for left_over in path.glob(".running-*"):
             shutil.rmtree(left_over, ignore_errors=True)
@@ -186,7 +186,8 @@ def _agree(path: Path, cases: Sequence[Case], function: str) -> None:
             raise _conflict(path, there, _axes(asked, asked["cases"]))
         if held["cases"] == asked["cases"]:
             return
-    write_whole(file, lambda out: out.write(json.dumps(asked).encode()))
+    with replacing(file) as temporary:
+        temporary.write_text(json.dumps(asked), encoding="utf-8")
 
 
 def _manifest(cases: Sequence[Case], function: str) -> dict[str, Any]:

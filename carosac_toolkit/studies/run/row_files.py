@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.base.errors import InvalidFile
+from carosac_toolkit.base.files import replacing
 from carosac_toolkit.studies.run.rows import Row, column_kinds, in_common_columns
 
 PATTERN = "part-*.parquet"
@@ -36,22 +36,8 @@ def replace_part(path: Path, rows: Sequence[Row]) -> None:
     """Write rows as this part: another process sees all of it, or what was there before."""
     import pyarrow.parquet as pq
 
-    table = _table(in_common_columns(rows))
-
-    def write(file: Any) -> None:
-        pq.write_table(table, file)
-
-    write_whole(path, write)
-
-
-def write_whole(path: Path, write: Callable[[Any], None]) -> None:
-    """Write a file under a temporary name, bring it to the disk, and give it its name."""
-    temporary = path.with_name(f".{path.name}.tmp")
-    with temporary.open("wb") as file:
-        write(file)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
+    with replacing(path) as temporary:
+        pq.write_table(_table(in_common_columns(rows)), temporary)
 
 
 def read_part(path: Path) -> list[Row]:

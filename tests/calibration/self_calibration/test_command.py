@@ -8,8 +8,8 @@ import pytest
 import carosac_toolkit as ct
 from calibration.self_calibration.command import run_motor_angles
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.files import write_json
 from carosac_toolkit.cli.main import main
-from carosac_toolkit.output_files import write_json
 from tests.calibration.self_calibration.scenes import csv_text, scene
 
 

@@ -102,7 +102,7 @@ def test_a_broken_part_is_named(tmp_path):
 
 
 def test_left_overs_of_a_killed_run_go(tmp_path):
-    (tmp_path / ".part-00000007.parquet.tmp").write_bytes(b"half")
+    (tmp_path / ".part-00000007-a1b2c3.parquet").write_bytes(b"half")
     (tmp_path / ".running-abc").mkdir()
     run(some_cases(1), tmp_path)
     assert sorted(x.name for x in tmp_path.iterdir()) == [

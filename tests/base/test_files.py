@@ -1,13 +1,14 @@
 """Outputs are refused in words before any work, and are written whole or not at all."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.output_files import check_writable, replacing, write_json
+from carosac_toolkit.base.files import check_writable, replacing, write_json
 
 
 def test_json_takes_numpy_and_has_no_nan(tmp_path):
@@ -31,6 +32,14 @@ def test_a_file_is_replaced_only_if_all_goes_well(tmp_path):
     with replacing(path) as temporary:
         temporary.write_text("new")
     assert path.read_text() == "new"
+
+
+def test_a_file_is_on_the_disk_before_it_takes_its_name(tmp_path, monkeypatch):
+    path, synced = tmp_path / "x.txt", []
+    monkeypatch.setattr(os, "fsync", lambda fd: synced.append((os.fstat(fd).st_ino, path.exists())))
+    with replacing(path) as temporary:
+        temporary.write_text("new")
+    assert synced == [(path.stat().st_ino, False)]
 
 
 def test_outputs_are_checked_before_any_work(tmp_path):

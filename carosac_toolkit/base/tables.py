@@ -1,16 +1,20 @@
-"""Tables of text that keep to a width by breaking into blocks of columns."""
+"""Tables of text, the same in a terminal, a pipe and a file; wide ones break into blocks.
+
+Numbers are never cut or wrapped to make a table fit, as rich would do in a pipe.
+"""
 
 from __future__ import annotations
 
 import shutil
 import textwrap
+from collections.abc import Sequence
 
 Rows = list[tuple[str, ...]]
 NAME_SHOWN = 28  # characters of a name
 
 
 def terminal_width() -> int:
-    """Columns that text may take."""
+    """Return the number of columns that text may take."""
     return max(80, shutil.get_terminal_size().columns)
 
 
@@ -23,8 +27,25 @@ def wrapped(text: str, width: int, start: str = "") -> str:
 
 
 def counted(count: int, noun: str, plural: str | None = None) -> str:
-    """A number of things in words: 1 case, 2 cases."""
+    """Return a number of things in words: 1 case, 2 cases."""
     return f"{count} {noun if count == 1 else plural or noun + 's'}"
+
+
+def format_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Lay out rows in columns; columns of numbers are aligned to the right.
+
+    Args:
+        header: Column titles, with units.
+        rows: Cells; a float is printed with five significant digits.
+
+    Returns:
+        The table as text without a final newline.
+    """
+    right = [
+        bool(rows) and all(isinstance(row[i], int | float) for row in rows)
+        for i in range(len(header))
+    ]
+    return _align([header, *([_cell(value) for value in row] for row in rows)], right)
 
 
 def fit(
@@ -52,31 +73,33 @@ def fit(
     for count in groups[1:]:
         columns = list(range(start, start + count))
         start += count
-        if (
-            blocks
-            and sum(widths[i] + 2 for i in [*range(left), *blocks[-1], *columns]) - 2 <= width
-        ):
+        if blocks and sum(widths[i] + 2 for i in [*blocks[-1], *columns]) - 2 <= width:
             blocks[-1] += columns
         else:
-            blocks.append(columns)
+            blocks.append([*range(left), *columns])
     return "\n\n".join(
-        _align([[line[i] for i in [*range(left), *block]] for line in [header, *rows]], left)
+        _align([[line[i] for i in block] for line in [header, *rows]], [i >= left for i in block])
         for block in blocks
     )
 
 
-def _align(lines: list[list[str]], left: int) -> str:
-    """Lay out a block, its title first: the first columns to the left, the rest to the right."""
+def _align(lines: Sequence[Sequence[str]], right: Sequence[bool]) -> str:
+    """Lay out lines, the titles first, with each column to the right or to the left."""
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    lines = [lines[0], ["-" * width for width in widths], *lines[1:]]
     return "\n".join(
         "  ".join(
-            cell.ljust(width) if i < left else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+            cell.rjust(width) if to_right else cell.ljust(width)
+            for cell, width, to_right in zip(line, widths, right, strict=True)
         ).rstrip()
-        for line in lines
+        for line in (lines[0], ["-" * width for width in widths], *lines[1:])
     )
 
 
+def _cell(value: object) -> str:
+    """Print one cell."""
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
 def _cut(name: str, shown: int) -> str:
+    """Cut a long name at its front."""
     return name if len(name) <= shown else f"...{name[3 - shown :]}"

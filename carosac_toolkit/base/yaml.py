@@ -1,19 +1,22 @@
-"""Read YAML into plain data, and remember the line of every value.
+"""Read YAML 1.2 into plain data, and remember the line of every value.
 
 Only plain values are built: mappings, lists, numbers, booleans, null and text. Numbers are decimal
-(``1:30`` stays text), so that a surprise of YAML 1.1 ends in a clear message about its field.
+(``1:30`` and ``0x10`` stay text), and ``true`` and ``false`` alone are booleans, so that a surprise
+of YAML ends in a clear message about its field.
 """
 
 from __future__ import annotations
 
-import difflib
+import io
+import re
+import warnings
 from dataclasses import dataclass, field
 from typing import Any
 
-import yaml
+from ruamel.yaml import YAML, MappingNode, Node, ScalarNode, SequenceNode
+from ruamel.yaml.error import MarkedYAMLError, ReusedAnchorWarning, YAMLError
 
 FieldPath = tuple[str | int, ...]
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _MAX_VALUES = 100_000
 _UNINDENTED = ("expected key", "block end", "'-' indicator", "document start")
 
@@ -40,25 +43,53 @@ class Document:
 
 
 def read_yaml(text: str) -> Document:
-    """Read one YAML document; what is wrong with it is in the result, never raised."""
+    """Read one YAML document; what is wrong with it is in the result, never raised.
+
+    Tabs after the first word of a line count as spaces.
+    """
     document = Document()
     try:
-        node = yaml.compose(text, Loader=_LOADER)
-    except yaml.MarkedYAMLError as error:
+        node = _compose(re.sub(r"(?<=\S)[ \t]+", lambda gap: " " * len(gap[0]), text))
+        if node is None:
+            document.faults.append((1, "the file is empty"))
+        else:
+            document.lines[()] = node.start_mark.line + 1
+            document.data = _build(node, (), document)
+    except MarkedYAMLError as error:
         document.faults.append(_syntax_fault(error, text.splitlines()))
-        return document
-    except yaml.YAMLError as error:
+    except ReusedAnchorWarning as error:
+        line = int(re.findall(r"line (\d+)", str(error))[-1])
+        document.faults.append((line, "not YAML: an anchor of this name stands further up"))
+    except YAMLError as error:
         document.faults.append((1, f"not YAML: {str(error).splitlines()[0]}"))
-        return document
-    if node is None:
-        document.faults.append((1, "the file is empty"))
-        return document
-    document.lines[()] = node.start_mark.line + 1
-    try:
-        document.data = _build(node, (), document)
     except RecursionError:
         document.faults.append((1, "not usable: it is nested too deeply, or contains itself"))
     return document
+
+
+def load_yaml(text: str) -> Any:
+    """Return the plain data of a YAML text of our own, with whole numbers as int.
+
+    Raises:
+        YAMLError: The text is no YAML, or names a key twice.
+    """
+    return YAML(typ="safe", pure=True).load(text)
+
+
+def dump_yaml(data: Any) -> str:
+    """Return data as YAML in the style of the bundled files."""
+    stream = io.StringIO()
+    round_trip().dump(data, stream)
+    return stream.getvalue()
+
+
+def round_trip() -> YAML:
+    """Return a reader and writer that keeps comments, order and quotes of a file."""
+    yaml = YAML()
+    yaml.width = 4096
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    yaml.preserve_quotes = True
+    return yaml
 
 
 def format_path(path: FieldPath) -> str:
@@ -69,19 +100,15 @@ def format_path(path: FieldPath) -> str:
     return text or "(whole file)"
 
 
-def nearest(word: str, words: list[str]) -> str | None:
-    """Find the most similar word, if one is similar."""
-    near = difflib.get_close_matches(word, words, n=1, cutoff=0.6)
-    return near[0] if near else None
+def _compose(text: str) -> Node | None:
+    """Return the tree of a document; an anchor that is given twice is an error."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ReusedAnchorWarning)
+        node: Node | None = YAML(typ="safe", pure=True).compose(text)
+        return node
 
 
-def did_you_mean(word: str, words: list[str]) -> str:
-    """Name the most similar word, as ``; did you mean 'x'``, or nothing."""
-    near = nearest(word, words)
-    return f"; did you mean '{near}'" if near else ""
-
-
-def _syntax_fault(error: yaml.MarkedYAMLError, lines: list[str]) -> tuple[int, str]:
+def _syntax_fault(error: MarkedYAMLError, lines: list[str]) -> tuple[int, str]:
     """Turn a parser error into a line and one sentence."""
     mark = error.problem_mark or error.context_mark
     what = error.problem or "a syntax error"
@@ -137,24 +164,24 @@ def _depth(line: str) -> int:
     return len(line) - len(line.lstrip(" "))
 
 
-def _build(node: yaml.Node, path: FieldPath, document: Document) -> Any:
+def _build(node: Node, path: FieldPath, document: Document) -> Any:
     """Build the value of a node, noting lines and duplicate keys."""
     document.lines.setdefault(path, node.start_mark.line + 1)
     if len(document.lines) > _MAX_VALUES:
         raise RecursionError
-    if isinstance(node, yaml.MappingNode):
+    if isinstance(node, MappingNode):
         return _build_mapping(node, path, document)
-    if isinstance(node, yaml.SequenceNode):
+    if isinstance(node, SequenceNode):
         return [_build(item, (*path, i), document) for i, item in enumerate(node.value)]
     return _scalar(node)
 
 
-def _build_mapping(node: yaml.MappingNode, path: FieldPath, document: Document) -> dict[str, Any]:
+def _build_mapping(node: MappingNode, path: FieldPath, document: Document) -> dict[str, Any]:
     """Build a mapping; its keys are text."""
     result: dict[str, Any] = {}
     for key_node, value_node in node.value:
         line = key_node.start_mark.line + 1
-        if not isinstance(key_node, yaml.ScalarNode):
+        if not isinstance(key_node, ScalarNode):
             document.faults.append((line, f"{format_path(path)}: a key must be a name"))
             continue
         key = str(key_node.value)
@@ -170,14 +197,14 @@ def _build_mapping(node: yaml.MappingNode, path: FieldPath, document: Document) 
     return result
 
 
-def _scalar(node: yaml.Node) -> Any:
+def _scalar(node: Node) -> Any:
     """Build null, a boolean, a decimal number or text."""
     text = str(node.value)
-    kind = node.tag.rpartition(":")[2]
+    kind = str(node.tag).rpartition(":")[2]
     if kind == "null":
         return None
     if kind == "bool":
-        return text.lower() in ("true", "yes", "on")
+        return {"true": True, "false": False}.get(text.lower(), text)
     if kind in ("int", "float"):
         try:
             return float(text.replace(".inf", "inf").replace(".nan", "nan"))

@@ -1,6 +1,8 @@
+import math
+
 import pytest
 
-from carosac_toolkit.yaml_lines import format_path, read_yaml
+from carosac_toolkit.base.yaml import format_path, read_yaml
 
 
 def test_every_value_knows_its_line():
@@ -12,9 +14,35 @@ def test_every_value_knows_its_line():
     assert not document.faults
 
 
-def test_numbers_are_decimal_and_surprises_of_yaml_stay_text():
-    document = read_yaml("[1e5, 1:30, 0x10, 010, .5, ~, no, '3']")
-    assert document.data == ["1e5", "1:30", "0x10", 10.0, 0.5, None, False, "3"]
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1", 1.0), ("-0", -0.0), ("1e5", 1e5), ("1e-3", 1e-3), ("1.5E+3", 1500.0),
+        (".5", 0.5), ("-.5", -0.5), ("5.", 5.0), (".inf", math.inf), ("1_000", 1000.0),
+        ("08", 8.0), ("010", 10.0),  # decimal, as a reader without YAML 1.1 in mind takes them
+        ("1:30", "1:30"), ("1:30.5", "1:30.5"), ("0x10", "0x10"), ("0o10", "0o10"),
+        ("0b101", "0b101"), ("2001-01-01", "2001-01-01"), ("1e", "1e"), ("nan", "nan"),
+        ("~", None), ("", None), ("null", None), ("true", True), ("False", False),
+        ("yes", "yes"), ("no", "no"), ("on", "on"), ("off", "off"), ("y", "y"),
+        ("'3'", "3"), ('"true"', "true"), ("!!bool x", "x"), ("!!float 1:30", "1:30"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("head", ["", "%YAML 1.1\n---\n"])
+def test_numbers_are_decimal_and_surprises_of_yaml_stay_text(text, value, head):
+    data = read_yaml(f"{head}a: {text}\n").data["a"]
+    if head and text in ("08", "-.5"):  # YAML 1.1 takes them as text, and units.py reads that
+        value = text
+    assert data == value
+    assert type(data) is type(value)
+
+
+@pytest.mark.parametrize(
+    "text", ["a:\t1\t# one\nb:  [1,\t2]\t\n", "a: 1 # one\nb:\n  -\t1\n  - 2\n"]
+)
+def test_tabs_after_the_first_word_are_spaces(text):
+    document = read_yaml(text)
+    assert document.data == {"a": 1.0, "b": [1.0, 2.0]}
+    assert not document.faults
 
 
 @pytest.mark.parametrize(
@@ -34,6 +62,8 @@ def test_numbers_are_decimal_and_surprises_of_yaml_stay_text():
         ("a: 1\n---\nb: 2\n", 2, "another document"),
         ("a: \x07\n", 1, "not YAML"),
         ("? [1]\n: 2\n", 1, "a key must be a name"),
+        ("a: &x 1\nb: &x 2\n", 2, "an anchor of this name stands further up"),
+        ("[" * 5000, 1, "nested too deeply"),
         ("a: !!python/object:os.system {}\n", 1, None),
     ],
 )

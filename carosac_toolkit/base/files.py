@@ -68,7 +68,7 @@ def remove_empty(folders: Sequence[Path]) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path` that takes its place only if all goes well.
+    """Give a temporary path beside `path` that takes its place, on the disk, if all goes well.
 
     Yields:
         The temporary path, with the suffix of `path`, to be written in the block.
@@ -80,6 +80,8 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         temporary = _temporary_beside(path)
         yield temporary
+        with temporary.open("rb") as written:
+            os.fsync(written.fileno())
         mask = os.umask(0)
         os.umask(mask)
         temporary.chmod(0o666 & ~mask)
