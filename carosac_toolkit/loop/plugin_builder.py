@@ -1,4 +1,4 @@
-"""Builds plug-ins with their settings: for studies, live runs, guards, emulators and validations."""
+"""Builds plug-ins with their settings, for studies, live runs, guards, emulators and validation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One builder for all plug-ins: what was asked wins, what is offered fills in, nothing is ignored."""
+"""One builder for all plug-ins: what was asked wins, what is offered fills in."""
 
 from __future__ import annotations
 
