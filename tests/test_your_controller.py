@@ -41,7 +41,7 @@ def package(tmp_path_factory):
 
 def test_it_is_found_by_its_name(package):
     source, site = package
-    program = "from carosac_toolkit import registry as r; print(r.names('controllers'), "
+    program = "from carosac_toolkit.loop import plugins as r; print(r.names('controllers'), "
     printed = execute(site, source, "-c", program + "r.load('controllers', 'tilted').__module__)")
     assert "'straight_line', 'td3', 'tilted'] tilted" in printed
 

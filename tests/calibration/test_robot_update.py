@@ -145,7 +145,7 @@ def test_the_old_file_is_never_overwritten(tmp_path, way):
 
 
 def test_the_file_of_a_bundled_robot_is_never_overwritten():
-    bundled = files("carosac_toolkit") / "robots" / "carosac.yaml"
+    bundled = files("carosac_toolkit.robot") / "bundled" / "carosac.yaml"
     with pytest.raises(InvalidField, match="never overwritten"):
         check_output("--output", bundled, "carosac")
 

@@ -14,7 +14,7 @@ ALONE = [*FAST, "--workers", "0"]
 PACKAGE = "somebodys_controllers"
 SOURCE = """
 import numpy as np
-from carosac_toolkit.physics import straight_line
+from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.loop.values import Command
 
 class Good:

@@ -105,7 +105,7 @@ def test_a_foreign_package_that_hides_ours_is_reported(tmp_path, text):
     (foreign / "__init__.py").write_text(text)
     program = textwrap.dedent(f"""
         import sys
-        from carosac_toolkit import registry  # found before the foreign folder comes first
+        from carosac_toolkit.loop import plugins as registry  # before the foreign folder
         from carosac_toolkit.base.errors import CarosacError
         sys.path.insert(0, {str(tmp_path)!r})
         try:
@@ -120,7 +120,7 @@ def test_a_foreign_package_that_hides_ours_is_reported(tmp_path, text):
 
 def test_looking_up_names_imports_no_plug_in():
     program = (
-        "import sys; from carosac_toolkit import registry; registry.names('estimators');"
+        "import sys; from carosac_toolkit.loop import plugins; plugins.names('estimators');"
         "print([m for m in ('baselines', 'numpy', 'warp') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT)
