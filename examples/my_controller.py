@@ -20,7 +20,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import carosac_toolkit as ct
-from carosac_toolkit.studies import product, run_cases
 
 
 class Tilted:
@@ -47,32 +46,27 @@ class Tilted:
         return ct.Command(time=belief.time, unstrained_length=length)
 
 
-CONTROLLERS = {
-    "straight_line": "straight line",
-    "my_controller:Tilted": "my controller: straight line, tilted",
-    "kinematic_solver": "kinematic solver",
-}
+LABELS = ("straight line", "my controller: straight line, tilted", "kinematic solver")
 COLOURS = ("tab:orange", "tab:green", "tab:blue")
 SEEDS = (0,)
 
 
 def main():
     """Run the study and draw it."""
-    cases = product(
-        robots=["carosac"], controllers=list(CONTROLLERS), estimators=["kinematic_solver"],
-        suites=["lengths"], trajectories=["circle"], perturbations=["nominal-1"], seeds=SEEDS,
-    )  # fmt: skip
+    controllers = ("straight_line", Tilted, "kinematic_solver")
     with tempfile.TemporaryDirectory() as folder:
-        function = "carosac_toolkit.studies.run.run_case:run_case"
-        rows = run_cases(cases, function, folder=folder, workers=0, progress=False)
+        study = ct.Study(
+            controllers=controllers, trajectories=["circle"], seeds=SEEDS, workers=0, output=folder
+        )
+        rows = study.run(progress=False).rows
     assert all(row["status"] == "ok" for row in rows), [row["reason"] for row in rows]
     error = {
         name: 1e3 * np.array([r["tracking_rmse_norm_m"] for r in rows if r["controller"] == name])
-        for name in CONTROLLERS
+        for name in study.controllers
     }  # [mm], one per seed
 
     figure, (seen, over) = plt.subplots(1, 2, figsize=(11.0, 4.4), layout="constrained")
-    for (name, label), colour in zip(CONTROLLERS.items(), COLOURS, strict=True):
+    for name, label, colour in zip(study.controllers, LABELS, COLOURS, strict=True):
         first = next(row for row in rows if row["controller"] == name and row["seed"] == 0)
         series = {k: np.array(v) for k, v in json.loads(first["series"]).items()}
         path, asked = series["position_m"], series["reference_m"]
@@ -87,7 +81,7 @@ def main():
     for axes in (seen, over):
         axes.legend(loc="best", fontsize=8)
     figure.savefig("my_controller.png", dpi=120)
-    print(f"tracking error of my controller: {error['my_controller:Tilted'].mean():.0f} mm")
+    print(f"tracking error of my controller: {error[study.controllers[1]].mean():.0f} mm")
 
 
 if __name__ == "__main__":

@@ -52,9 +52,9 @@ def test_its_study_runs_and_it_halves_the_error_of_the_straight_line(package):
     rows = {name: (status, float(error)) for name, status, error in map(str.split, lines)}
     assert {name: status for name, (status, _) in rows.items()} == {
         "straight_line": "ok",
-        "tilted": "ok",
+        "tilted:Tilted": "ok",
     }
-    assert rows["tilted"][1] < 0.5 * rows["straight_line"][1]
+    assert rows["tilted:Tilted"][1] < 0.5 * rows["straight_line"][1]
 
 
 def test_it_keeps_the_contract(package):

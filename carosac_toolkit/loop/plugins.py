@@ -12,6 +12,7 @@ from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
@@ -57,6 +58,30 @@ def load(kind: Kind, name: str) -> Any:
             "uninstall one, or name yours as 'module:Class'"
         )
     return _resolve(kind, name, found[0])
+
+
+def name_of(plugin: str | type[Any]) -> str:
+    """Return the name by which any process can `load` a plug-in: ``module:Class`` for a class.
+
+    Args:
+        plugin: A name, which is returned as it is, or a class at the top of a module; one of the
+            script that runs is named after its file.
+
+    Raises:
+        InvalidField: No other process could import the class: it stands inside a function, or was
+            typed into an interpreter.
+    """
+    if isinstance(plugin, str):
+        return plugin
+    qualname, module = plugin.__qualname__, plugin.__module__
+    if module == "__main__":
+        main = sys.modules["__main__"]
+        spec, file = getattr(main, "__spec__", None), getattr(main, "__file__", None)
+        module = spec.name if spec is not None else Path(file).stem if file else ""
+    if "<locals>" in qualname or not module:
+        allowed = "a class at the top of a module: workers import it by name"
+        raise InvalidField("plug-in", qualname, allowed)
+    return f"{module}:{qualname}"
 
 
 def entry_points_of(group: str) -> EntryPoints:

@@ -125,3 +125,22 @@ def test_looking_up_names_imports_no_plug_in():
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT)
     assert done.stdout.strip() == "[]", done.stderr
+
+
+class AtTheTop:
+    """What a user may hand to a study."""
+
+
+def test_a_class_at_the_top_of_a_module_is_found_by_its_name():
+    assert plugins.name_of("mpc") == "mpc"
+    name = plugins.name_of(AtTheTop)
+    assert name.endswith("test_plugins:AtTheTop")
+    assert plugins.load("controllers", name) is AtTheTop
+
+
+def test_a_class_that_no_other_process_could_import_is_refused():
+    class Inside:
+        pass
+
+    with pytest.raises(InvalidField, match="Inside; allowed: a class at the top of a module"):
+        plugins.name_of(Inside)

@@ -9,6 +9,7 @@ from typing import Any
 
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.loop.plugins import name_of
 from carosac_toolkit.studies.compare.checks import RECORDED, check_study
 from carosac_toolkit.studies.compare.results import StudyResults
 from carosac_toolkit.studies.run.batching import Batching
@@ -38,18 +39,18 @@ class Study:
 
     Attributes:
         robots: Bundled names, or paths of robot files.
-        controllers: Names, or ``module:Class``.
-        estimators: Names, or ``module:Class``; ``truth`` is what a simulated driver knows.
+        controllers: Names, ``module:Class``, or classes; a class is kept as ``module:Class``.
+        estimators: The same; ``truth`` is what a simulated driver knows.
         suites: Sensor suites that the driver has.
         trajectories: Of the catalogue, `carosac_toolkit.trajectories.NAMES`; on the driver
             `replay` all of these are ``recorded`` instead, the path of the recording.
         perturbations: Conditions that the plants are drawn from.
         seeds: How many draws, 0, 1, 2 and so on; or which.
-        driver: Name, or ``module:Class``.
+        driver: Name, ``module:Class``, or class.
         speed_max: Of the trajectories [m/s].
         acceleration_max: Of the trajectories [m/s^2].
-        controller_settings: By the name of a controller, fields of its own settings.
-        estimator_settings: By the name of an estimator, fields of its own settings.
+        controller_settings: By the name or class of a controller, fields of its own settings.
+        estimator_settings: By the name or class of an estimator, fields of its own settings.
         driver_settings: Fields of the driver's own settings.
         output: Folder of the results; a second run with the same folder goes on. None is
             ``carosac-results/compare``, numbered where another study is there already.
@@ -62,17 +63,17 @@ class Study:
     """
 
     robots: Sequence[str] = ("carosac",)
-    controllers: Sequence[str] = CONTROLLERS
-    estimators: Sequence[str] = ESTIMATORS
+    controllers: Sequence[Any] = CONTROLLERS
+    estimators: Sequence[Any] = ESTIMATORS
     suites: Sequence[str] = ("lengths",)
     trajectories: Sequence[str] = TRAJECTORIES
     perturbations: Sequence[str] = ("nominal-1",)
     seeds: int | Sequence[int] = SEEDS
-    driver: str = DRIVER
+    driver: Any = DRIVER
     speed_max: float = 1.0
     acceleration_max: float = 1.0
-    controller_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    estimator_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    controller_settings: Mapping[Any, Mapping[str, Any]] = field(default_factory=dict)
+    estimator_settings: Mapping[Any, Mapping[str, Any]] = field(default_factory=dict)
     driver_settings: Mapping[str, Any] = field(default_factory=dict)
     output: str | Path | None = None
     scheduler: str | None = None
@@ -82,13 +83,20 @@ class Study:
     batch: int = 1
 
     def __post_init__(self) -> None:
-        """Turn lists into tuples; a name alone would be taken letter by letter."""
+        """Turn lists into tuples and classes into names; refuse a string instead of a list."""
         for item in fields(self):
             value = getattr(self, item.name)
             if item.name in ("seeds", "retry", *AXES) and not isinstance(value, int):
                 if isinstance(value, str) or not isinstance(value, Sequence):
                     raise InvalidField(item.name, repr(value), "a list")
                 object.__setattr__(self, item.name, tuple(value))
+        object.__setattr__(self, "driver", name_of(self.driver))
+        for kind in ("controllers", "estimators"):
+            names = tuple(name_of(plugin) for plugin in getattr(self, kind))
+            object.__setattr__(self, kind, names)
+            settings = getattr(self, f"{kind[:-1]}_settings")
+            by_name = {name_of(plugin): values for plugin, values in settings.items()}
+            object.__setattr__(self, f"{kind[:-1]}_settings", by_name)
         known = self.trajectories and set(self.trajectories) <= set(trajectories.NAMES)
         if self.driver == "replay" and known:  # `check` refuses all others
             object.__setattr__(self, "trajectories", (RECORDED,))
