@@ -28,7 +28,6 @@ from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, period_of_rate
 from carosac_toolkit.cli.position_option import Place
 from carosac_toolkit.cli.run_builder import LINE, REST, make_guard, make_path, recorded
-from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.live.exit_reasons import Ending, ending_of
 from carosac_toolkit.live.hand_target import HELP
 from carosac_toolkit.live.library_noise import without_ads_lines
@@ -44,6 +43,7 @@ from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.recordings.crash_safe import CrashSafeRecorder
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.guard.guard import GuardedDriver
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,6 @@ from carosac_toolkit import trajectories
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.settings import filled
-from carosac_toolkit.drivers.guard_settings import GuardSettings
-from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.keyboard import check_input
 from carosac_toolkit.live.sequence import NEAR, with_approach
@@ -26,6 +24,8 @@ from carosac_toolkit.loop.protocols import replays
 from carosac_toolkit.output_files import missing_folders, remove_empty
 from carosac_toolkit.recordings.crash_safe import CrashSafeRecorder
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.guard.guard import GuardedDriver
+from carosac_toolkit.safety.guard.settings import GuardSettings
 from carosac_toolkit.studies.run.run_case import own_settings
 from carosac_toolkit.trajectories import Trajectory
 

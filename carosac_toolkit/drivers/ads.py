@@ -4,7 +4,7 @@ It moves data: lengths in metres become numbers of the PLC and back. Nothing is 
 `AdsSettings.motion` says so, and then from `enable` or `reset_fault` until the PLC has let go only.
 The winches move only after `home` and `enable`. What may be sent
 is limited here as in every driver, and by the PLC again; faults are watched by the guard
-(`carosac_toolkit.drivers.guarded`) and by the PLC.
+(`carosac_toolkit.safety.guard.guard`) and by the PLC.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from carosac_toolkit.drivers.ads_block import Answer, DriveStatus, Request
 from carosac_toolkit.drivers.ads_link import AdsLink
 from carosac_toolkit.drivers.ads_reader import AdsReader
 from carosac_toolkit.drivers.ads_settings import AdsSettings, Point
-from carosac_toolkit.drivers.guard_inner import homing_lengths
 from carosac_toolkit.drivers.imu_udp import ImuListener
 from carosac_toolkit.drivers.ticks import TickSchedule
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.values import Command, LimitHit, State
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.guard.inner import homing_lengths
 
 __all__ = ["AdsDriver", "AdsSettings"]
 

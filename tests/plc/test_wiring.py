@@ -7,8 +7,6 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.cli.plc import _cables
 from carosac_toolkit.cli.run_builder import SHIFT
-from carosac_toolkit.drivers.guard_settings import GuardSettings
-from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.drivers.sensors import SensorSettings
 from carosac_toolkit.loop.drive_state import Fault
 from carosac_toolkit.loop.values import Command, Measurement, Stamped
@@ -16,6 +14,8 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.plc.settings import PlcSettings
 from carosac_toolkit.plc.world import World
 from carosac_toolkit.robot.hardware import Hardware
+from carosac_toolkit.safety.guard.guard import GuardedDriver
+from carosac_toolkit.safety.guard.settings import GuardSettings
 from carosac_toolkit.trajectories import minimum_snap
 from tests.robots import simple_robot
 

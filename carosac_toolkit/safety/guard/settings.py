@@ -34,7 +34,7 @@ _SECONDS = (
 
 @dataclass(frozen=True, kw_only=True)
 class GuardSettings:
-    """Settings of `carosac_toolkit.drivers.guarded.GuardedDriver`.
+    """Settings of `carosac_toolkit.safety.guard.guard.GuardedDriver`.
 
     Attributes:
         driver: Name of the driver behind the guard, or ``module:Class``.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from carosac_toolkit.drivers.guard_settings import GuardSettings
-from carosac_toolkit.drivers.guarded import GuardedDriver
+from carosac_toolkit.safety.guard.guard import GuardedDriver
+from carosac_toolkit.safety.guard.settings import GuardSettings
 
 
 @dataclass(frozen=True, kw_only=True)

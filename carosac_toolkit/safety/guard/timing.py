@@ -7,9 +7,9 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from carosac_toolkit.drivers.guard_checks import Finding
-from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.loop.drive_state import Fault
+from carosac_toolkit.safety.guard.checks import Finding
+from carosac_toolkit.safety.guard.settings import GuardSettings
 
 LATE = 3.0  # periods without a call from which on the winches slow down
 

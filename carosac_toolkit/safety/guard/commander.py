@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.loop.values import Command, LimitHit
 from carosac_toolkit.physics.motion.braking import Motion
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.guard.settings import GuardSettings
 from carosac_toolkit.safety.limiter import Limiter
 from carosac_toolkit.safety.stop import CoordinatedStop
 

@@ -5,8 +5,8 @@ latched: all cables brake together along the path that they are on (`Coordinated
 False, and nothing moves again before `reset_fault`, `enable`, and, where the fault took the homing
 with it, `home`.
 
-What a guard knows stands in `carosac_toolkit.drivers.guard_core`, how it brakes in
-`carosac_toolkit.drivers.guard_braking`; here are the lifecycle and the cycle.
+What a guard knows stands in `carosac_toolkit.safety.guard.monitor`, how it brakes in
+`carosac_toolkit.safety.guard.brake`; here are the lifecycle and the cycle.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.base.numbers import check_period
-from carosac_toolkit.drivers.guard_braking import BrakingGuard
-from carosac_toolkit.drivers.guard_core import check_shape
-from carosac_toolkit.drivers.guard_inner import (
+from carosac_toolkit.loop.drive_state import DriveState
+from carosac_toolkit.loop.values import Command, State
+from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.guard.brake import BrakingGuard
+from carosac_toolkit.safety.guard.inner import (
     build_inner,
     holds_fault,
     homing_lengths,
     inner_finding,
 )
-from carosac_toolkit.drivers.guard_settings import GuardSettings
-from carosac_toolkit.drivers.guard_watch import Watchdog
-from carosac_toolkit.drivers.lifecycle import NotReady
-from carosac_toolkit.loop.drive_state import DriveState
-from carosac_toolkit.loop.values import Command, State
-from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.guard.lifecycle import NotReady
+from carosac_toolkit.safety.guard.monitor import check_shape
+from carosac_toolkit.safety.guard.settings import GuardSettings
+from carosac_toolkit.safety.guard.timing import Watchdog
 
 DRIVEN = (DriveState.ENABLED, DriveState.FOLLOWING)
 
@@ -41,7 +41,7 @@ class GuardedDriver(BrakingGuard):
 
     Every call on the driver behind it holds one lock, as a watchdog brakes where the controller
     does not come back. `stop` ends a run; to move again after it, connect anew. For its attributes
-    see `carosac_toolkit.drivers.guard_core.GuardCore`.
+    see `carosac_toolkit.safety.guard.monitor.GuardCore`.
     """
 
     @classmethod

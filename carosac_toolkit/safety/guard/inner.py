@@ -10,14 +10,14 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array, frozen_array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.settings import filled
-from carosac_toolkit.drivers.guard_checks import FREE, Finding
-from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.protocols import replays
 from carosac_toolkit.loop.values import State
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.guard.checks import FREE, Finding
+from carosac_toolkit.safety.guard.settings import GuardSettings
 
 HANDED_ON = ("motion", "period", "suite", "wind_force", "wind_time")
 SET_DOWN = "start_position"  # of a simulated robot; no real one is set down anywhere
@@ -27,7 +27,7 @@ OFF = (DriveState.DISCONNECTED, DriveState.CONNECTED, DriveState.HOMED)  # nothi
 def build_inner(robot: Robot, settings: GuardSettings, seed: int) -> tuple[Any, bool]:
     """Make the driver behind a guard, and say whether its time is that of the wall."""
     plugin = plugins.load("drivers", settings.driver)
-    if replays(plugin) or plugin.__module__ == "carosac_toolkit.drivers.guarded":
+    if replays(plugin) or plugin.__module__ == "carosac_toolkit.safety.guard.guard":
         raise InvalidField("driver", repr(settings.driver), "a driver that moves, and no guard")
     kind = getattr(plugin, "Settings", None)
     if kind is None:

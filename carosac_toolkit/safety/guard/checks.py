@@ -9,13 +9,13 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.drivers.guard_settings import STALE, GuardSettings
 from carosac_toolkit.loop.drive_state import Fault
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.motion.braking import Motion
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.guard.settings import STALE, GuardSettings
 
 DELAY = 0.03  # motion that differing lags may explain [s], besides the age of a sample
 STEADY = 0.5  # [s] over which tensions are averaged: the platform tilts to and fro at some Hz

@@ -2,7 +2,7 @@
 
 import threading
 
-from carosac_toolkit.drivers.scribe import Scribe
+from carosac_toolkit.safety.guard.row_queue import Scribe
 
 
 def scribe(**changes):

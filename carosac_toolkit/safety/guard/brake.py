@@ -8,12 +8,12 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.drivers.guard_checks import Finding
-from carosac_toolkit.drivers.guard_commander import changed
-from carosac_toolkit.drivers.guard_core import GuardCore
-from carosac_toolkit.drivers.guard_inner import described, error_finding, inner_finding
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.values import Command, Measurement
+from carosac_toolkit.safety.guard.checks import Finding
+from carosac_toolkit.safety.guard.commander import changed
+from carosac_toolkit.safety.guard.inner import described, error_finding, inner_finding
+from carosac_toolkit.safety.guard.monitor import GuardCore
 
 SETTLE = 4.0  # winch lags after the last command of a stop until the winches count as at rest
 

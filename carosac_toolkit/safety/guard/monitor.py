@@ -11,25 +11,25 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.drivers.guard_checks import Checks, Finding
-from carosac_toolkit.drivers.guard_commander import Commander
-from carosac_toolkit.drivers.guard_inner import described, error_finding, holds_fault, inner_finding
-from carosac_toolkit.drivers.guard_settings import GuardSettings
-from carosac_toolkit.drivers.guard_watch import Punctuality, Watchdog
-from carosac_toolkit.drivers.journal import Journal, Silence
-from carosac_toolkit.drivers.lifecycle import UNHOMED, FaultReport, Lifecycle
-from carosac_toolkit.drivers.scribe import Scribe
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.protocols import TruthSource
 from carosac_toolkit.loop.values import Belief, Command, Measurement, State
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.guard.checks import Checks, Finding
+from carosac_toolkit.safety.guard.commander import Commander
+from carosac_toolkit.safety.guard.inner import described, error_finding, holds_fault, inner_finding
+from carosac_toolkit.safety.guard.journal import Journal, Silence
+from carosac_toolkit.safety.guard.lifecycle import UNHOMED, FaultReport, Lifecycle
+from carosac_toolkit.safety.guard.row_queue import Scribe
+from carosac_toolkit.safety.guard.settings import GuardSettings
+from carosac_toolkit.safety.guard.timing import Punctuality, Watchdog
 
 GONE = 1.0  # silence of the driver behind that is a fault also where nothing moves [s]
 LIVE_ONLY = (Fault.TENSION, Fault.FOLLOWING_ERROR)  # no fault of a robot that nobody drives
 
 
 class GuardCore:
-    """A driver and what is known of it; the base of `carosac_toolkit.drivers.guarded`.
+    """A driver and what is known of it; the base of `carosac_toolkit.safety.guard.guard`.
 
     Attributes:
         inner: The driver behind the guard.
