@@ -23,7 +23,7 @@ from carosac_toolkit.loop.loop import Step, run
 from carosac_toolkit.loop.values import State
 from carosac_toolkit.plc.client import PlcClient
 from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
-from carosac_toolkit.safety.guard.guard import GuardedDriver
+from carosac_toolkit.safety.guard import GuardedDriver
 from carosac_toolkit.trajectories.arcs import circle
 
 SECONDS = 600.0

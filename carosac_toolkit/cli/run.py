@@ -43,7 +43,7 @@ from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.recordings.crash_safe import CrashSafeRecorder
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.safety.guard.guard import GuardedDriver
+from carosac_toolkit.safety.guard import GuardedDriver
 
 
 @dataclass(frozen=True, kw_only=True)

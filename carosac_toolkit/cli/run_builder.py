@@ -24,8 +24,7 @@ from carosac_toolkit.loop.protocols import replays
 from carosac_toolkit.output_files import missing_folders, remove_empty
 from carosac_toolkit.recordings.crash_safe import CrashSafeRecorder
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.safety.guard.guard import GuardedDriver
-from carosac_toolkit.safety.guard.settings import GuardSettings
+from carosac_toolkit.safety.guard import GuardedDriver, GuardSettings
 from carosac_toolkit.studies.run.run_case import own_settings
 from carosac_toolkit.trajectories import Trajectory
 

@@ -12,7 +12,7 @@ from types import FrameType
 
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.live.messages import say
-from carosac_toolkit.safety.guard.guard import GuardedDriver
+from carosac_toolkit.safety.guard import GuardedDriver
 
 PATIENCE = 3.0  # [s] for a hanging controller to be interrupted, before the process ends
 SIGNALS = tuple(

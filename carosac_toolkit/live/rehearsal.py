@@ -9,8 +9,8 @@ import numpy as np
 from carosac_toolkit.loop.loop import Path
 from carosac_toolkit.loop.protocols import Controller, Estimator
 from carosac_toolkit.loop.values import Command, Imu, Measurement, Stamped, State
+from carosac_toolkit.physics.rest.homing import homing_lengths
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.safety.guard.inner import homing_lengths
 
 CYCLES = 5
 INERTIAL = 0.005  # [s] between two inertial samples

@@ -12,7 +12,7 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.live.messages import put, say
 from carosac_toolkit.loop.loop import Step
-from carosac_toolkit.safety.guard.guard import GuardedDriver
+from carosac_toolkit.safety.guard import GuardedDriver
 
 TERMINAL, FILE = 0.2, 2.0  # [s] between two lines
 MOST = 200_000  # latest cycles that quantiles are of

@@ -13,7 +13,7 @@ from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.keyboard import listening
 from carosac_toolkit.live.messages import say
 from carosac_toolkit.loop.loop import Path
-from carosac_toolkit.safety.guard.guard import GuardedDriver
+from carosac_toolkit.safety.guard import GuardedDriver
 
 LOOK = 0.05  # [s] between two looks whether the target is reached, after the end of the input
 

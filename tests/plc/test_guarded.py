@@ -18,7 +18,7 @@ from carosac_toolkit.loop.values import Belief, Command
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
 from carosac_toolkit.plc.machine_blocks import Injection
-from carosac_toolkit.safety.guard.lifecycle import IllegalTransition, NotReady
+from carosac_toolkit.safety.guard import IllegalTransition, NotReady
 from carosac_toolkit.studies.compare.study import Study
 from tests.plc_process import home_pose, plc_process
 

@@ -14,8 +14,7 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.plc.settings import PlcSettings
 from carosac_toolkit.plc.world import World
 from carosac_toolkit.robot.hardware import Hardware
-from carosac_toolkit.safety.guard.guard import GuardedDriver
-from carosac_toolkit.safety.guard.settings import GuardSettings
+from carosac_toolkit.safety.guard import GuardedDriver, GuardSettings
 from carosac_toolkit.trajectories import minimum_snap
 from tests.robots import simple_robot
 

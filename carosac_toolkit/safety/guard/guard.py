@@ -1,48 +1,87 @@
 """The driver `guarded`: lifecycle and safety on top of any other driver, simulated or real.
 
 Without `motion` a run is dry: commands are checked, limited and journaled, and not sent. A fault is
-latched: all cables brake together along the path that they are on (`CoordinatedStop`), `wait` says
-False, and nothing moves again before `reset_fault`, `enable`, and, where the fault took the homing
-with it, `home`.
-
-What a guard knows stands in `carosac_toolkit.safety.guard.monitor`, how it brakes in
-`carosac_toolkit.safety.guard.brake`; here are the lifecycle and the cycle.
+latched: all cables brake together along the path that they are on (`CoordinatedStop`), `wait`
+returns False, and nothing moves again before `reset_fault`, `enable`, and, where the fault took the
+homing with it, `home`.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+import threading
+from collections.abc import Callable
+from typing import ClassVar
 
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.numbers import check_period
-from carosac_toolkit.loop.drive_state import DriveState
-from carosac_toolkit.loop.values import Command, State
+from carosac_toolkit.loop.drive_state import DriveState, Fault
+from carosac_toolkit.loop.protocols import (
+    Driver,
+    MotionDriver,
+    StatusSource,
+    SupportsEnable,
+    SupportsFaultReset,
+    SupportsSetDown,
+    TruthSource,
+)
+from carosac_toolkit.loop.values import Belief, Command, Measurement, State
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.safety.guard.brake import BrakingGuard
+from carosac_toolkit.safety.guard.brake import Brake
+from carosac_toolkit.safety.guard.checks import Finding
+from carosac_toolkit.safety.guard.commander import Commander, changed
+from carosac_toolkit.safety.guard.homing import Homing
 from carosac_toolkit.safety.guard.inner import (
     build_inner,
+    error_finding,
     holds_fault,
-    homing_lengths,
     inner_finding,
 )
-from carosac_toolkit.safety.guard.lifecycle import NotReady
-from carosac_toolkit.safety.guard.monitor import check_shape
+from carosac_toolkit.safety.guard.journal import Journal, NoJournal
+from carosac_toolkit.safety.guard.lifecycle import FaultReport, NotReady
+from carosac_toolkit.safety.guard.monitor import Monitor, check_shape
 from carosac_toolkit.safety.guard.settings import GuardSettings
-from carosac_toolkit.safety.guard.timing import Watchdog
+from carosac_toolkit.safety.guard.timing import CycleTimer, Watchdog
 
-DRIVEN = (DriveState.ENABLED, DriveState.FOLLOWING)
+DRIVEN_STATES = (DriveState.ENABLED, DriveState.FOLLOWING)
 
 
-class GuardedDriver(BrakingGuard):
-    """One guarded robot of n cables; a `carosac_toolkit.loop.protocols.MotionDriver`.
+class GuardedDriver(MotionDriver):
+    """One guarded robot of n cables.
 
     Every call on the driver behind it holds one lock, as a watchdog brakes where the controller
-    does not come back. `stop` ends a run; to move again after it, connect anew. For its attributes
-    see `carosac_toolkit.safety.guard.monitor.GuardCore`.
+    does not come back. `stop` ends a run; to move again after it, connect anew.
+
+    Attributes:
+        inner: The driver behind the guard.
+        settings: Settings of the guard.
+        real_time: Whether time is wall-clock time.
+        journal: Listener to everything; set it before `connect`. In real time it is called from a
+            thread of its own: one that blocks holds nobody up, and is a fault after `record_lag`.
+        on_hang: Called by the watchdog once it has stopped the winches of a hanging controller.
+        monitor: What passes to and from the driver, with lifecycle and checks; like the other
+            parts (`commander`, `cycles`, `brake`, `homing`, `watchdog`) new at each `connect`.
+        cleared: Fault that the drives held when `connect` reset them, or None.
+        refused: Count of what would have been a fault in a dry run, by its name.
+        ending: Reason of the first call of `end`, or None.
+        unrecorded: Rows that the journal never got; counted in `close`.
     """
+
+    Settings: ClassVar[type[GuardSettings]] = GuardSettings
+    name: ClassVar[str] = "guarded"
+
+    def __init__(
+        self, inner: Driver, robot: Robot, settings: GuardSettings, *, real_time: bool
+    ) -> None:
+        """Guard a driver of a robot; `real_time`: its time is wall-clock time."""
+        self.inner, self.settings, self.real_time = inner, settings, real_time
+        self._robot = robot
+        self._lock = threading.RLock()
+        self.journal: Journal = NoJournal()
+        self.on_hang: Callable[[], None] | None = None
+        self._start_over()
 
     @classmethod
     def build(
@@ -51,59 +90,111 @@ class GuardedDriver(BrakingGuard):
         """Make the driver behind it by name, for the same robot and seed.
 
         Raises:
-            InvalidField: A driver that replays, or settings that it does not have.
+            InvalidField: A driver that replays or is a guard, or settings that it does not have.
         """
         chosen = settings or cls.Settings()
-        inner, real_time = build_inner(robot, chosen, seed)
+        inner, real_time = build_inner(robot, chosen, seed, guard=GuardedDriver)
         return cls(inner, robot, chosen, real_time=real_time)
 
+    def _start_over(self) -> None:
+        """Know nothing of the robot."""
+        self.monitor = Monitor(
+            self.inner, self._robot, self.settings, real_time=self.real_time,
+            journal=lambda: self.journal,
+        )  # fmt: skip
+        self._life = self.monitor.lifecycle
+        self.commander = Commander(self.monitor)
+        self.cycles = CycleTimer(self.settings, real_time=self.real_time)
+        self.brake = Brake(self.monitor, self.commander, self.cycles)
+        self.homing = Homing(self.monitor)
+        self.watchdog: Watchdog | None = None
+        self.cleared: Finding | None = None
+        self.refused: dict[str, int] = {}
+        self.ending: str | None = None
+        self.unrecorded = 0
+
+    @property
+    def state(self) -> DriveState:
+        """State of the lifecycle; `ESTOP` where the driver behind says so."""
+        state, inner = self._life.state, self.inner
+        if state is DriveState.FAULT and isinstance(inner, StatusSource):
+            return DriveState.ESTOP if inner.status() == DriveState.ESTOP else state
+        return state
+
+    def status(self) -> str:
+        """Return `state` in one word."""
+        return str(self.state)
+
+    @property
+    def fault(self) -> FaultReport | None:
+        """Fault that was latched first, or None."""
+        return self._life.fault
+
+    @property
+    def held(self) -> Finding | None:
+        """Fault that the drives hold, see `Monitor`, or None."""
+        return self.monitor.held
+
+    @property
+    def home_change(self) -> Array | None:
+        """Change of the readings by the last homing [m], shape (n,), or None."""
+        return self.homing.change
+
+    @property
+    def overruns(self) -> int:
+        """Cycles since `connect` whose command took longer than a period, in real time."""
+        return self.cycles.late
+
     def connect(self) -> None:
-        """Connect the driver behind; homed and enabled at once where the settings say so.
+        """Connect the driver behind; home and enable at once where the settings say so.
 
         Raises:
             IllegalTransition: It is connected.
-            CarosacError: What the driver behind says, or why it cannot be enabled.
+            CarosacError: Error of the driver behind, or why it cannot be enabled.
         """
         with self._lock:
             self._life.allow("connect")
-            self._forget()
-            self._checks.prepare()
+            self._start_over()
+            self.monitor.checks.prepare()
             self.inner.connect()
-            self._checks = self._new_checks()  # the driver now knows how patient it must be
+            self.monitor.restart_checks()  # the driver now knows how patient it must be
             self._life.go(DriveState.CONNECTED)
             try:
-                motion, start = self.settings.motion, self._start()
-                emulated = motion and self.settings.set_down
-                emulated = emulated and getattr(self.inner, "emulated", False)
-                if motion and (self.settings.reset_at_once or emulated):
-                    self._reset_inner()
-                if emulated:
-                    self.inner.set_down(tuple(float(x) for x in start.position[0]))
-                moves = self.settings.enable_at_once and motion
-                if moves:
-                    self._check_held()
-                self.measure()
-                if moves:
-                    self.home(start, anew=self.settings.home_anew or emulated)
-                    self.enable()
-                elif self.settings.rehearse and not self.settings.motion:
-                    self.home(self._start(), anew=self.settings.home_anew)
-                    self._ready_to_enable()
+                self._prepare()
             except BaseException:
                 self.close()
                 raise
             if self.real_time:
-                period = self.settings.period
-                self._watchdog = Watchdog(
-                    period, lambda: self._time.waited, self._miss, self._miss_failed
+                self.watchdog = Watchdog(
+                    self.settings.period, lambda: self.cycles.waited, self._miss, self._miss_failed
                 )
-                self._watchdog.start()
+                self.watchdog.start()
+
+    def _prepare(self) -> None:
+        """Measure; clear, set down, home, enable or rehearse as the settings say."""
+        settings, inner, start = self.settings, self.inner, self.homing.start()
+        set_down = settings.motion and isinstance(inner, SupportsSetDown) and inner.sets_down
+        if settings.motion and (settings.reset_at_once or set_down):
+            self._reset_inner()
+        if set_down and isinstance(inner, SupportsSetDown):
+            x, y, z = start.position[0]
+            inner.set_down((float(x), float(y), float(z)))
+        moves = settings.enable_at_once and settings.motion
+        if moves:
+            self._check_held()
+        self.measure()
+        if moves:
+            self.home(start, anew=settings.home_anew or set_down)
+            self.enable()
+        elif settings.rehearse and not settings.motion:
+            self.home(start, anew=settings.home_anew)
+            self._ready_to_enable()
 
     def _reset_inner(self) -> None:
         """Clear the fault that the driver behind holds from an earlier run; it must be homed."""
         held = inner_finding(self.inner)
-        if held is not None and hasattr(self.inner, "reset_fault"):
-            self._event("reset", f"{held.fault}: {held.text}")
+        if held is not None and isinstance(self.inner, SupportsFaultReset):
+            self.monitor.event("reset", f"{held.fault}: {held.text}")
             self.inner.reset_fault()
             self.cleared = held
 
@@ -132,20 +223,7 @@ class GuardedDriver(BrakingGuard):
         """
         with self._lock:
             self._life.allow("home")
-            lengths = homing_lengths(self._robot, position)
-            standing = self._standing_still()
-            if not anew:
-                self._check_home(lengths - standing)
-            if hasattr(self.inner, "home"):
-                self.inner.home(replace(position, unstrained_length=lengths[None]))
-            else:
-                self._out.offset = self._out.offset + (lengths - standing)
-            self._checks = self._new_checks()
-            self._life.go(DriveState.HOMED)
-            self.home_change = lengths - standing
-            said = ", ".join(f"{x:+.4f}" for x in self.home_change)
-            self._event("home", f"readings changed by {said} m")
-            self.measure()
+            self.homing.home(position, anew=anew)
 
     def enable(self) -> None:
         """Let commands through, from where the winches stand.
@@ -154,33 +232,33 @@ class GuardedDriver(BrakingGuard):
             IllegalTransition: Not homed.
             NotReady: The settings forbid motion, the lengths change, or a check finds something.
             InvalidField: The winches stand outside their limits.
-            CarosacError: What the driver behind says.
+            CarosacError: Error of the driver behind.
         """
         with self._lock:
             self._life.allow("enable")
             if not self.settings.motion:
                 raise NotReady("enable: this guard is read only; set motion=True on purpose")
             standing = self._ready_to_enable()
-            if hasattr(self.inner, "enable"):
+            if isinstance(self.inner, SupportsEnable):
                 self.inner.enable()
-            self._checks.standing(standing)
-            self._time.warm_up()
-            self._live, self._ended = True, False
+            self.monitor.checks.standing(standing)
+            self.cycles.warm_up()
+            self._life.live, self._life.ended = True, False
             self._life.go(DriveState.ENABLED)
 
     def _ready_to_enable(self) -> Array:
-        """Where the winches stand [m], shape (n,), once nothing speaks against enabling."""
-        standing = self._standing_still()
-        if self.finding is not None:
-            raise NotReady(f"enable: {self.finding.fault}: {self.finding.text}")
-        self._out.start(standing)
+        """Return where the winches stand [m], shape (n,), once nothing forbids enabling."""
+        standing, finding = self.homing.standing_still(), self.monitor.finding
+        if finding is not None:
+            raise NotReady(f"enable: {finding.fault}: {finding.text}")
+        self.commander.start(standing)
         return standing
 
     def disable(self) -> None:
         """Come to rest along the path and let no command through; `enable` may follow."""
         with self._lock:
             self._life.allow("disable")
-            self._run_down()
+            self.brake.run_down()
 
     def reset_fault(self) -> None:
         """Clear the latched fault, once its cause is gone and the winches are at rest.
@@ -188,31 +266,72 @@ class GuardedDriver(BrakingGuard):
         Raises:
             IllegalTransition: There is no fault.
             NotReady: The cause is still there; the fault stays.
-            CarosacError: What the driver behind says; the fault stays.
+            CarosacError: Error of the driver behind; the fault stays.
         """
         with self._lock:
             self._life.allow("reset_fault")
-            self._run_down()
-            if hasattr(self.inner, "reset_fault"):
+            self.brake.run_down()
+            if isinstance(self.inner, SupportsFaultReset):
                 self.inner.reset_fault()
             self.measure()  # a length that jumped since the last one costs the homing
             latched, self._life.fault = self._life.fault, None
-            self._checks = self._new_checks()
+            self.monitor.restart_checks()
             try:
-                self._standing_still()
-                if self.finding is not None:
-                    raise NotReady(f"{self.finding.fault}: {self.finding.text}")
+                self.homing.standing_still()
+                finding = self.monitor.finding
+                if finding is not None:
+                    raise NotReady(f"{finding.fault}: {finding.text}")
             except CarosacError as error:
                 self._life.fault = latched
-                self._quietly(self._switch_off)
+                self.monitor.quietly(self.brake.switch_off)
                 raise NotReady(f"reset_fault: {error}; the fault stays") from error
             self._life.release()
+
+    def measure(self) -> Measurement:
+        """Return what the driver behind measures, with the offsets of homing; checked.
+
+        Raises:
+            InvalidField: An impossible measurement, such as a length that is not a number; that is
+                latched.
+            CarosacError: It cannot measure; that is latched as a lost connection.
+        """
+        with self._lock:
+            self._check_connected()
+            return self.monitor.measure()
+
+    def truth(self) -> State | None:
+        """Return the truth, where the driver behind knows it, or None."""
+        with self._lock:
+            return self.inner.truth() if isinstance(self.inner, TruthSource) else None
+
+    def believe(self, belief: Belief) -> None:
+        """Latch a belief that is far from what the lengths say."""
+        with self._lock:
+            self.monitor.note(self.journal.believed, belief)
+            finding = self.monitor.checks.belief(belief) if self._life.homed else None
+            if finding is not None:
+                self.monitor.latch(finding)
+
+    def fail(self, part: str, error: BaseException) -> None:
+        """Latch an error of the estimator, the controller or, while the winches follow, all else.
+
+        Where a fault is latched already, that is the cause.
+        """
+        if part == "program" and not self._life.live:
+            return
+        fault = Fault.ESTIMATOR if part == "estimator" else Fault.CONTROLLER
+        field = error.field.partition("[")[0] if isinstance(error, InvalidField) else ""
+        if part != "estimator" and field in ("unstrained_length", "length_rate"):
+            fault = Fault.COMMAND
+        text = f"the {part} raised {type(error).__name__}: {error}"
+        with self._lock:
+            self.monitor.latch(Finding(fault=fault, text=text))
 
     def command(self, command: Command) -> Command:
         """Check, limit and send a command.
 
         Returns:
-            What was really sent, with every limit hit: ``not_enabled`` where nothing was,
+            Command that was really sent, with every limit hit: ``not_enabled`` where nothing was,
             ``warm_up`` in the first cycles, ``stop`` or the name of the fault where the winches
             brake instead.
 
@@ -223,18 +342,45 @@ class GuardedDriver(BrakingGuard):
         with self._lock:
             self._check_connected()
             check_shape(command.unstrained_length, self._robot.n)
-            measured = self._measured if self._measured is not None else self.measure()
-            if self._life.state in DRIVEN:
+            newest = self.monitor.measured
+            actual = (newest if newest is not None else self.measure()).unstrained_length
+            if self._life.state in DRIVEN_STATES:
                 first = self._life.state is DriveState.ENABLED
-                standing = self._out.motion.length if first else measured.unstrained_length
-                found = self._checks.command(command, standing[0], first=first)
-                if found is not None:
-                    self.latch(found)
-                elif not self._time.warming:
-                    return self._follow(command, measured)
-            if self._live:
-                return self._brake(command)
-            return self._dry_run(command, np.asarray(measured.unstrained_length))
+                standing = self.commander.motion.length if first else actual
+                finding = self.monitor.checks.command(command, standing[0], first=first)
+                if finding is not None:
+                    self.monitor.latch(finding)
+                elif not self.cycles.warming:
+                    return self._follow(command, actual)
+            if self._life.live:
+                return self.brake.send(command)
+            return self._dry_run(command, np.asarray(actual))
+
+    def _follow(self, command: Command, actual: Array) -> Command:
+        """Limit and send."""
+        if self.monitor.sent:
+            raise CarosacError(f"{self.name}: one command a cycle; call wait() before the next")
+        self._life.go(DriveState.FOLLOWING)
+        sent = self.commander.follow(command, actual)
+        self.monitor.note(self.journal.sent, command, sent, really=True)
+        return sent
+
+    def _dry_run(self, command: Command, held: Array) -> Command:
+        """Limit and journal a command; return that the winches hold."""
+        limited = command
+        if self.fault is None and not self._life.ended:
+            first = not self.commander.dry
+            finding = self.monitor.checks.command(command, held[0], first=first)
+            try:
+                if finding is not None:
+                    raise InvalidField(str(finding.fault), finding.text, "what `enable` allows")
+                limited = self.commander.would_send(command, held)
+                self.monitor.note(self.journal.sent, command, limited, really=False)
+            except InvalidField as error:
+                self.refused[error.field] = self.refused.get(error.field, 0) + 1
+                self.monitor.event("would_be_refused", f"{error.field}: {error.value}")
+        hits = (*limited.limited, *changed("not_enabled", command, held))
+        return Command(time=command.time, unstrained_length=held, limited=hits)
 
     def wait(self, duration: float) -> bool:
         """Wait to the next tick; a cycle without a command slows down along the path.
@@ -248,60 +394,70 @@ class GuardedDriver(BrakingGuard):
         with self._lock:
             self._check_connected()
             check_period(duration, self.settings.period, "guard")
-            if self._live and not self._out.sent:
-                self._brake(None)
-            found = self._time.end_cycle()
-            if found is not None and self._live:
-                self.latch(found)
-            alive = self._pass_period()
-            self._time.begin()
-            return alive and not self._ended and self.ending is None and self.fault is None
+            if self._life.live and not self.monitor.sent:
+                self.brake.send(None)
+            finding = self.cycles.end_cycle()
+            if finding is not None and self._life.live:
+                self.monitor.latch(finding)
+            alive = self.monitor.pass_period()
+            self.cycles.begin()
+            over = self._life.ended or self.ending is not None or self.fault is not None
+            return alive and not over
+
+    def end(self, reason: str) -> None:
+        """Have `wait` return False, so that the loop stops; safe in a signal handler.
+
+        The first reason is the one that counts.
+        """
+        self.ending = self.ending or reason
+
+    def stop(self, reason: str) -> None:
+        """Bring all cables to rest along their path, wait for it, and disable; ends the run."""
+        with self._lock:
+            if self._life.state is DriveState.DISCONNECTED:
+                return
+            self.brake.begin()
+            if not self._life.ended:
+                self.monitor.event("stop", self.ending or reason)
+            self.brake.run_down()
+            self._life.ended = True
+            self.monitor.quietly(self.inner.stop, reason)
 
     def close(self) -> None:
         """Come to rest and let go."""
-        watchdog = self._watchdog
+        watchdog = self.watchdog
         try:
             with self._lock:
-                self._watchdog = None
+                self.watchdog = None
                 try:
-                    self._run_down()
+                    self.brake.run_down()
                 finally:
-                    self._let_go()
+                    if self._life.state is not DriveState.DISCONNECTED:
+                        self.monitor.quietly(self.inner.close)
+                        self._life.go(DriveState.DISCONNECTED)
         finally:
             if watchdog is not None:
                 watchdog.end()
             self.end_recording()
 
-    def _check_home(self, change: Array) -> None:
-        """Refuse to change the offsets by more than a homing of every day does."""
-        i, most = int(np.argmax(np.abs(change))), self.settings.home_change_max
-        if abs(change[i]) > most:
-            cable = self._robot.cable_names[i]
-            raise NotReady(
-                f"home: the offset of cable '{cable}' would change by {change[i]:+.3f} m; allowed: "
-                f"{most:g} m. Is the platform at the pose that was given? Where that was measured, "
-                "home anew (home_anew, --home-anew)"
-            )
+    def end_recording(self) -> None:
+        """Give the journal some seconds for its last rows; nothing is recorded afterwards."""
+        self.unrecorded = self.monitor.rows.end()
 
-    def _start(self) -> State:
-        """The pose by which `enable_at_once` homes."""
-        robot, point = self._robot, self.settings.start_position
-        position = robot.home_position if point is None else np.asarray(point, dtype=float)
-        rotation = robot.home_rotation
-        return State(
-            time=np.zeros(1), position=position.reshape(1, 3), rotation=rotation.reshape(1, 3, 3)
-        )
+    def _check_connected(self) -> None:
+        """Refuse to work before `connect` and after `close`."""
+        if self._life.state is DriveState.DISCONNECTED:
+            raise CarosacError(f"{self.name}: not connected; call connect() first")
 
-    def _standing_still(self) -> Array:
-        """Mean of some samples of winches that stand [m], shape (n,)."""
-        lengths = []
-        for _ in range(self.settings.homing_samples):
-            lengths.append(self.measure().unstrained_length[0])
-            self._pass_period()
-            if self.fault is not None:
-                raise NotReady(str(self.fault))
-        moved = float(np.ptp(lengths, axis=0).max())
-        if moved > self.settings.rest_max:
-            allowed = f"allowed: {self.settings.rest_max:g} m"
-            raise NotReady(f"the winches do not stand still: {moved:.4f} m of change; {allowed}")
-        return np.asarray(np.mean(lengths, axis=0))
+    def _miss(self) -> None:
+        """Let the watchdog brake; tell `on_hang` of a controller that hangs."""
+        with self._lock:
+            hung = self.on_hang if self.brake.miss() else None
+        if hung is not None:
+            hung()
+
+    def _miss_failed(self, error: Exception) -> None:
+        """Have the driver behind stop by itself, as the watchdog could not brake."""
+        with self._lock:
+            self.monitor.quietly(self.inner.stop, "the watchdog failed")
+            self.monitor.quietly(self.monitor.latch, error_finding(error))

@@ -1,108 +1,107 @@
-"""The driver behind a guard: how it is built, what it says of itself, and lengths of a pose."""
+"""The driver behind a guard: how it is built, and what it says of itself."""
 
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any
 
-import numpy as np
-
-from carosac_toolkit.base.arrays import Array, frozen_array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.settings import filled
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.drive_state import DriveState, Fault
-from carosac_toolkit.loop.protocols import replays
-from carosac_toolkit.loop.values import State
-from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.loop.protocols import (
+    Driver,
+    FaultSource,
+    FaultTextSource,
+    LinkPatience,
+    LinkWatch,
+    StatusSource,
+    replays,
+)
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.safety.guard.checks import FREE, Finding
+from carosac_toolkit.safety.guard.checks import Finding
 from carosac_toolkit.safety.guard.settings import GuardSettings
 
-HANDED_ON = ("motion", "period", "suite", "wind_force", "wind_time")
-SET_DOWN = "start_position"  # of a simulated robot; no real one is set down anywhere
-OFF = (DriveState.DISCONNECTED, DriveState.CONNECTED, DriveState.HOMED)  # nothing follows there
+SHARED_SETTINGS = ("motion", "period", "suite")  # of the guard, and of any driver that has them
+START = "start_position"  # of a simulated robot; a real one starts where it is
+STATES_OFF = (DriveState.DISCONNECTED, DriveState.CONNECTED, DriveState.HOMED)
 
 
-def build_inner(robot: Robot, settings: GuardSettings, seed: int) -> tuple[Any, bool]:
-    """Make the driver behind a guard, and say whether its time is that of the wall."""
+def build_inner(
+    robot: Robot, settings: GuardSettings, seed: int, *, guard: type
+) -> tuple[Driver, bool]:
+    """Make the driver behind a guard, and return whether its time is wall-clock time.
+
+    Args:
+        robot: Robot description.
+        settings: Settings of the guard, which name the driver.
+        seed: Seed of everything random in the driver.
+        guard: Class of guards, none of which may stand behind another.
+
+    Raises:
+        InvalidField: A driver that replays or is a guard, or settings that it does not have.
+    """
     plugin = plugins.load("drivers", settings.driver)
-    if replays(plugin) or plugin.__module__ == "carosac_toolkit.safety.guard.guard":
+    if replays(plugin) or (isinstance(plugin, type) and issubclass(plugin, guard)):
         raise InvalidField("driver", repr(settings.driver), "a driver that moves, and no guard")
+    real_time = settings.real_time is not False
     kind = getattr(plugin, "Settings", None)
     if kind is None:
         if settings.inner:
             raise InvalidField("inner", repr(settings.inner), f"nothing: {settings.driver} has no "
                                "Settings")  # fmt: skip
-        return plugin.build(robot, None, seed=seed), settings.real_time is not False
+        return plugin.build(robot, None, seed=seed), real_time
+    offered = {name: getattr(settings, name) for name in SHARED_SETTINGS} | dict(settings.scene)
     known = {field.name for field in fields(kind)}
-    wanted = {name: getattr(settings, name) for name in HANDED_ON if name in known}
-    real_time = settings.real_time is not False
     if "real_time" in known:
         real_time = bool(settings.real_time)
-        wanted["real_time"] = real_time
-        if SET_DOWN in known:
-            wanted[SET_DOWN] = settings.start_position
-    chosen = filled("inner", kind(), {**wanted, **settings.inner})
+        offered |= {"real_time": real_time, START: settings.start_position}
+    own = {name: value for name, value in offered.items() if name in known}
+    chosen = filled("inner", kind(), {**own, **settings.inner})
     return plugin.build(robot, chosen, seed=seed), real_time
 
 
-def holds_fault(inner: Any) -> bool:
-    """Whether the drives hold a fault, or their emergency stop is open, by a live connection."""
-    status = getattr(inner, "status", None)
-    if status is None or getattr(inner, "link_fault", Fault.NONE) is not Fault.NONE:
+def link_patience(inner: Driver) -> float:
+    """Return how long a driver waits for its robot [s]; 0 where it does not say."""
+    return inner.lost_after if isinstance(inner, LinkPatience) else 0.0
+
+
+def holds_fault(inner: Driver) -> bool:
+    """Return whether the drives hold a fault, or their emergency stop is open, by a live link."""
+    if not isinstance(inner, StatusSource):
         return False
-    return status() in (DriveState.FAULT, DriveState.ESTOP)
+    if isinstance(inner, LinkWatch) and inner.link_fault is not Fault.NONE:
+        return False
+    return inner.status() in (DriveState.FAULT, DriveState.ESTOP)
 
 
-def inner_finding(inner: Any, *, following: bool = False) -> Finding | None:
-    """What a driver that knows its own state says is wrong; `following`: it should be driving."""
-    status = getattr(inner, "status", None)
-    if status is None:
+def inner_finding(inner: Driver, *, following: bool = False) -> Finding | None:
+    """Return what a driver says is wrong with itself; `following`: it should be driving."""
+    if not isinstance(inner, StatusSource):
         return None
-    said = status()
-    if said == DriveState.ESTOP:
+    state = inner.status()
+    if state == DriveState.ESTOP:
         return Finding(fault=Fault.DRIVE_TRIP, text="the emergency stop is open")
-    if said == DriveState.FAULT:
-        fault = getattr(inner, "fault", None)
-        known = fault if isinstance(fault, Fault) else Fault.UNKNOWN
-        told = str(getattr(inner, "fault_text", "")).removesuffix(known.meaning)
-        told = told.removeprefix(str(known)).strip(": ")
-        return Finding(fault=known, text=told or "the drives hold it")
-    if following and said in OFF:
-        text = f"the drives no longer follow: they are {said}, and nobody here switched them off"
+    if state == DriveState.FAULT:
+        fault = inner.fault if isinstance(inner, FaultSource) else Fault.UNKNOWN
+        fault = fault if isinstance(fault, Fault) else Fault.UNKNOWN  # whatever a driver says
+        text = str(inner.fault_text) if isinstance(inner, FaultTextSource) else ""
+        text = text.removesuffix(fault.meaning).removeprefix(str(fault)).strip(": ")
+        return Finding(fault=fault, text=text or "the drives hold it")
+    if following and state in STATES_OFF:
+        text = f"the drives no longer follow: they are {state}, and this host did not disable them"
         return Finding(fault=Fault.DRIVE_TRIP, text=text)
     return None
 
 
 def error_finding(error: Exception) -> Finding:
-    """What an error of a driver means: an impossible number, or a connection that is lost."""
+    """Return what an error of a driver means: an impossible number, or a lost connection."""
     if isinstance(error, InvalidField):
         length = "length" in error.field
-        text = f"a measurement that cannot be: {error}"
+        text = f"an impossible measurement: {error}"
         return Finding(fault=Fault.ENCODER_JUMP if length else Fault.UNKNOWN, text=text)
     return Finding(fault=Fault.LOST_CONNECTION, text=described(error))
 
 
 def described(error: Exception) -> str:
-    """An error in words, with its kind where it is none of this toolkit."""
+    """Return the text of an error, with its kind where it is not one of this toolkit."""
     return str(error) if isinstance(error, CarosacError) else f"{type(error).__name__}: {error}"
-
-
-def homing_lengths(robot: Robot, position: State) -> Array:
-    """Lengths of a pose of rest [m], shape (n,).
-
-    Raises:
-        InvalidField: More than one pose, or none at rest there.
-    """
-    if len(position.position) != 1:
-        raise InvalidField("position", f"{len(position.position)} poses", "one pose")
-    if position.unstrained_length is not None:
-        lengths = frozen_array("unstrained_length", position.unstrained_length, (1, robot.n))
-        return np.array(lengths[0])
-    rotation = position.rotation if robot.n >= FREE else None
-    found = statics.inverse_kinematics(robot, position.position, rotation)
-    if not found.converged[0]:
-        where = np.round(position.position[0], 4).tolist()
-        raise InvalidField("position", f"{where} m", "a pose at which the platform can rest")
-    return np.array(found.unstrained_length[0])

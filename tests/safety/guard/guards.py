@@ -11,8 +11,7 @@ from carosac_toolkit.drivers.quasi_static import QuasiStaticDriver, QuasiStaticS
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.values import Command, State
 from carosac_toolkit.physics.rest import statics
-from carosac_toolkit.safety.guard.guard import GuardedDriver
-from carosac_toolkit.safety.guard.settings import GuardSettings
+from carosac_toolkit.safety.guard import GuardedDriver, GuardSettings
 from tests.robots import simple_robot
 
 PERIOD = 0.02

@@ -16,9 +16,7 @@ from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.loop import BadPlugin, run
 from carosac_toolkit.loop.values import Belief, Command, Stamped
 from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
-from carosac_toolkit.safety.guard.guard import GuardedDriver
-from carosac_toolkit.safety.guard.lifecycle import IllegalTransition, NotReady
-from carosac_toolkit.safety.guard.settings import GuardSettings
+from carosac_toolkit.safety.guard import GuardedDriver, GuardSettings, IllegalTransition, NotReady
 from tests.safety.guard.guards import (
     PERIOD,
     ROBOT,
@@ -317,7 +315,7 @@ def test_lost_measurements_are_a_lost_connection():
 def test_tension_outside_its_limits_is_a_fault():
     guard = connected()
     drive(guard, 5)
-    guard._checks._robot = replace(ROBOT, tension_max=np.full(4, 30.0))
+    guard.monitor.checks.robot = replace(ROBOT, tension_max=np.full(4, 30.0))
     to_the_end(guard)
     assert guard.fault.fault is Fault.TENSION
     assert "N estimated; allowed: 5 N to 30 N" in guard.fault.text
@@ -445,7 +443,7 @@ def test_an_error_of_any_kind_in_a_stop_leaves_nothing_enabled_or_open():
     def broken(*_):
         raise KeyboardInterrupt
 
-    guard._brake_to_rest = broken
+    guard.brake.to_rest = broken
     with pytest.raises(KeyboardInterrupt):
         guard.close()
     assert (inner.disables, inner.closes) == (1, 1)
@@ -453,7 +451,7 @@ def test_an_error_of_any_kind_in_a_stop_leaves_nothing_enabled_or_open():
     guard.close()
     guard = connected()
     drive(guard, 5)
-    guard.inner.disable = guard._out.brake = lambda *_: 1 / 0
+    guard.inner.disable = guard.commander.brake = lambda *_: 1 / 0
     guard.stop("done")
     guard.close()
     assert guard.inner.closes == 1
@@ -491,7 +489,7 @@ def test_a_watchdog_that_cannot_brake_tells_the_driver_and_goes_on():
             twice.set()
         raise RuntimeError("a bug")
 
-    guard._watchdog._miss = broken
+    guard.watchdog.miss = broken
     assert twice.wait(10.0)
     assert missed[:2] == [0, 1]
     assert guard.fault.fault is Fault.LOST_CONNECTION
@@ -622,7 +620,7 @@ def test_the_watchdog_brakes_while_a_recording_blocks():
     seen = np.array(guard.inner.seen)
     assert seen[-1] == pytest.approx(seen[-2], abs=1e-12)
     assert within_limits(seen)
-    guard._scribe.end(0.1)
+    guard.monitor.rows.end(0.1)
     guard.close()
     assert guard.unrecorded > 0  # counted, not silently lost
     guard.journal.free.set()
@@ -666,7 +664,7 @@ def test_a_belief_that_runs_away_is_a_fault_of_the_estimator():
     log = run(guard, controller, controller, path())
     assert not log.completed
     assert guard.fault.fault is Fault.ESTIMATOR
-    assert "the believed position is 0.5" in guard.fault.text
+    assert "the estimated position is 0.5" in guard.fault.text
     assert within_limits(guard.inner.seen)
 
 
