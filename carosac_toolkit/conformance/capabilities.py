@@ -12,6 +12,7 @@ from carosac_toolkit.loop.protocols import (
     FaultTextSource,
     LinkPatience,
     LinkWatch,
+    NamedPlugin,
     StatusSource,
     Supervisor,
     SupportsDisable,
@@ -25,9 +26,9 @@ from carosac_toolkit.loop.protocols import (
 from carosac_toolkit.robot.robot import Robot
 
 CAPABILITIES: tuple[type, ...] = (
-    StatusSource, FaultSource, FaultTextSource, LinkWatch, LinkPatience, SupportsHoming,
-    SupportsEnable, SupportsDisable, SupportsFaultReset, SupportsFaultHold, SupportsSetDown,
-    TruthSource,
+    NamedPlugin, StatusSource, FaultSource, FaultTextSource, LinkWatch, LinkPatience,
+    SupportsHoming, SupportsEnable, SupportsDisable, SupportsFaultReset, SupportsFaultHold,
+    SupportsSetDown, TruthSource,
 )  # fmt: skip
 
 

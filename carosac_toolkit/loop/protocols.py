@@ -94,6 +94,15 @@ class Driver(Protocol):
 
 
 @runtime_checkable
+class NamedPlugin(Protocol):
+    """A plug-in, or its class, with a name of its own, for messages."""
+
+    @property
+    def name(self) -> str:
+        """Name, such as ``ads``."""
+
+
+@runtime_checkable
 class StatusSource(Protocol):
     """A driver that knows the state of its drive system."""
 

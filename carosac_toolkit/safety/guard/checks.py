@@ -135,13 +135,12 @@ class Checks:
             text = f"{asked[0, i]:.3f} m asked; allowed: {low[i]:g} m to {high[i]:g} m"
             return Finding(fault=Fault.COMMAND, text=text, cable=i)
         far = np.abs(asked[0] - standing)
-        most, which = settings.step(robot), "a command"
+        limit, which = settings.step(robot), "a command"
         if first:
-            most, which = np.minimum(settings.first_max, most), "the first command"
-        i = int(np.argmax(far - most))
-        if far[i] > most[i]:
-            text = f"{which} is {far[i]:.3f} m from where the winch stands; allowed: {most[i]:g} m"
-            return Finding(fault=Fault.COMMAND, text=text, cable=i)
+            limit, which = np.minimum(settings.first_max, limit), "the first command"
+        if (k := _worst(far - limit)) is not None:
+            text = f"{which} is {far[k]:.3f} m from where the winch stands; allowed: {limit[k]:g} m"
+            return Finding(fault=Fault.COMMAND, text=text, cable=k)
         return None
 
     def belief(self, belief: Belief) -> Finding | None:
@@ -180,9 +179,7 @@ class Checks:
             allowed = self._settings.jump_max + uneven * np.abs(self._speed)
         else:
             allowed = self._settings.jump_max + (0.0 if still else passed) * self.robot.speed_max
-        over = np.abs(change) - allowed
-        i = int(np.argmax(over))
-        if over[i] <= 0.0:
+        if (i := _worst(np.abs(change) - allowed)) is None:
             return None
         text = f"the length jumped by {change[i]:+.3f} m; allowed: {allowed[i]:.3f} m"
         return Finding(fault=Fault.ENCODER_JUMP, text=text, cable=i)
@@ -197,11 +194,12 @@ class Checks:
         asked, done = self._expected - self._start[0], measured - self._start[1]
         allowed = self._settings.direction_max + self._late(measurement)
         against = np.where(asked * done < 0.0, np.minimum(np.abs(asked), np.abs(done)), 0.0)
-        i = int(np.argmax(against - allowed))
-        if against[i] <= allowed[i]:
+        if (i := _worst(against - allowed)) is None:
             return None
-        text = f"told to change by {asked[i]:+.3f} m, and changed by {done[i]:+.3f} m: it turns "
-        text += "the other way"
+        text = (
+            f"told to change by {asked[i]:+.3f} m, and changed by {done[i]:+.3f} m: it turns the "
+            "other way"
+        )
         return Finding(fault=Fault.FOLLOWING_ERROR, text=text, cable=i, lasting=FAULT_DURATION_S)
 
     def _late(self, measurement: Measurement) -> Array:
@@ -215,8 +213,7 @@ class Checks:
             return None
         error = np.abs(measurement.unstrained_length[0] - self._expected)
         allowed = self._settings.following_max + self._late(measurement)
-        i = int(np.argmax(error - allowed))
-        if error[i] <= allowed[i]:
+        if (i := _worst(error - allowed)) is None:
             return None
         text = f"{error[i]:.3f} m from where the winch should be; allowed: {allowed[i]:.3f} m"
         return Finding(fault=Fault.FOLLOWING_ERROR, text=text, cable=i, lasting=FAULT_DURATION_S)
@@ -237,11 +234,10 @@ class Checks:
         """Require one straight-line pose that explains all lengths."""
         fit = straight_line.forward_kinematics(self.robot, lengths)
         self.position = fit.position[0]
-        residual = float(fit.residual[0])
-        if fit.converged[0] and residual <= self._settings.closure_max:
+        residual, limit = float(fit.residual[0]), self._settings.closure_max
+        if fit.converged[0] and residual <= limit:
             return None
-        text = f"{residual:.3f} m (rms) of the lengths fit no pose; allowed: "
-        text += f"{self._settings.closure_max:g} m"
+        text = f"{residual:.3f} m (rms) of the lengths fit no pose; allowed: {limit:g} m"
         return Finding(fault=Fault.CLOSURE, text=text, lasting=FAULT_DURATION_S)
 
     def _rest(self, lengths: Array) -> None:
@@ -259,8 +255,8 @@ class Checks:
         Lengths that follow their commands to the millimetre may still be wrong: a winch that turns
         the other way than the robot file says tilts the platform, and loads its cables crosswise.
         """
-        most, measured = self._settings.tension_shift_max, measurement.tension
-        if most is None or measured is None or self.tension is None:
+        limit, measured = self._settings.tension_shift_max, measurement.tension
+        if limit is None or measured is None or self.tension is None:
             return None
         span = max(1, round(TENSION_MEAN_TIME_S / self._settings.period))
         self._shares = [*self._shares[1 - span :], measured.value[0] / self.tension]
@@ -269,31 +265,25 @@ class Checks:
             self._usual = mean  # standing still
         change = mean / self._usual - 1.0
         i = int(np.argmax(np.abs(change)))
-        if abs(change[i]) <= most:
+        if abs(change[i]) <= limit:
             return None
         text = (
             f"the tension of cable '{self.robot.cable_names[i]}' is {100 * change[i]:+.0f} % off "
-            f"what the lengths say; allowed: {100 * most:g} %. Does a winch turn the other way "
+            f"what the lengths say; allowed: {100 * limit:g} %. Does a winch turn the other way "
             "than its sign in the robot file, or by another scale?"
         )
         return Finding(fault=Fault.CLOSURE, text=text)
 
     def _tension(self, measurement: Measurement) -> Finding | None:
         """Check measured tensions, else those of rest where the lengths determine them."""
-        robot = self.robot
-        measured = measurement.tension is not None
-        tension = self.tension if measurement.tension is None else measurement.tension.value[0]
-        if tension is None:
+        low, high = self.robot.tension_min, self.robot.tension_max
+        tension, source = self.tension, "estimated"
+        if measurement.tension is not None:
+            tension, source = measurement.tension.value[0], "measured"
+        if tension is None or (i := _worst(np.maximum(low - tension, tension - high))) is None:
             return None
-        outside = np.maximum(robot.tension_min - tension, tension - robot.tension_max)
-        i = int(np.argmax(outside))
-        if outside[i] <= 0.0:
-            return None
-        source = "measured" if measured else "estimated"
-        low, high = robot.tension_min[i], robot.tension_max[i]
-        text = f"{tension[i]:.1f} N {source}; allowed: {low:g} N to {high:g} N"
-        slack = tension[i] < low
-        lasting = self._settings.slack_time if slack else FAULT_DURATION_S
+        text = f"{tension[i]:.1f} N {source}; allowed: {low[i]:g} N to {high[i]:g} N"
+        lasting = self._settings.slack_time if tension[i] < low[i] else FAULT_DURATION_S
         return Finding(fault=Fault.TENSION, text=text, cable=i, lasting=lasting)
 
     def _workspace(self) -> Finding | None:
@@ -302,11 +292,10 @@ class Checks:
         if position is None:
             return None
         outside = np.maximum(robot.workspace_min - position, position - robot.workspace_max)
-        far = float(outside.max())
-        if far <= self._settings.workspace_margin:
+        far, limit = float(outside.max()), self._settings.workspace_margin
+        if far <= limit:
             return None
-        text = f"the platform is {far:.2f} m outside the workspace box; allowed: "
-        text += f"{self._settings.workspace_margin:g} m"
+        text = f"the platform is {far:.2f} m outside the workspace box; allowed: {limit:g} m"
         return Finding(fault=Fault.WORKSPACE, text=text, lasting=FAULT_DURATION_S)
 
     def _ripe(self, findings: list[Finding]) -> Finding | None:
@@ -317,6 +306,12 @@ class Checks:
             if self._count[finding.fault] * self._settings.period >= finding.lasting - 1e-9:
                 return finding
         return None
+
+
+def _worst(excess: Array) -> int | None:
+    """Return the index of the largest excess over a limit, or None where nothing exceeds it."""
+    i = int(np.argmax(excess))
+    return None if excess[i] <= 0.0 else i  # what is not a number exceeds it
 
 
 def _sampled(measurement: Measurement) -> float:

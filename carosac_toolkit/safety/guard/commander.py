@@ -17,7 +17,11 @@ ACCELERATION_MEAN_TIME_S = 0.1  # time constant of the mean that a stop goes on 
 
 
 class Commander:
-    """Sender to one robot of n cables, one command a period."""
+    """Sender to one robot of n cables, one command a period.
+
+    Attributes:
+        dry: Whether a dry run has begun.
+    """
 
     def __init__(self, monitor: Monitor) -> None:
         """Send through a monitor, within the limits of its robot and settings."""
@@ -28,7 +32,7 @@ class Commander:
         self._monitor = monitor
         self._bend = np.zeros(robot.n)
         self._stop: CoordinatedStop | None = None
-        self._dry = False
+        self.dry = False
 
     @property
     def motion(self) -> Motion:
@@ -45,11 +49,6 @@ class Commander:
         """True where the last command belongs to a stop."""
         return self._stop is not None
 
-    @property
-    def dry(self) -> bool:
-        """True once a dry run has begun."""
-        return self._dry
-
     def start(self, standing: Array) -> None:
         """Begin at rest where the winches stand [m], shape (n,).
 
@@ -58,7 +57,7 @@ class Commander:
         """
         self._limiter.reset(standing[None])
         self._bend = np.zeros(len(standing))
-        self._stop, self._dry = None, False
+        self._stop, self.dry = None, False
 
     def follow(self, command: Command, actual: Array) -> Command:
         """Send a command within the limits; `actual` are the measured lengths [m], (1, n)."""
@@ -92,9 +91,9 @@ class Commander:
         Raises:
             InvalidField: The winches stand outside the limits.
         """
-        if not self._dry:
+        if not self.dry:
             self._limiter.reset(held)
-        self._dry = True
+        self.dry = True
         return self._limiter.apply(command)
 
 
