@@ -17,7 +17,7 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.numbers import check_period
-from carosac_toolkit.loop.drive_state import DriveState, Fault
+from carosac_toolkit.loop.drive_state import DriveState
 from carosac_toolkit.loop.protocols import (
     Driver,
     MotionDriver,
@@ -35,9 +35,10 @@ from carosac_toolkit.safety.guard.commander import Commander, changed
 from carosac_toolkit.safety.guard.homing import Homing
 from carosac_toolkit.safety.guard.inner import (
     build_inner,
+    check_no_fault_held,
     error_finding,
-    holds_fault,
-    inner_finding,
+    plugin_finding,
+    reset_held_fault,
 )
 from carosac_toolkit.safety.guard.journal import Journal, NoJournal
 from carosac_toolkit.safety.guard.lifecycle import FaultReport, NotReady
@@ -175,13 +176,13 @@ class GuardedDriver(MotionDriver):
         settings, inner, start = self.settings, self.inner, self.homing.start()
         set_down = settings.motion and isinstance(inner, SupportsSetDown) and inner.sets_down
         if settings.motion and (settings.reset_at_once or set_down):
-            self._reset_inner()
+            self.cleared = reset_held_fault(inner, self.monitor.event)
         if set_down and isinstance(inner, SupportsSetDown):
             x, y, z = start.position[0]
             inner.set_down((float(x), float(y), float(z)))
         moves = settings.enable_at_once and settings.motion
         if moves:
-            self._check_held()
+            check_no_fault_held(inner)
         self.measure()
         if moves:
             self.home(start, anew=settings.home_anew or set_down)
@@ -189,23 +190,6 @@ class GuardedDriver(MotionDriver):
         elif settings.rehearse and not settings.motion:
             self.home(start, anew=settings.home_anew)
             self._ready_to_enable()
-
-    def _reset_inner(self) -> None:
-        """Clear the fault that the driver behind holds from an earlier run; it must be homed."""
-        held = inner_finding(self.inner)
-        if held is not None and isinstance(self.inner, SupportsFaultReset):
-            self.monitor.event("reset", f"{held.fault}: {held.text}")
-            self.inner.reset_fault()
-            self.cleared = held
-
-    def _check_held(self) -> None:
-        """Refuse to move drives that hold a fault, as one of an earlier run or case."""
-        held = inner_finding(self.inner) if holds_fault(self.inner) else None
-        if held is not None:
-            raise NotReady(
-                f"enable: the drives hold a fault of before: {held.fault}: {held.text}. "
-                f"{held.fault.meaning} Find out why, then reset it (--reset, reset_at_once=True)"
-            )
 
     def home(self, position: State, *, anew: bool = False) -> None:
         """Find the offset of each cable; the platform stands still at this pose.
@@ -319,13 +303,8 @@ class GuardedDriver(MotionDriver):
         """
         if part == "program" and not self._life.live:
             return
-        fault = Fault.ESTIMATOR if part == "estimator" else Fault.CONTROLLER
-        field = error.field.partition("[")[0] if isinstance(error, InvalidField) else ""
-        if part != "estimator" and field in ("unstrained_length", "length_rate"):
-            fault = Fault.COMMAND
-        text = f"the {part} raised {type(error).__name__}: {error}"
         with self._lock:
-            self.monitor.latch(Finding(fault=fault, text=text))
+            self.monitor.latch(plugin_finding(part, error))
 
     def command(self, command: Command) -> Command:
         """Check, limit and send a command.

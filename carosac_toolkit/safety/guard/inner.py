@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import fields
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
@@ -15,10 +16,12 @@ from carosac_toolkit.loop.protocols import (
     LinkPatience,
     LinkWatch,
     StatusSource,
+    SupportsFaultReset,
     replays,
 )
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.guard.checks import Finding
+from carosac_toolkit.safety.guard.lifecycle import NotReady
 from carosac_toolkit.safety.guard.settings import GuardSettings
 
 SHARED_SETTINGS = ("motion", "period", "suite")  # of the guard, and of any driver that has them
@@ -91,6 +94,42 @@ def inner_finding(inner: Driver, *, following: bool = False) -> Finding | None:
         text = f"the drives no longer follow: they are {state}, and this host did not disable them"
         return Finding(fault=Fault.DRIVE_TRIP, text=text)
     return None
+
+
+def reset_held_fault(inner: Driver, tell: Callable[[str, str], None]) -> Finding | None:
+    """Clear the fault that a driver holds from an earlier run, and return it; `tell` journals it.
+
+    The robot must be homed afterwards.
+    """
+    held = inner_finding(inner)
+    if held is None or not isinstance(inner, SupportsFaultReset):
+        return None
+    tell("reset", f"{held.fault}: {held.text}")
+    inner.reset_fault()
+    return held
+
+
+def check_no_fault_held(inner: Driver) -> None:
+    """Refuse to move drives that hold a fault, as one of an earlier run or case.
+
+    Raises:
+        NotReady: They hold one.
+    """
+    held = inner_finding(inner) if holds_fault(inner) else None
+    if held is not None:
+        raise NotReady(
+            f"enable: the drives hold a fault of before: {held.fault}: {held.text}. "
+            f"{held.fault.meaning} Find out why, then reset it (--reset, reset_at_once=True)"
+        )
+
+
+def plugin_finding(part: str, error: BaseException) -> Finding:
+    """Return what an error of the estimator, the controller or the program means."""
+    fault = Fault.ESTIMATOR if part == "estimator" else Fault.CONTROLLER
+    field = error.field.partition("[")[0] if isinstance(error, InvalidField) else ""
+    if part != "estimator" and field in ("unstrained_length", "length_rate"):
+        fault = Fault.COMMAND
+    return Finding(fault=fault, text=f"the {part} raised {type(error).__name__}: {error}")
 
 
 def error_finding(error: Exception) -> Finding:
