@@ -21,7 +21,7 @@ ALL = {
     "estimators": conformance.ESTIMATOR_CHECKS,
     "drivers": conformance.DRIVER_CHECKS,
 }
-ELSEWHERE = {"ads", "guarded"}  # tests/drivers: with a PLC; with the period of the conformance
+ELSEWHERE = {"ads", "guarded"}  # tests/plc, tests/safety/guard: with a PLC; with their period
 OURS = [
     pytest.param(kind, name, check, id=f"{kind}-{name}-{title}")
     for kind, checks in ALL.items()

@@ -59,7 +59,7 @@ class Options(CommonOptions):
     robot: str = "carosac"
     """Bundled robot or YAML file."""
     driver: str = "simulator"
-    """What is driven: `simulator`, `ads` (a PLC), or `module:Class`; the guard is put around it."""
+    """Driver: `simulator`, `ads` (a PLC), or `module:Class`; the guard is put around it."""
     controller: str = "kinematic_solver"
     """Controller by name, or `module:Class`."""
     estimator: str = "kinematic_solver"
@@ -76,9 +76,9 @@ class Options(CommonOptions):
     enable: tyro.conf.FlagCreatePairsOff[bool] = False
     """Let the winches move; without it the run is dry."""
     home: Place = None
-    """Where the platform stands at the start [m]; by default the home position of the robot, and
-    asked for where --enable moves a robot behind a PLC. With it a dry run is homed and checked
-    too, without anything being sent."""
+    """Position of the platform at the start [m]; by default the home position of the robot, and
+    required where --enable moves a robot behind a PLC. With it a dry run is homed and checked too,
+    and nothing is sent."""
     reset: tyro.conf.FlagCreatePairsOff[bool] = False
     """Clear the fault that the PLC holds from an earlier run, once you know why it came, and end;
     with --enable go on: home and move."""
@@ -92,7 +92,7 @@ class Options(CommonOptions):
     acceleration: float = 0.3
     """Largest acceleration of the platform [m/s^2]."""
     duration: float | None = None
-    """How long the run lasts, by the clock of the driver from its first cycle on [s]; by default
+    """Duration of the run by the clock of the driver from its first cycle on [s]; by default
     to the end of the trajectory and a second of rest. The clock of a PLC is that of the wall; that
     of the simulator stays behind it where cycles are late."""
     rate: float = 100.0
@@ -106,7 +106,7 @@ class Options(CommonOptions):
     driver.FIELD=VALUE, or driver.guard.FIELD=VALUE for the guard around a driver that has none of
     its own; may be given several times."""
     recording: OutputFile = None
-    """Where the run is recorded, ending in .jsonl; by default a new file in carosac-results/run."""
+    """File of the recording, ending in .jsonl; by default a new file in carosac-results/run."""
 
 
 def run(options: Options) -> CommandResult:

@@ -1,4 +1,4 @@
-"""The driver behind a guard: how it is built, and what it says of itself."""
+"""Driver behind a guard: building it, and reading what it reports of itself."""
 
 from __future__ import annotations
 
