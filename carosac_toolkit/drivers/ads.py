@@ -4,7 +4,7 @@ It moves data: lengths in metres become numbers of the PLC and back. Nothing is 
 `AdsSettings.motion` says so, and then from `enable` or `reset_fault` until the PLC has let go only.
 The winches move only after `home` and `enable`. What may be sent
 is limited here as in every driver, and by the PLC again; faults are watched by the guard
-(`carosac_toolkit.drivers.guarded`) and by the PLC.
+(`carosac_toolkit.safety.guard.guard`) and by the PLC.
 """
 
 from __future__ import annotations
@@ -22,11 +22,20 @@ from carosac_toolkit.drivers.ads_block import Answer, DriveStatus, Request
 from carosac_toolkit.drivers.ads_link import AdsLink
 from carosac_toolkit.drivers.ads_reader import AdsReader
 from carosac_toolkit.drivers.ads_settings import AdsSettings, Point
-from carosac_toolkit.drivers.guard_inner import homing_lengths
 from carosac_toolkit.drivers.imu_udp import ImuListener
 from carosac_toolkit.drivers.ticks import TickSchedule
 from carosac_toolkit.loop.drive_state import DriveState, Fault
+from carosac_toolkit.loop.protocols import (
+    FaultSource,
+    FaultTextSource,
+    LinkPatience,
+    LinkWatch,
+    MotionDriver,
+    SupportsFaultHold,
+    SupportsSetDown,
+)
 from carosac_toolkit.loop.values import Command, LimitHit, State
+from carosac_toolkit.physics.rest.homing import homing_lengths
 from carosac_toolkit.robot.robot import Robot
 
 __all__ = ["AdsDriver", "AdsSettings"]
@@ -36,7 +45,10 @@ _AFTER_STOP = 1.0  # [s] beyond what braking from full speed takes
 _ON = (DriveState.ENABLED, DriveState.FOLLOWING)
 
 
-class AdsDriver(AdsReader):
+class AdsDriver(
+    AdsReader, MotionDriver, FaultSource, FaultTextSource, LinkWatch, LinkPatience,
+    SupportsFaultHold, SupportsSetDown,
+):  # fmt: skip
     """One robot behind a PLC, in real time.
 
     The clock is that of this host, from `connect` on. The lengths of a measurement are the newest
@@ -92,6 +104,11 @@ class AdsDriver(AdsReader):
     def emulated(self) -> bool:
         """Whether the PLC is an emulated one."""
         return self._connected().emulated
+
+    @property
+    def sets_down(self) -> bool:
+        """Whether the robot is that of an emulated PLC, and `AdsSettings.set_down` is asked for."""
+        return self._settings.set_down and self.link is not None and self.link.emulated
 
     def set_down(self, position: Point) -> None:
         """Have an emulated PLC set its robot down somewhere, at rest.

@@ -42,12 +42,18 @@ def build_plugin(
             raise InvalidField(where, dict(asked), f"nothing: {plugin.__name__} has no Settings")
         return plugin.build(robot, None, seed=seed)
     check_types(where, kind(), asked)
-    names = {field.name for field in fields(kind)}
+    names = setting_names(plugin)
     known = {name: value for name, value in offered.items() if name in names}
     settings = filled(where, kind(), {**known, **asked})
     if seeds is not None:
         return plugin.build_batch(robot, settings, seeds=seeds)
     return plugin.build(robot, settings, seed=seed)
+
+
+def setting_names(plugin: Any) -> set[str]:
+    """Return the names of a plug-in's settings; none where it has no ``Settings``."""
+    kind = getattr(plugin, "Settings", None)
+    return {field.name for field in fields(kind)} if kind is not None else set()
 
 
 def build_controller(
