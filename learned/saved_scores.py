@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from carosac_toolkit.npz import read_npz, write_npz
+from carosac_toolkit.base.npz import read_npz, write_npz
 from carosac_toolkit.robot.robot import Robot
 from learned.scores import Scores
 

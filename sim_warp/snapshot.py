@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from carosac_toolkit.npz import read_npz, write_npz
+from carosac_toolkit.base.npz import read_npz, write_npz
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

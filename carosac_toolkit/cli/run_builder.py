@@ -6,7 +6,7 @@ import contextlib
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.files import missing_folders, remove_empty
 from carosac_toolkit.base.settings import filled
+from carosac_toolkit.cli.run_options import DEFAULT_TRAJECTORY, Options
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.keyboard import check_input
 from carosac_toolkit.live.sequence import START_TOLERANCE_M, with_approach
@@ -28,15 +29,11 @@ from carosac_toolkit.safety.guard import GuardedDriver, GuardSettings
 from carosac_toolkit.studies.run.run_case import own_settings
 from carosac_toolkit.trajectories import Trajectory
 
-if TYPE_CHECKING:
-    from carosac_toolkit.cli.run import Options
-
 WINCH_RATE_RATIO = 1.5  # of a winch to the platform: 1 by geometry, 1.11 with the tilt at rest
 # anywhere in the boxes of the bundled robots, the rest for controllers that damp sway
 TENSION_CHECK_SPEED_MAX = 0.05  # [m/s], up to which tensions show a wrong sign
 TENSION_SHIFT_MAX = 0.15  # sway at that speed shifts tensions by under 0.1
 REST_S = 1.0  # before each part of the way, and after the last
-DEFAULT_TRAJECTORY = "line"
 GUARD_KEY = "guard"  # of the guard's settings among those of the driver
 PLC_DRIVER = "ads"
 RESERVED_SETTINGS = {

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from carosac_toolkit.base.npz import npz_bytes, read_npz
 from carosac_toolkit.loop.values import Pose
-from carosac_toolkit.npz import npz_bytes, read_npz
 from carosac_toolkit.robot.hardware import Hardware
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
