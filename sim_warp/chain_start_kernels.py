@@ -233,6 +233,7 @@ def place_chains(plants: Plants, worlds: Worlds, chains: Chains, which: wp.array
                 span = first_span(cable, feed, body.gravity, pull / tension, strain) - arc
             point = point - (span / tension) * pull
             chains.predicted[b, i, k] = tension
+            chains.slack[b, i, k] = wp.uint8(0)
             if k < chains.segments - 1:
                 chains.position[b, i, k] = point
                 share = wp.float64(k + 1) / count

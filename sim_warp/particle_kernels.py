@@ -109,7 +109,6 @@ class Flight:
     motion: Motion
     gusts: Gusts
     last: wp.float64  # size of the last step [s]
-    slack: wp.float64  # stands for which segments are slack
     rough: int  # steps to go since that has changed
     failed: int
     time: wp.float64  # [s]
@@ -130,6 +129,7 @@ class Chains:
     velocity: wp.array3d(dtype=wp.vec3d)  # [m/s]
     rate: wp.array3d(dtype=wp.vec3d)  # algorithmic acceleration [m/s^2]
     predicted: wp.array3d(dtype=wp.float64)  # tension of segments [N], (B, n, N)
+    slack: wp.array3d(dtype=wp.uint8)  # 1 where a segment is slack, (B, n, N)
     arc: wp.array2d(dtype=wp.float64)  # wrapped on the pulley [m], (B, n)
     trial: wp.array3d(dtype=wp.vec3d)  # scratch: velocity at the end of the step [m/s]
     follow: wp.array3d(dtype=wp.mat33d)  # scratch: motion of a node per motion of the next
@@ -443,13 +443,15 @@ def begin_chains(chains: Chains, b: int, s: int, n: int, h: wp.float64, lane: La
 @wp.func
 def keep_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, row: int,
                 body: RigidBody, motion: Motion, scheme: Scheme,
-                lane: Lane) -> wp.float64:  # fmt: skip
-    """Accept the trial as the end of a time step; say which segments are slack, by a number."""
-    slack = wp.float64(0.0)
+                lane: Lane) -> bool:  # fmt: skip
+    """Accept the trial as the end of a time step; return whether the active set has changed."""
+    changed = wp.float64(0.0)
     for i in range(lane.index, worlds.winch.shape[1], lane.count):
         for k in range(chains.segments):
-            if not chains.predicted[b, i, k] > ZERO:
-                slack += wp.float64(1 + k + i * chains.segments) + HALF * wp.float64(k * k)
+            slack = wp.uint8(not chains.predicted[b, i, k] > ZERO)
+            if slack != chains.slack[b, i, k]:
+                chains.slack[b, i, k] = slack
+                changed = ONE
         cable = plants.cables[row, i]
         arm = motion.rotation * (cable.anchor_point - body.center_of_mass)
         velocity = motion.velocity + wp.cross(motion.angular_velocity, arm)
@@ -468,7 +470,7 @@ def keep_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, 
             chains.rate[b, i, k] = rate_after(scheme, v, a, u)
             chains.velocity[b, i, k] = u
         chains.arc[b, i] = wrapped_arc(cable, chains.position[b, i, 0])
-    return lane_sum(slack, lane.count)
+    return lane_sum(changed, lane.count) > ZERO
 
 
 @wp.func
@@ -520,10 +522,8 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
             out.gusts = gusts
             out.time = flight.time + h
             out.last = h
-            out.slack = keep_chains(
-                plants, worlds, chains, b, s, row, body, out.motion, scheme, lane
-            )
-            out.rough = roughness(flight.rough, flight.slack, out.slack)
+            changed = keep_chains(plants, worlds, chains, b, s, row, body, out.motion, scheme, lane)
+            out.rough = roughness(flight.rough, changed)
     return out
 
 
@@ -534,7 +534,6 @@ def taken_off(worlds: Worlds, b: int) -> Flight:
     out.motion = worlds.motion[b]
     out.gusts = worlds.gusts[b]
     out.last = worlds.last[b]
-    out.slack = worlds.slack[b]
     out.rough = worlds.rough[b]
     out.failed = worlds.failed[b]
     out.time = worlds.time[b]
@@ -547,7 +546,6 @@ def land(worlds: Worlds, b: int, flight: Flight):
     worlds.motion[b] = flight.motion
     worlds.gusts[b] = flight.gusts
     worlds.last[b] = flight.last
-    worlds.slack[b] = flight.slack
     worlds.rough[b] = flight.rough
     worlds.failed[b] = flight.failed
     worlds.time[b] = flight.time

@@ -53,6 +53,7 @@ class ParticleDynamics:
         for name, shape, kind in (
             ("position", nodes, wp.vec3d), ("velocity", nodes, wp.vec3d),
             ("rate", nodes, wp.vec3d), ("predicted", (size, n, segments), wp.float64),
+            ("slack", (size, n, segments), wp.uint8),
             ("arc", (size, n), wp.float64), ("trial", scratch, wp.vec3d),
             ("follow", scratch, wp.mat33d), ("shift", scratch, wp.vec3d),
             ("pull", scratch, wp.vec3d), ("tension", scratch, wp.float64),
@@ -66,7 +67,7 @@ class ParticleDynamics:
     @property
     def arrays(self) -> dict[str, wp.array]:
         """What a world needs to go on, beside its `Worlds`."""
-        names = ("position", "velocity", "rate", "predicted", "arc")
+        names = ("position", "velocity", "rate", "predicted", "slack", "arc")
         return {name: getattr(self.chains, name) for name in names}
 
     def place(self, which: NDArray[np.int32], rest: Equilibrium, twist: Array) -> None:
