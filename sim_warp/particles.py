@@ -55,8 +55,8 @@ class ParticleDynamics:
             ("rate", nodes, wp.vec3d), ("predicted", (size, n, segments), wp.float64),
             ("slack", (size, n, segments), wp.uint8),
             ("arc", (size, n), wp.float64), ("trial", scratch, wp.vec3d),
-            ("follow", scratch, wp.mat33d), ("shift", scratch, wp.vec3d),
-            ("pull", scratch, wp.vec3d), ("tension", scratch, wp.float64),
+            ("coupling", scratch, wp.mat33d), ("shift", scratch, wp.vec3d),
+            ("tension_gradient", scratch, wp.vec3d), ("trial_tension", scratch, wp.float64),
             ("end_load", (rows, n), wp.vec3d), ("end_unit", (rows, n), wp.vec3d),
         ):  # fmt: skip
             setattr(out, name, wp.zeros(shape, dtype=kind, device=self._device))
