@@ -1,4 +1,4 @@
-"""Worlds whose cables are chains of particles; the kernels say how."""
+"""Worlds whose cables are chains of particles: arrays and launches of `particle_kernels`."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class ParticleDynamics:
         self.advance = Advance(particle_kernels.advance, size * lanes, before, [lanes], device)
 
     def _allocate(self, size: int, n: int, segments: int, drag: float) -> Any:
-        """The `Chains` struct; scratch for one world where they are computed in turn."""
+        """Allocate the `Chains` struct; worlds that are computed in turn share their scratch."""
         on_host = wp.get_device(self._device).is_cpu
         rows = 1 if on_host else size
         out = particle_kernels.Chains()
@@ -66,12 +66,12 @@ class ParticleDynamics:
 
     @property
     def arrays(self) -> dict[str, wp.array]:
-        """What a world needs to go on, beside its `Worlds`."""
+        """State of the chains by name, beside that in `Worlds`."""
         names = ("position", "velocity", "rate", "predicted", "slack", "arc")
         return {name: getattr(self.chains, name) for name in names}
 
     def place(self, which: NDArray[np.int32], rest: Equilibrium, twist: Array) -> None:
-        """Put worlds at rest, in the equilibrium of the chains next to a continuous one."""
+        """Place worlds in the equilibrium of their chains that is next to a continuous one."""
         warp_setup.load(chain_start_kernels, self._device)
         device = self._device
         rows = wp.array(which, dtype=int, device=device)
@@ -98,12 +98,12 @@ class ParticleDynamics:
         )  # fmt: skip
 
     def points(self, segments: int) -> wp.array:
-        """Points on the cables, ends included, shape (B, n, segments + 1) of vectors."""
+        """Return points on the cables, ends included, shape (B, n, segments + 1) of vectors."""
         warp_setup.load(chain_start_kernels, self._device)
         shape = self._worlds.tension.shape
-        found = wp.zeros((*shape, segments + 1), dtype=wp.vec3d, device=self._device)
+        points = wp.zeros((*shape, segments + 1), dtype=wp.vec3d, device=self._device)
         wp.launch(
             chain_start_kernels.chain_points, shape,
-            inputs=[self._plants, self._worlds, self.chains, found], device=self._device,
+            inputs=[self._plants, self._worlds, self.chains, points], device=self._device,
         )  # fmt: skip
-        return found
+        return points

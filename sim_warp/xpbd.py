@@ -17,7 +17,7 @@ from sim_warp.particles import ParticleDynamics
 
 
 class XpbdDynamics:
-    """B worlds of chains as those of `ParticleDynamics`, by another method."""
+    """B worlds of the chains of `ParticleDynamics`, advanced by position-based dynamics."""
 
     def __init__(
         self,
@@ -40,7 +40,7 @@ class XpbdDynamics:
             device: Warp device.
             segments: Segments N of a cable.
             drag: Air drag of the cables per mass [1/s].
-            iterations: Rounds over all segments in a time step.
+            iterations: Passes over all segments in a time step.
         """
         warp_setup.load(xpbd_kernels, device)
         self._particles = ParticleDynamics(plants, worlds, size, n, device, segments, drag)
@@ -49,9 +49,9 @@ class XpbdDynamics:
         self.arrays = self._particles.arrays
 
     def place(self, which: NDArray[np.int32], rest: Equilibrium, twist: Array) -> None:
-        """Put worlds at rest, in the equilibrium of the chains next to a continuous one."""
+        """Place worlds; see `ParticleDynamics.place`."""
         self._particles.place(which, rest, twist)
 
     def points(self, segments: int) -> wp.array:
-        """Points on the cables; see `ParticleDynamics.points`."""
+        """Return points on the cables; see `ParticleDynamics.points`."""
         return self._particles.points(segments)
