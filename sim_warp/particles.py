@@ -1,4 +1,4 @@
-"""Worlds whose cables are chains of particles: arrays and launches of `particle_kernels`."""
+"""Worlds whose cables are chains of particles: arrays and launches of their kernels."""
 
 from __future__ import annotations
 
@@ -13,14 +13,22 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.motion.dynamics import Advance, place_worlds
 from carosac_toolkit.physics.rest.statics import Equilibrium
-from sim_warp import chain_start_kernels, particle_kernels
+from sim_warp import chain_start_kernels, particle_kernels, xpbd_kernels
 
 
 class ParticleDynamics:
-    """B worlds of cables with N segments each, advanced by implicit steps."""
+    """B worlds of cables with N segments each, advanced by implicit steps or by XPBD."""
 
     def __init__(
-        self, plants: Any, worlds: Any, size: int, n: int, device: str, segments: int, drag: float
+        self,
+        plants: Any,
+        worlds: Any,
+        size: int,
+        n: int,
+        device: str,
+        segments: int,
+        drag: float,
+        xpbd_iterations: int | None = None,
     ) -> None:
         """Allocate; `place` comes before `advance`.
 
@@ -32,16 +40,23 @@ class ParticleDynamics:
             device: Warp device.
             segments: Segments N of a cable.
             drag: Air drag of the cables per mass [1/s].
+            xpbd_iterations: Passes over all segments in a time step of position-based dynamics;
+                None takes implicit steps (`particle_kernels`).
         """
         warp_setup.load(particle_kernels, device)
         self._plants = plants
         self._worlds = worlds
         self._device = device
         self.chains = self._allocate(size, n, segments, drag)
+        before = [plants, worlds, self.chains]
+        if xpbd_iterations is not None:
+            warp_setup.load(xpbd_kernels, device)
+            before.append(xpbd_iterations)
+            self.advance = Advance(xpbd_kernels.advance, size, before, [], device)
+            return
         # On a GPU each cable has a thread of its own, in powers of two that make up a warp.
         on_host = wp.get_device(device).is_cpu
         lanes = 1 if on_host else min(32, 1 << (n - 1).bit_length())
-        before = [plants, worlds, self.chains]
         self.advance = Advance(particle_kernels.advance, size * lanes, before, [lanes], device)
 
     def _allocate(self, size: int, n: int, segments: int, drag: float) -> Any:

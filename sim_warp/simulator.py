@@ -44,7 +44,6 @@ from sim_warp.arguments import (
 from sim_warp.particles import ParticleDynamics
 from sim_warp.snapshot import Snapshot
 from sim_warp.state import StateViews
-from sim_warp.xpbd import XpbdDynamics
 
 Cables = Literal["particles", "catenary", "straight", "xpbd"]
 TIME_STEPS_S: dict[str, float] = {
@@ -138,15 +137,13 @@ class Simulator:
         self.state = StateViews(self._worlds, self._dynamics.arrays.get("position"))
         self._go_home()
 
-    def _make_dynamics(
-        self, drag: float, iterations: int
-    ) -> NodelessDynamics | ParticleDynamics | XpbdDynamics:
+    def _make_dynamics(self, drag: float, iterations: int) -> NodelessDynamics | ParticleDynamics:
         """Allocate the model of the cables."""
         common = (self._plants, self._worlds, self._size, self.fleet.n, self.device)
         if self.cables == "particles":
             return ParticleDynamics(*common, self.segments, drag)
         if self.cables == "xpbd":
-            return XpbdDynamics(*common, self.segments, drag, iterations)
+            return ParticleDynamics(*common, self.segments, drag, iterations)
         return NodelessDynamics(*common, self.cables, drag)
 
     def _go_home(self) -> None:
