@@ -31,12 +31,12 @@ TIME_STEP_S = 5e-3  # one for all sensor suites, so that no sensor changes the m
 class SimDriverSettings(CableOptions, SimulatedSettings):
     """Settings of `SimDriver`: those of every simulated driver, of the cables, and of the wind.
 
-    Without a `time_step` it is 5 ms, or that of the cables if shorter.
+    A `time_step` of None takes 5 ms, or that of the cable model if shorter.
 
     Attributes:
         wind_force: Standard deviation of the force of the wind on the platform per horizontal
             axis [N]; in a study, as the condition says.
-        wind_time: Its correlation time [s]; in a study, as the condition says.
+        wind_time: Correlation time of the wind [s]; in a study, as the condition says.
     """
 
     wind_force: float = 0.0
