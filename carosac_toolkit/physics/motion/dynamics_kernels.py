@@ -9,7 +9,6 @@ of a straight cable that swings about its exit, and so does its air drag.
 import warp as wp
 
 from carosac_toolkit.physics.cable.catenary_kernels import (
-    ONE,
     ZERO,
     Cable,
     density_of,
