@@ -41,12 +41,13 @@ __all__ = [
     "Snapshot",
 ]
 
+if not TYPE_CHECKING:  # a type checker shall know the names above and no others
 
-def __getattr__(name: str) -> Any:
-    """Import a public class at its first use."""
-    if name in _MODULE_OF:
-        return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    def __getattr__(name: str) -> Any:
+        """Import a public class at its first use."""
+        if name in _MODULE_OF:
+            return getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
