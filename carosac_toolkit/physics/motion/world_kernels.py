@@ -48,7 +48,7 @@ class Worlds:
     gusts: wp.array(dtype=Gusts)
     seed: wp.array(dtype=int)
     last: wp.array(dtype=wp.float64)  # size of the last step [s]; 0: there was none
-    rough: wp.array(dtype=int)  # steps to go since a cable fell slack or snapped taut, or `ALIKE`
+    rough: wp.array(dtype=int)  # steps until an impact of a cable is over, or `ALIKE`
     failed: wp.array(dtype=int)
     time: wp.array(dtype=wp.float64)  # since the last reset [s]
     position: wp.array(dtype=wp.vec3d)  # platform origin [m]
