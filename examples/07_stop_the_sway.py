@@ -23,7 +23,7 @@ from baselines.mpc import Mpc
 from carosac_toolkit import trajectories
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.robot.perturbations import CONDITIONS, draw_plant
-from sim_warp.driver import SimDriver, SimDriverSettings
+from sim_warp import SimDriver, SimDriverSettings
 
 SEED = 3
 LATE = 2.0  # [s] after the move

@@ -1,4 +1,4 @@
-"""Checks of what a simulator is asked for: one clear message, before a kernel runs."""
+"""Checks of the arguments of a simulator: one clear message, before a kernel runs."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.robot import Robot
 
 
-def as_robots(given: object) -> list[Robot]:
-    """The robots of a sequence, checked."""
-    robots = list(given) if isinstance(given, Sequence) and not isinstance(given, str) else []
+def as_robots(value: object) -> list[Robot]:
+    """Return the robots of a sequence; refuse anything else."""
+    robots = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else []
     if not robots or not all(isinstance(robot, Robot) for robot in robots):
-        kinds = [type(x).__name__ for x in robots] if robots else repr(given)
+        kinds = [type(x).__name__ for x in robots] if robots else repr(value)
         raise InvalidField("robot", kinds, "a Robot, or one for each world")
     return robots
 
 
 def as_seeds(seed: int | Sequence[int], size: int) -> NDArray[np.int64]:
-    """One seed for each world, below 2^31."""
-    given = np.asarray(seed)
-    if not np.issubdtype(given.dtype, np.integer) or (given < 0).any():
+    """Return one seed for each world, below 2^31."""
+    seeds = np.asarray(seed)
+    if not np.issubdtype(seeds.dtype, np.integer) or (seeds < 0).any():
         raise InvalidField("seed", repr(seed), "a whole number >= 0, or one for each world")
-    if given.ndim == 0:
-        words = np.random.SeedSequence(int(given)).generate_state(size)
+    if seeds.ndim == 0:
+        words = np.random.SeedSequence(int(seeds)).generate_state(size)
         return (words % 2**31).astype(np.int64)
-    if given.shape != (size,) or (given >= 2**31).any():
+    if seeds.shape != (size,) or (seeds >= 2**31).any():
         allowed = f"one number, or {size} below 2^31, one for each world"
-        raise InvalidField("seed", f"shape {given.shape}", allowed)
-    return given.astype(np.int64)
+        raise InvalidField("seed", f"shape {seeds.shape}", allowed)
+    return seeds.astype(np.int64)
 
 
 def check_rows(name: str, value: Array, count: int) -> None:
-    """Refuse another number of rows than there are worlds."""
+    """Refuse a number of rows that is not the number of worlds."""
     if len(value) != count:
         allowed = f"{count} rows, one for each world"
         raise InvalidField(name, f"shape {value.shape}", allowed)

@@ -19,22 +19,29 @@ from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.motion.body_kernels import System, attach, solve_system
 from carosac_toolkit.physics.motion.world_kernels import Plants, Worlds
 from carosac_toolkit.physics.rest.platform_kernels import orthonormal, rotation_of
-from sim_warp.particle_kernels import Chains, Feed, length_share, node_mass, run_strain, share_out
+from sim_warp.particle_kernels import (
+    CableMesh,
+    Chains,
+    length_share,
+    mesh_of,
+    node_mass,
+    run_strain,
+)
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-# How far nodes are off their cable, over l times the turn there: ends of the chain, and inside.
-OFF_0 = wp.constant(wp.float64(13.0 / 288.0))
-OFF_1 = wp.constant(wp.float64(73.0 / 1152.0))
-OFF_INSIDE = wp.constant(wp.float64(1.0 / 24.0))
-ROUNDS = wp.constant(20)
-CLOSE = wp.constant(wp.float64(1.0e-13))  # of the typical length
-BALANCED = wp.constant(wp.float64(1.0e-11))  # of the weight
+# Distance of nodes from their cable, over l times the turn there: ends of the chain, and inside.
+NODE_OFFSET_0 = wp.constant(wp.float64(13.0 / 288.0))
+NODE_OFFSET_1 = wp.constant(wp.float64(73.0 / 1152.0))
+NODE_OFFSET_INSIDE = wp.constant(wp.float64(1.0 / 24.0))
+REST_NEWTON_STEPS_MAX = wp.constant(20)
+CLOSURE_TOLERANCE = wp.constant(wp.float64(1.0e-13))  # of the typical length
+BALANCE_TOLERANCE = wp.constant(wp.float64(1.0e-11))  # of the weight
 
 
 @wp.struct
-class Chain:
-    """A chain for a given tension vector of its first segment."""
+class HangingChain:
+    """A chain for one tension vector of its first segment."""
 
     closure: wp.vec3d  # anchor + chain - tangent point [m]
     closure_t: wp.mat33d  # d closure / d tension vector [m/N]
@@ -43,21 +50,21 @@ class Chain:
 
 
 @wp.func
-def first_span(cable: Cable, feed: Feed, gravity: wp.float64, unit: wp.vec3d,
+def first_span(cable: Cable, mesh: CableMesh, gravity: wp.float64, unit: wp.vec3d,
                strain: wp.float64) -> wp.float64:  # fmt: skip
-    """Stretched length from the datum to the first node, run included; unit points up."""
-    more = run_strain(cable, feed, gravity, -unit)
-    return feed.first * (ONE + strain) + cable.run_length * (strain + more)
+    """Return the stretched length from the datum to the first node with the run; unit points up."""
+    more = run_strain(cable, mesh, gravity, -unit)
+    return mesh.first_length * (ONE + strain) + cable.run_length * (strain + more)
 
 
 @wp.func
 def hang_chain(t: wp.vec3d, anchor: wp.vec3d, length: wp.float64, cable: Cable,
-               gravity: wp.float64, segments: int) -> Chain:  # fmt: skip
+               gravity: wp.float64, segments: int) -> HangingChain:  # fmt: skip
     """Evaluate a chain at rest; t points from the first node to the pulley."""
     wrap = pulley_wrap(t, cable)
-    out = Chain()
+    out = HangingChain()
     out.arc = cable.pulley_radius * wrap.angle
-    feed = share_out(cable, length, ZERO, out.arc, wp.length(t), gravity, segments)
+    mesh = mesh_of(cable, length, ZERO, out.arc, wp.length(t), gravity, segments)
     count = wp.float64(segments)
     reach = wp.vec3d()
     compliance = wp.mat33d()
@@ -68,15 +75,15 @@ def hang_chain(t: wp.vec3d, anchor: wp.vec3d, length: wp.float64, cable: Cable,
         tension = wp.length(pull)
         unit = pull / tension
         strain = tension / cable.axial_stiffness
-        piece = length_share(k, segments) * feed.other
+        piece = length_share(k, segments) * mesh.mean_length
         span = piece * (ONE + strain)
         axial = piece / cable.axial_stiffness
-        mass = node_mass(feed, k)
+        mass = node_mass(mesh, k)
         if k == 0:
-            span = first_span(cable, feed, gravity, unit, strain) - out.arc
-            axial = (feed.first + cable.run_length) / cable.axial_stiffness
+            span = first_span(cable, mesh, gravity, unit, strain) - out.arc
+            axial = (mesh.first_length + cable.run_length) / cable.axial_stiffness
         if k == last:
-            mass = HALF * feed.other_mass
+            mass = HALF * mesh.mean_mass
         reach = reach + span * unit
         units = units + length_share(k, segments) * unit
         turn = span / tension
@@ -100,17 +107,17 @@ def hang_chain(t: wp.vec3d, anchor: wp.vec3d, length: wp.float64, cable: Cable,
 def close_chain(guess: wp.vec3d, anchor: wp.vec3d, length: wp.float64, cable: Cable,
                 gravity: wp.float64, segments: int, tolerance: wp.float64,
                 ) -> wp.vec3d:  # fmt: skip
-    """Tension vector of the first segment with which the chain reaches its anchor point."""
+    """Solve for the tension vector of the first segment that closes the chain."""
     t = guess
     chain = hang_chain(t, anchor, length, cable, gravity, segments)
-    rounds = int(0)
-    while wp.length(chain.closure) > tolerance and rounds < ROUNDS:
+    iterations = int(0)
+    while wp.length(chain.closure) > tolerance and iterations < REST_NEWTON_STEPS_MAX:
         step = -(inverse33(chain.closure_t) * chain.closure)
-        # Never past a fraction of the tension: the directions of slack segments turn round.
+        # At most half of the tension: a slack segment would reverse its direction.
         share = wp.min(ONE, HALF * wp.length(t) / (wp.length(step) + wp.float64(1.0e-30)))
         t = t + share * step
         chain = hang_chain(t, anchor, length, cable, gravity, segments)
-        rounds += 1
+        iterations += 1
     return t
 
 
@@ -131,9 +138,9 @@ def settle_chains(plants: Plants, chains: Chains, which: wp.array(dtype=int),
         cable = plants.cables[row, i]
         half = HALF * cable.weight_per_length * length[j, i] / wp.float64(chains.segments)
         q[j, i] = q[j, i] - wp.vec3d(ZERO, ZERO, half)
-    rounds = int(0)
-    going = bool(True)
-    while going:
+    iterations = int(0)
+    unbalanced = bool(True)
+    while unbalanced:
         system = System()
         system.force = wp.vec3d(ZERO, ZERO, -body.mass * body.gravity)
         for i in range(n):
@@ -142,7 +149,7 @@ def settle_chains(plants: Plants, chains: Chains, which: wp.array(dtype=int),
             anchor = center + arm
             t = close_chain(
                 q[j, i], anchor, length[j, i], cable, body.gravity, chains.segments,
-                CLOSE * body.size,
+                CLOSURE_TOLERANCE * body.size,
             )  # fmt: skip
             q[j, i] = t
             chain = hang_chain(t, anchor, length[j, i], cable, body.gravity, chains.segments)
@@ -150,9 +157,12 @@ def settle_chains(plants: Plants, chains: Chains, which: wp.array(dtype=int),
             tension[j, i] = wp.length(chain.force)
             system = attach(system, arm, chain.force, HALF * (k + wp.transpose(k)))
         residual[j] = wp.length(system.force) + wp.length(system.moment) / body.arm
-        rounds += 1
-        going = residual[j] > BALANCED * body.mass * body.gravity and rounds < ROUNDS
-        if going:
+        iterations += 1
+        unbalanced = (
+            residual[j] > BALANCE_TOLERANCE * body.mass * body.gravity
+            and iterations < REST_NEWTON_STEPS_MAX
+        )
+        if unbalanced:
             newton = solve_system(system)
             center = center + newton.move
             r = orthonormal(rotation_of(newton.turn) * r)
@@ -161,26 +171,26 @@ def settle_chains(plants: Plants, chains: Chains, which: wp.array(dtype=int),
 
 
 @wp.func
-def off_curve(k: int, segments: int) -> wp.float64:
-    """How far a node is off the cable that its chain stands for, over l times the turn there.
+def node_offset(k: int, segments: int) -> wp.float64:
+    """Return the distance of a node from the cable of its chain, over l times the turn there.
 
     Segments of a chain are tangents of its catenary, and nodes lie outside of it.
     """
     end = wp.min(k, segments - 2 - k)
     share = wp.float64(0.0)
     if segments >= 6:
-        share = OFF_INSIDE
+        share = NODE_OFFSET_INSIDE
         if end == 0:
-            share = OFF_0
+            share = NODE_OFFSET_0
         if end == 1:
-            share = OFF_1
+            share = NODE_OFFSET_1
     return share
 
 
 @wp.kernel
 def chain_points(plants: Plants, worlds: Worlds, chains: Chains,
                  points: wp.array3d(dtype=wp.vec3d)):  # fmt: skip
-    """Points on the cables from tangent point to anchor point; one thread a world and cable."""
+    """Compute points on the cables, tangent to anchor point; one thread per world and cable."""
     b, i = wp.tid()
     row = wp.min(b, plants.bodies.shape[0] - 1)
     cable = plants.cables[row, i]
@@ -201,14 +211,14 @@ def chain_points(plants: Plants, worlds: Worlds, chains: Chains,
         turn = next_unit - unit
         if k == 0:  # the cable leaves the pulley half a segment before the chain has its direction
             points[b, i, 0] = pulley_wrap(HALF * turn - unit, cable).tangent_point
-        points[b, i, k + 1] = here + (off_curve(k, chains.segments) * piece) * turn
+        points[b, i, k + 1] = here + (node_offset(k, chains.segments) * piece) * turn
         unit = next_unit
 
 
 @wp.kernel
 def place_chains(plants: Plants, worlds: Worlds, chains: Chains, which: wp.array(dtype=int),
                  q: wp.array2d(dtype=wp.vec3d)):  # fmt: skip
-    """Nodes of worlds that have been placed, moving along with the platform; a thread a row."""
+    """Place the nodes of placed worlds, moving with the platform; one thread per row."""
     j = wp.tid()
     b = which[j]
     row = wp.min(b, plants.bodies.shape[0] - 1)
@@ -219,7 +229,7 @@ def place_chains(plants: Plants, worlds: Worlds, chains: Chains, which: wp.array
         pull = q[j, i]
         wrap = pulley_wrap(pull, cable)
         arc = cable.pulley_radius * wrap.angle
-        feed = share_out(
+        mesh = mesh_of(
             cable, worlds.winch[b, i].length, ZERO, arc, wp.length(pull), body.gravity,
             chains.segments,
         )  # fmt: skip
@@ -228,14 +238,15 @@ def place_chains(plants: Plants, worlds: Worlds, chains: Chains, which: wp.array
         for k in range(chains.segments):
             tension = wp.length(pull)
             strain = tension / cable.axial_stiffness
-            span = length_share(k, chains.segments) * feed.other * (ONE + strain)
+            span = length_share(k, chains.segments) * mesh.mean_length * (ONE + strain)
             if k == 0:
-                span = first_span(cable, feed, body.gravity, pull / tension, strain) - arc
+                span = first_span(cable, mesh, body.gravity, pull / tension, strain) - arc
             point = point - (span / tension) * pull
             chains.predicted[b, i, k] = tension
+            chains.slack[b, i, k] = wp.uint8(0)
             if k < chains.segments - 1:
                 chains.position[b, i, k] = point
                 share = wp.float64(k + 1) / count
                 chains.velocity[b, i, k] = share * worlds.anchor_velocity[b, i]
                 chains.rate[b, i, k] = wp.vec3d()
-            pull = pull - wp.vec3d(ZERO, ZERO, node_mass(feed, k) * body.gravity)
+            pull = pull - wp.vec3d(ZERO, ZERO, node_mass(mesh, k) * body.gravity)

@@ -1,4 +1,4 @@
-"""Measured lengths that count some time after they were measured."""
+"""Measured lengths that take effect with a delay."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections import deque
 
 from carosac_toolkit.base.arrays import Array
 
-SHORTEST = 1e-9  # [s]: less is rounding
+PIECE_DURATION_MIN_S = 1e-9  # less is rounding
 
 
 class DelayedLengths:
-    """Lengths that go straight from one measurement to the next, seen `delay` later."""
+    """Lengths, interpolated linearly between measurements, `delay` after these."""
 
     def __init__(self, lengths: Array, delay: float) -> None:
         """Start at rest at the first lengths.
@@ -20,33 +20,33 @@ class DelayedLengths:
             delay: [s].
         """
         self._delay = delay
-        self._measured = 0.0  # when the newest lengths were measured, since the first [s]
+        self._measured = 0.0  # time of the newest measurement, since the first [s]
         self._reached = lengths
-        self._ahead: deque[tuple[float, Array]] = deque([(delay, lengths)])
+        self._pending: deque[tuple[float, Array]] = deque([(delay, lengths)])
 
     def advance(self, step: float, lengths: Array) -> list[tuple[float, Array]]:
-        """Take lengths that were measured `step` after the last ones.
+        """Add lengths that were measured `step` after the last ones.
 
         Args:
             step: [s].
             lengths: [m], shape (B, n).
 
         Returns:
-            The path from the measurement before to this one: durations [s], together `step`, and
-            the lengths at the end of each [m], shape (B, n), between which they go straight.
+            Linear pieces from the last measurement to this one: their durations [s], which sum to
+            `step`, and the lengths at the end of each [m], shape (B, n).
         """
         now, end = self._measured, self._measured + step
         self._measured = end
-        self._ahead.append((end + self._delay, lengths))
+        self._pending.append((end + self._delay, lengths))
         pieces: list[tuple[float, Array]] = []
-        while self._ahead and self._ahead[0][0] <= end + SHORTEST:
-            when, target = self._ahead.popleft()
-            if when - now > SHORTEST:
+        while self._pending and self._pending[0][0] <= end + PIECE_DURATION_MIN_S:
+            when, target = self._pending.popleft()
+            if when - now > PIECE_DURATION_MIN_S:
                 pieces.append((when - now, target))
                 now = when
             self._reached = target
-        if end - now > SHORTEST:
-            when, target = self._ahead[0]
+        if end - now > PIECE_DURATION_MIN_S:
+            when, target = self._pending[0]
             share = (end - now) / (when - now)
             self._reached = self._reached + share * (target - self._reached)
             pieces.append((end - now, self._reached))

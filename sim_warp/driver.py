@@ -17,26 +17,26 @@ from carosac_toolkit.physics.motion.winch import Encoders, WinchSettings
 from carosac_toolkit.robot.robot import Robot
 from sim_warp.arguments import as_seeds
 from sim_warp.options import CableOptions
-from sim_warp.simulator import STEPS, Simulator
+from sim_warp.simulator import TIME_STEPS_S, Simulator
 
-SHARED = (
+BATCH_FIELDS = (
     "speed_max", "acceleration_max", "length_min", "length_max", "workspace_min", "workspace_max",
     "gravity",
 )  # fmt: skip
-"""What command limits and sensors take from the first robot of a batch."""
-STEP = 5e-3  # [s]; one for all sensor suites, so that no sensor changes the motion
+"""Fields that command limits and sensors take from the first robot of a batch."""
+TIME_STEP_S = 5e-3  # one for all sensor suites, so that no sensor changes the motion
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimDriverSettings(CableOptions, SimulatedSettings):
     """Settings of `SimDriver`: those of every simulated driver, of the cables, and of the wind.
 
-    Without a `time_step` it is 5 ms, or that of the cables if shorter.
+    A `time_step` of None takes 5 ms, or that of the cable model if shorter.
 
     Attributes:
         wind_force: Standard deviation of the force of the wind on the platform per horizontal
             axis [N]; in a study, as the condition says.
-        wind_time: Its correlation time [s]; in a study, as the condition says.
+        wind_time: Correlation time of the wind [s]; in a study, as the condition says.
     """
 
     wind_force: float = 0.0
@@ -51,13 +51,13 @@ class SimDriverSettings(CableOptions, SimulatedSettings):
 
 
 class SimPlant:
-    """B robots in a `Simulator`; a `carosac_toolkit.drivers.plant.Plant`.
+    """B robots in a `Simulator`, as a `carosac_toolkit.drivers.plant.Plant`.
 
     Attributes:
         robot: The plant robot, the first one where each has its own; n cables.
         size: B.
         inertial: True.
-        simulator: What moves them; whoever steps it moves them too.
+        simulator: The simulator that moves them.
     """
 
     inertial = True
@@ -70,38 +70,38 @@ class SimPlant:
         size: int | None = None,
         seed: int | Sequence[int] = 0,
     ) -> None:
-        """Make the worlds; call `reset` before anything else.
+        """Create the worlds; call `reset` before anything else.
 
         Args:
             robot: The plant of all worlds, or one for each; nothing more is drawn.
             settings: Cables, winches and wind; None takes the defaults.
             size: Number of worlds B; None: one, or as many as there are robots.
-            seed: Of the wind, from which each world gets its own, or one for each world.
+            seed: Seed of the wind, from which each world gets its own, or one for each world.
 
         Raises:
             InvalidField: As `Simulator`.
         """
         chosen = settings or SimDriverSettings()
         options = chosen.simulator_options
-        options["time_step"] = chosen.time_step or min(STEP, STEPS[chosen.cables])
+        options["time_step"] = chosen.time_step or min(TIME_STEP_S, TIME_STEPS_S[chosen.cables])
         simulator = Simulator(
             robot, worlds=size, seed=seed, winch=chosen.winch,
             wind_force=chosen.wind_force, wind_time=chosen.wind_time, **options,
         )  # fmt: skip
-        self._take(simulator, chosen.winch)
+        self._wrap(simulator, chosen.winch)
 
     @classmethod
     def around(cls, simulator: Simulator) -> SimPlant:
-        """The plant of a simulator with default winches that somebody else resets and steps.
+        """Wrap a simulator with default winches that the caller resets and steps.
 
-        It shows the worlds as they were when it last had a `look` at them.
+        The plant shows the worlds as they were at the last call of `look`.
         """
         plant = cls.__new__(cls)
-        plant._take(simulator, None)
+        plant._wrap(simulator, None)
         return plant
 
-    def _take(self, simulator: Simulator, winch: WinchSettings | None) -> None:
-        """Take the worlds."""
+    def _wrap(self, simulator: Simulator, winch: WinchSettings | None) -> None:
+        """Set all attributes from a simulator."""
         self.simulator = simulator
         self.robot = simulator.robots[0]
         self.size = simulator.size
@@ -109,11 +109,11 @@ class SimPlant:
         self.look()
 
     def look(self) -> None:
-        """See the worlds as they are now."""
+        """Read the present state of the worlds."""
         self._state = self.simulator.state.numpy()
 
     def reset(self, position: Array) -> None:
-        """Rest at these positions in W [m], shape (B, 3); the wind starts over.
+        """Place the worlds at rest at positions in W [m], shape (B, 3); the wind starts over.
 
         Raises:
             InvalidField: One of them cannot rest there.
@@ -126,7 +126,7 @@ class SimPlant:
         self.look()
 
     def advance(self, command: Array, duration: float) -> None:
-        """Let time pass while the winches follow a constant command.
+        """Advance the worlds while the winches follow a constant command.
 
         Args:
             command: Lengths asked of the winches [m], shape (B, n).
@@ -147,7 +147,7 @@ class SimPlant:
             )
 
     def truth(self) -> State:
-        """Pose, twist, wound lengths and tensions now."""
+        """Return pose, twist, wound lengths and tensions."""
         state = self._state
         return State(
             time=state.time,
@@ -159,22 +159,22 @@ class SimPlant:
         )
 
     def acceleration(self) -> Array:
-        """Linear [m/s^2], then angular [rad/s^2], in W at the platform origin, shape (B, 6)."""
+        """Return linear [m/s^2], then angular [rad/s^2] acceleration of the origin in W, (B, 6)."""
         return self._state.acceleration
 
     def cable_points(self) -> Array:
-        """Where the cables are now in W [m], shape (B, n, segments + 1, 3); for pictures."""
+        """Return points on the cables in W [m], shape (B, n, segments + 1, 3); for pictures."""
         return self.simulator.cable_points()
 
     def read_lengths(self) -> Array:
-        """What perfect encoders say, by the drums that the drives believe in [m], (B, n)."""
+        """Return readings of perfect encoders, by the drum parameters of the drives [m], (B, n)."""
         return self._encoders.read(self._state.unstrained_length)
 
 
 class SimDriver(SimulatedDriver):
-    """A simulated robot that sways, or several at once where `start_position` has a row for each.
+    """A simulated robot that sways, or several at once if `start_position` has a row for each.
 
-    Suites with an IMU are there; the wind is that of the settings.
+    It has suites with an IMU; the wind is that of the settings.
     """
 
     Settings: ClassVar = SimDriverSettings
@@ -184,7 +184,7 @@ class SimDriver(SimulatedDriver):
     def build(
         cls, robot: Robot, settings: SimDriverSettings | None = None, *, seed: int = 0
     ) -> SimDriver:
-        """Make one for a plant; `seed` draws the wind, and bias and noise of the sensors."""
+        """Build one for a plant; `seed` draws the wind, and bias and noise of the sensors."""
         chosen = settings or SimDriverSettings()
         start = chosen.start_position
         each = start is not None and as_floats("start_position", start).ndim == 2
@@ -195,17 +195,17 @@ class SimDriver(SimulatedDriver):
     def build_batch(
         cls, robots: Sequence[Robot], settings: SimDriverSettings, *, seeds: Sequence[int]
     ) -> SimDriver:
-        """Make one of several plants, each as `build` makes it alone.
+        """Build one for several plants, each as `build` builds it alone.
 
         Args:
             robots: The plants; their limits and gravity must be those of the first one.
             settings: Shared; `start_position` may have a row for each.
-            seeds: Of the wind and the sensors, one for each.
+            seeds: Seeds of the wind and the sensors, one for each.
 
         Raises:
-            InvalidField: Plants with other limits or gravity.
+            InvalidField: The plants differ in limits or gravity.
         """
-        for name in SHARED:
+        for name in BATCH_FIELDS:
             first = getattr(robots[0], name)
             if any(not np.array_equal(getattr(robot, name), first) for robot in robots):
                 raise InvalidField(f"robots: {name}", "several", "the same for all of a batch")

@@ -1,4 +1,4 @@
-"""The estimator `simulator`: the motion that the measured lengths cause, by simulation alone."""
+"""The estimator `simulator`: open-loop simulation of the motion that measured lengths cause."""
 
 from __future__ import annotations
 
@@ -18,21 +18,20 @@ from sim_warp.options import CableOptions
 from sim_warp.simulator import Simulator
 from sim_warp.state import SimulatorState
 
-SAME_STEP = 1e-9  # [s] by which the time steps of the worlds of one batch may differ
+STEP_DIFFERENCE_MAX_S = 1e-9  # between robots of a batch
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatorSettings(CableOptions):
-    """Settings of `SimulatorEstimator`: those of the cables, and what concerns the clock.
+    """Settings of `SimulatorEstimator`: those of the cables, and two times.
 
-    Without a `time_step` it is that of the cable model.
+    A `time_step` of None takes that of the cable model.
 
     Attributes:
-        delay: By how much the lengths lead the poses [s]: the belief at a time is the pose that
-            belongs to the lengths of that much earlier. 0: they are of the same time. None: what
-            the robot says, `Robot.length_delay`.
-        gap_max: Time between two measurements [s] beyond which nothing is known of the motion; the
-            platform is then hung anew.
+        delay: Delay of poses behind lengths [s]: a belief is the pose that belongs to the lengths
+            of that much earlier. None takes `Robot.length_delay`.
+        gap_max: Longest time between two measurements to simulate through [s]; after a longer one
+            the platform starts again at rest.
     """
 
     delay: float | None = None
@@ -48,14 +47,14 @@ class SimulatorSettings(CableOptions):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimulationRecord:
-    """Memory of a belief that is simulated.
+    """Memory of a simulated belief.
 
     Attributes:
-        converged: Whether the last update gave the belief's pose, shape (B,). Where it is False,
-            the pose is the last good one, or home if there was none yet.
-        updates: Measurements since the last reset, the first one included.
-        failures: Measurements among them without a pose, shape (B,).
-        restarts: How often a world was hung anew on measured lengths, after a failure or a gap,
+        converged: True where the last update gave the belief's pose, shape (B,); elsewhere the pose
+            is the last valid one, or home if there was none yet.
+        updates: Number of measurements since the last reset, the first one included.
+        failures: Number of measurements among them without a pose, shape (B,).
+        restarts: Number of restarts at rest on measured lengths, after a failure or a gap,
             shape (B,).
     """
 
@@ -66,14 +65,15 @@ class SimulationRecord:
 
 
 class SimulatorEstimator:
-    """Open loop: cables wound as measured move the platform, from rest on the first lengths.
+    """Open-loop estimator: cables wound as measured move the platform, from rest.
 
-    Lengths go straight from one measurement to the next, past the winches; poses, commands and all
-    other sensors are not used. Where a simulation fails, the belief keeps the last good pose,
-    ``belief.memory``, a `SimulationRecord`, counts it, and the platform is hung anew.
+    Lengths change linearly between measurements, without winches; poses, commands and all other
+    sensors are not used. Where a simulation fails, the belief keeps the last valid pose,
+    ``belief.memory``, a `SimulationRecord`, counts it, and the platform starts again at rest on
+    the measured lengths.
 
-    The simulation goes on from where it is, not from the belief it is given: each belief can be
-    updated once, and `reset` starts anew.
+    The simulation continues from its own state, not from the belief passed to `update`: each belief
+    can be updated once, and `reset` starts again.
     """
 
     Settings: ClassVar = SimulatorSettings
@@ -91,11 +91,11 @@ class SimulatorEstimator:
     def build(
         cls, robot: Robot, settings: SimulatorSettings | None = None, *, seed: int = 0
     ) -> SimulatorEstimator:
-        """Make one for the nominal robot; it draws no random numbers, so `seed` has no effect."""
+        """Build one for the nominal robot; it draws no random numbers, so `seed` has no effect."""
         return cls(robot, settings or SimulatorSettings())
 
     def reset(self, measurement: Measurement) -> Belief:
-        """Hang the platforms at rest on the first lengths."""
+        """Start at rest on the first lengths."""
         lengths = measurement.lengths_of(len(measurement.unstrained_length), self._robot.n)
         size = len(lengths)
         if self._simulator is None or self._simulator.size != size:
@@ -103,8 +103,8 @@ class SimulatorEstimator:
             self._simulator = Simulator(self._robot, worlds=size, **options)
         self._delayed = DelayedLengths(lengths, self._delay)
         self._time = measurement.time
-        self._lost = np.zeros(size, dtype=np.bool_)  # worlds that stand nowhere sensible
-        good = self._hang(np.ones(size, dtype=np.bool_), lengths)
+        self._lost = np.zeros(size, dtype=np.bool_)  # worlds without a valid state
+        valid = self._start_at_rest(np.ones(size, dtype=np.bool_), lengths)
         start = Belief(
             time=measurement.time,
             position=np.tile(self._robot.home_position, (size, 1)),
@@ -113,7 +113,7 @@ class SimulatorEstimator:
         )
         none = np.zeros(size, dtype=np.int64)
         record = SimulationRecord(
-            converged=good, updates=1, failures=none + ~good, restarts=none
+            converged=valid, updates=1, failures=none + ~valid, restarts=none
         )  # fmt: skip
         return self._belief(start, measurement, record, self._simulator.state.numpy())
 
@@ -137,49 +137,49 @@ class SimulatorEstimator:
             for duration, reached in pieces:
                 simulator.follow(reached, duration)
         state = simulator.state.numpy()
-        good = ~(lost | state.failed)
-        again = np.zeros_like(good)
-        if not good.all():
-            again = self._hang(~good, pieces[-1][1])
+        valid = ~(lost | state.failed)
+        restarted = np.zeros_like(valid)
+        if not valid.all():
+            restarted = self._start_at_rest(~valid, pieces[-1][1])
         if step > self._settings.gap_max:
-            good, state = again, simulator.state.numpy()
+            valid, state = restarted, simulator.state.numpy()
         self._time = measurement.time
         record = replace(
             record,
-            converged=good,
+            converged=valid,
             updates=record.updates + 1,
-            failures=record.failures + ~good,
-            restarts=record.restarts + again,
+            failures=record.failures + ~valid,
+            restarts=record.restarts + restarted,
         )
         return self._belief(belief, measurement, record, state)
 
     def _last(self, belief: Belief) -> SimulationRecord:
-        """Memory of the last belief; refuse any other one."""
+        """Return the memory of the last belief; refuse any other belief."""
         if self._record is None or belief.memory is not self._record:
-            mine = "none yet" if self._record is None else f"that at {self._time[0]} s"
+            last = "none yet" if self._record is None else f"that at {self._time[0]} s"
             raise CarosacError(
                 f"simulator: update() of a belief at {belief.time[0]} s that is not the last one, "
-                f"{mine}: the simulation goes on from there alone; call reset() to start anew"
+                f"{last}: only that one can be updated; call reset() to start again"
             )
         return self._record
 
     def _step(self, measurement: Measurement) -> float:
-        """Time since the last measurement [s], one for all worlds."""
+        """Return the time since the last measurement [s], one for all worlds."""
         step = measurement.time - self._time
         if not (step > 0.0).all():
             late = f"{measurement.time.min()} s after {self._time.max()} s"
             raise InvalidField("measurement.time", late, "later than the last one")
-        if np.ptp(step) > SAME_STEP:
+        if np.ptp(step) > STEP_DIFFERENCE_MAX_S:
             allowed = "the same for all robots"
             raise InvalidField("measurement.time", f"steps of {step} s", allowed)
         return float(step[0])
 
-    def _hang(self, which: NDArray[np.bool_], lengths: Array) -> NDArray[np.bool_]:
-        """Hang worlds at rest on lengths (B, n); say where that worked, and remember where not."""
+    def _start_at_rest(self, which: NDArray[np.bool_], lengths: Array) -> NDArray[np.bool_]:
+        """Start worlds at rest on lengths (B, n) [m]; return a mask of those that succeeded."""
         assert self._simulator is not None
         done = np.zeros_like(which)
         rows = np.flatnonzero(which)
-        # One world that cannot hang keeps the others from it, so they are then taken one by one.
+        # A reset fails for all worlds if it fails for one: then they are reset one by one.
         for group in (rows, *(rows[k : k + 1] for k in range(len(rows)))):
             if done[rows].all():
                 break
@@ -198,20 +198,20 @@ class SimulatorEstimator:
         record: SimulationRecord,
         state: SimulatorState,
     ) -> Belief:
-        """The belief of a state; where it is no good, that of before."""
-        good = record.converged
+        """Return the belief of a state; where that is invalid, the one before."""
+        valid = record.converged
         tension: Array | None = state.tension
         twist = state.twist
-        if not good.all():
+        if not valid.all():
             old = before.tension
-            tension = None if old is None else np.where(good[:, None], state.tension, old)
+            tension = None if old is None else np.where(valid[:, None], state.tension, old)
             assert before.twist is not None
-            twist = np.where(good[:, None], state.twist, before.twist)
+            twist = np.where(valid[:, None], state.twist, before.twist)
         self._record = record
         return Belief(
             time=measurement.time,
-            position=np.where(good[:, None], state.position, before.position),
-            rotation=np.where(good[:, None, None], state.rotation, before.rotation),
+            position=np.where(valid[:, None], state.position, before.position),
+            rotation=np.where(valid[:, None, None], state.rotation, before.rotation),
             twist=twist,
             tension=tension,
             memory=record,

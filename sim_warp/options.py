@@ -1,4 +1,4 @@
-"""How cables are simulated: the settings that the driver and the estimator share."""
+"""Settings of the simulated cables, which the driver and the estimator share."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from sim_warp.simulator import SEGMENTS_MAX, Cables
 
 @dataclass(frozen=True, kw_only=True)
 class CableOptions:
-    """Options of a `Simulator` that settings hand on.
+    """Options of a `Simulator` in the settings of those who run one.
 
     Attributes:
         cables: Model of the cables: ``particles``, ``catenary``, ``straight`` or ``xpbd``.
-        segments: Segments of a cable, for ``particles`` and ``xpbd``.
+        segments: Number per cable, for ``particles`` and ``xpbd``: more are more accurate and cost
+            time in proportion.
         time_step: Longest time step [s]; None takes a default.
         cable_drag: Air drag of the cables per mass [1/s]; ``straight`` ones have no mass.
-        device: Warp device.
+        device: Warp device, such as ``cpu`` or ``cuda``.
     """
 
     cables: Cables = "particles"
@@ -30,7 +31,7 @@ class CableOptions:
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        """Refuse what no simulator takes, before there is a robot for one."""
+        """Refuse what every simulator would refuse, before there is a robot."""
         if self.cables not in get_args(Cables):
             raise InvalidField("cables", repr(self.cables), f"one of {list(get_args(Cables))}")
         check_whole("segments", self.segments, 2, SEGMENTS_MAX)
@@ -40,5 +41,5 @@ class CableOptions:
 
     @property
     def simulator_options(self) -> dict[str, Any]:
-        """The same as keyword arguments of `Simulator`."""
+        """Return these settings as keyword arguments of `Simulator`."""
         return {name: getattr(self, name) for name in CableOptions.__dataclass_fields__}

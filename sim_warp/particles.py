@@ -1,4 +1,4 @@
-"""Worlds whose cables are chains of particles; the kernels say how."""
+"""Worlds whose cables are chains of particles: arrays and launches of their kernels."""
 
 from __future__ import annotations
 
@@ -13,14 +13,22 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.motion.dynamics import Advance, place_worlds
 from carosac_toolkit.physics.rest.statics import Equilibrium
-from sim_warp import chain_start_kernels, particle_kernels
+from sim_warp import chain_start_kernels, particle_kernels, xpbd_kernels
 
 
 class ParticleDynamics:
-    """B worlds of cables with N segments each, advanced by implicit steps."""
+    """B worlds of cables with N segments each, advanced by implicit steps or by XPBD."""
 
     def __init__(
-        self, plants: Any, worlds: Any, size: int, n: int, device: str, segments: int, drag: float
+        self,
+        plants: Any,
+        worlds: Any,
+        size: int,
+        n: int,
+        device: str,
+        segments: int,
+        drag: float,
+        xpbd_iterations: int | None = None,
     ) -> None:
         """Allocate; `place` comes before `advance`.
 
@@ -32,20 +40,27 @@ class ParticleDynamics:
             device: Warp device.
             segments: Segments N of a cable.
             drag: Air drag of the cables per mass [1/s].
+            xpbd_iterations: Passes over all segments in a time step of position-based dynamics;
+                None takes implicit steps (`particle_kernels`).
         """
         warp_setup.load(particle_kernels, device)
         self._plants = plants
         self._worlds = worlds
         self._device = device
         self.chains = self._allocate(size, n, segments, drag)
+        before = [plants, worlds, self.chains]
+        if xpbd_iterations is not None:
+            warp_setup.load(xpbd_kernels, device)
+            before.append(xpbd_iterations)
+            self.advance = Advance(xpbd_kernels.advance, size, before, [], device)
+            return
         # On a GPU each cable has a thread of its own, in powers of two that make up a warp.
         on_host = wp.get_device(device).is_cpu
         lanes = 1 if on_host else min(32, 1 << (n - 1).bit_length())
-        before = [plants, worlds, self.chains]
         self.advance = Advance(particle_kernels.advance, size * lanes, before, [lanes], device)
 
     def _allocate(self, size: int, n: int, segments: int, drag: float) -> Any:
-        """The `Chains` struct; scratch for one world where they are computed in turn."""
+        """Allocate the `Chains` struct; worlds that are computed in turn share their scratch."""
         on_host = wp.get_device(self._device).is_cpu
         rows = 1 if on_host else size
         out = particle_kernels.Chains()
@@ -53,9 +68,10 @@ class ParticleDynamics:
         for name, shape, kind in (
             ("position", nodes, wp.vec3d), ("velocity", nodes, wp.vec3d),
             ("rate", nodes, wp.vec3d), ("predicted", (size, n, segments), wp.float64),
+            ("slack", (size, n, segments), wp.uint8),
             ("arc", (size, n), wp.float64), ("trial", scratch, wp.vec3d),
-            ("follow", scratch, wp.mat33d), ("shift", scratch, wp.vec3d),
-            ("pull", scratch, wp.vec3d), ("tension", scratch, wp.float64),
+            ("coupling", scratch, wp.mat33d), ("shift", scratch, wp.vec3d),
+            ("tension_gradient", scratch, wp.vec3d), ("trial_tension", scratch, wp.float64),
             ("end_load", (rows, n), wp.vec3d), ("end_unit", (rows, n), wp.vec3d),
         ):  # fmt: skip
             setattr(out, name, wp.zeros(shape, dtype=kind, device=self._device))
@@ -65,12 +81,12 @@ class ParticleDynamics:
 
     @property
     def arrays(self) -> dict[str, wp.array]:
-        """What a world needs to go on, beside its `Worlds`."""
-        names = ("position", "velocity", "rate", "predicted", "arc")
+        """State of the chains by name, beside that in `Worlds`."""
+        names = ("position", "velocity", "rate", "predicted", "slack", "arc")
         return {name: getattr(self.chains, name) for name in names}
 
     def place(self, which: NDArray[np.int32], rest: Equilibrium, twist: Array) -> None:
-        """Put worlds at rest, in the equilibrium of the chains next to a continuous one."""
+        """Place worlds in the equilibrium of their chains that is next to a continuous one."""
         warp_setup.load(chain_start_kernels, self._device)
         device = self._device
         rows = wp.array(which, dtype=int, device=device)
@@ -97,12 +113,12 @@ class ParticleDynamics:
         )  # fmt: skip
 
     def points(self, segments: int) -> wp.array:
-        """Points on the cables, ends included, shape (B, n, segments + 1) of vectors."""
+        """Return points on the cables, ends included, shape (B, n, segments + 1) of vectors."""
         warp_setup.load(chain_start_kernels, self._device)
         shape = self._worlds.tension.shape
-        found = wp.zeros((*shape, segments + 1), dtype=wp.vec3d, device=self._device)
+        points = wp.zeros((*shape, segments + 1), dtype=wp.vec3d, device=self._device)
         wp.launch(
             chain_start_kernels.chain_points, shape,
-            inputs=[self._plants, self._worlds, self.chains, found], device=self._device,
+            inputs=[self._plants, self._worlds, self.chains, points], device=self._device,
         )  # fmt: skip
-        return found
+        return points

@@ -44,15 +44,14 @@ from sim_warp.arguments import (
 from sim_warp.particles import ParticleDynamics
 from sim_warp.snapshot import Snapshot
 from sim_warp.state import StateViews
-from sim_warp.xpbd import XpbdDynamics
 
 Cables = Literal["particles", "catenary", "straight", "xpbd"]
-STEPS: dict[str, float] = {
+TIME_STEPS_S: dict[str, float] = {
     "particles": 1.0 / 120.0, "catenary": 1.0 / 70.0, "straight": 1.0 / 120.0, "xpbd": 1e-3
-}  # fmt: skip  # [s]
+}  # fmt: skip  # defaults by model
 SEGMENTS_MAX = 256
-STEPS_MAX = 1e6  # of one call
-WEIGHTLESS = 1e-12  # [kg/m] of straight cables, where the statics asks for some mass
+CALL_STEPS_MAX = 1e6
+STRAIGHT_DENSITY_KG_PER_M = 1e-12  # statics needs some weight
 
 
 class Simulator:
@@ -75,26 +74,26 @@ class Simulator:
         winch: WinchSettings | None = None,
         iterations: int = 20,
     ) -> None:
-        """Set all worlds at rest at home; those that cannot rest there have failed until `reset`.
+        """Place all worlds at rest at home; those that cannot rest there have failed until `reset`.
 
         Args:
             robot: The robot of all worlds, or one for each.
             worlds: Number of worlds B; None: one, or as many as there are robots.
-            cables: How cables are modelled.
+            cables: Model of the cables.
             segments: Segments of a cable, for ``particles`` and ``xpbd``.
             time_step: Longest time step [s]; None takes 1/120 s (``particles``, ``straight``),
                 1/70 s (``catenary``) or 1 ms (``xpbd``). `step` divides its duration evenly.
             device: Warp device.
-            seed: Of the plants and the wind: one number, from which each world gets its own, or
-                one for each world.
+            seed: Seed of the plants and the wind: one number, from which each world gets its own,
+                or one for each world.
             perturbation: Condition from which each world's plant and wind are drawn; see
                 `carosac_toolkit.robot.perturbations`.
             wind_force: Standard deviation of the force of the wind on the platform per horizontal
                 axis [N]; None: as the condition says.
             wind_time: Its correlation time [s]; None: as the condition says.
             cable_drag: Air drag of the cables per mass [1/s]; ``straight`` ones have no mass.
-            winch: How the drives follow commands; None takes the defaults.
-            iterations: Of the constraints in a time step, for ``xpbd``.
+            winch: Response of the drives to commands; None takes the defaults.
+            iterations: Passes over the constraints in a time step, for ``xpbd``.
 
         Raises:
             InvalidField: Names the argument; no kernel has run then.
@@ -109,13 +108,13 @@ class Simulator:
             raise InvalidField("cables", repr(cables), f"one of {list(get_args(Cables))}")
         check_whole("segments", segments, 2, SEGMENTS_MAX)
         check_whole("iterations", iterations, 1, None)
-        check_positive("time_step", STEPS[cables] if time_step is None else time_step, "s")
+        check_positive("time_step", TIME_STEPS_S[cables] if time_step is None else time_step, "s")
         check_not_negative("cable_drag", cable_drag, "1/s")
         if not (winch is None or isinstance(winch, WinchSettings)):
             raise InvalidField("winch", type(winch).__name__, "WinchSettings, or None")
         self.cables: Cables = cables
         self.segments = segments
-        self.time_step = STEPS[cables] if time_step is None else float(time_step)
+        self.time_step = TIME_STEPS_S[cables] if time_step is None else float(time_step)
         self.device = device
         self.seeds = as_seeds(seed, size)
         self._size = size
@@ -132,27 +131,25 @@ class Simulator:
         )
         seeds = self.seeds.astype(np.int32)
         self._worlds = allocate_worlds(size, self.fleet.n, device, seeds)
-        command = self._worlds.command  # on the CPU numpy writes there itself, which is quicker
-        self._asked: Array | None = command.numpy() if command.device.is_cpu else None
+        command = self._worlds.command  # on the CPU numpy writes to it directly, which is faster
+        self._host_command: Array | None = command.numpy() if command.device.is_cpu else None
         self._dynamics = self._make_dynamics(float(cable_drag), iterations)
         self.state = StateViews(self._worlds, self._dynamics.arrays.get("position"))
         self._go_home()
 
-    def _make_dynamics(
-        self, drag: float, iterations: int
-    ) -> NodelessDynamics | ParticleDynamics | XpbdDynamics:
-        """The model of the cables."""
+    def _make_dynamics(self, drag: float, iterations: int) -> NodelessDynamics | ParticleDynamics:
+        """Allocate the model of the cables."""
         common = (self._plants, self._worlds, self._size, self.fleet.n, self.device)
         if self.cables == "particles":
             return ParticleDynamics(*common, self.segments, drag)
         if self.cables == "xpbd":
-            return XpbdDynamics(*common, self.segments, drag, iterations)
+            return ParticleDynamics(*common, self.segments, drag, iterations)
         return NodelessDynamics(*common, self.cables, drag)
 
     def _go_home(self) -> None:
         """Place the worlds that can rest at home, and flag the others."""
         which = np.arange(self._size, dtype=np.int32)
-        fleet = self._hanging(which)
+        fleet = self._static_fleet(which)
         home = np.broadcast_to(fleet.home_position, (self._size, 3))
         rest = statics.inverse_kinematics(fleet, home, device=self.device)
         sound = rest.converged & rest.stable
@@ -160,10 +157,10 @@ class Simulator:
             kept = {x.name: getattr(rest, x.name)[sound] for x in fields(Equilibrium)}
             self._place(which[sound], Equilibrium(**kept), np.zeros((int(sound.sum()), 6)))
         if not sound.all():
-            self._stand_by(np.flatnonzero(~sound).astype(np.int32), fleet)
+            self._fail_at_home(np.flatnonzero(~sound).astype(np.int32), fleet)
 
-    def _stand_by(self, which: NDArray[np.int32], fleet: Fleet) -> None:
-        """Show worlds that cannot rest at home there, on straight cables, as failed."""
+    def _fail_at_home(self, which: NDArray[np.int32], fleet: Fleet) -> None:
+        """Flag worlds as failed, and show them at home on straight cables."""
         worlds = self._worlds
         state = self.state.numpy()
         command = worlds.command.numpy()
@@ -180,14 +177,14 @@ class Simulator:
         worlds.failed.assign(state.failed.astype(np.int32))
 
     def _place(self, which: NDArray[np.int32], rest: Equilibrium, twist: Array) -> None:
-        """Put worlds somewhere; their command is what they have wound."""
+        """Place worlds; their command holds the lengths that they have wound."""
         self._dynamics.place(which, rest, twist)
         command = self._worlds.command.numpy()
         command[which] = rest.unstrained_length
         self._worlds.command.assign(command)
 
-    def _hanging(self, which: NDArray[np.int32]) -> Fleet:
-        """The robots of some worlds, as the statics shall see them."""
+    def _static_fleet(self, which: NDArray[np.int32]) -> Fleet:
+        """Return the robots of some worlds for the statics: straight cables without weight."""
         fleet = self.fleet.rows(which)
         return _weightless(fleet) if self.cables == "straight" else fleet
 
@@ -198,7 +195,7 @@ class Simulator:
 
     @property
     def robots(self) -> tuple[Robot, ...]:
-        """The plants: one for all worlds, or one for each."""
+        """Plants: one for all worlds, or one for each."""
         return self.fleet.robots
 
     def reset(
@@ -210,14 +207,15 @@ class Simulator:
         twist: ArrayLike | None = None,
         worlds: Sequence[int] | NDArray[Any] | None = None,
     ) -> None:
-        """Put worlds at rest in static equilibrium; their winches hold what they have wound.
+        """Place worlds at rest in static equilibrium; their winches hold these lengths.
 
-        Cables of particles end within micrometres of `position`: their own equilibrium counts.
+        With cables of particles the platform rests within micrometres of `position`, in the
+        equilibrium of the chains.
 
         Args:
             position: Platform origins in W [m], shape (K, 3); None: home.
             rotation: From P to W, shape (K, 3, 3), with six cables or more; None: home rotation.
-            unstrained_length: Lengths to hang on instead of a position [m], shape (K, n).
+            unstrained_length: Lengths that define the rest instead of a position [m], shape (K, n).
             twist: Velocity with which they start, linear [m/s] then angular [rad/s] of the
                 platform origin in W, shape (K, 6); cables move along. None: at rest.
             worlds: Indices of K worlds, or a mask of shape (B,); None: all of them.
@@ -226,7 +224,7 @@ class Simulator:
             InvalidField: A wrong shape, numbers that are not finite, or a pose at which that
                 world's robot cannot rest. No world has been changed then.
         """
-        which = self._which(worlds)
+        which = self._indices(worlds)
         count = len(which)
         moving = np.zeros((count, 6)) if twist is None else batch("twist", twist, (6,))
         check_rows("twist", moving, count)
@@ -234,13 +232,13 @@ class Simulator:
         self._place(which, rest, moving)
 
     def step(self, unstrained_length_command: ArrayLike | wp.array, duration: float) -> None:
-        """Advance all worlds while the winches follow commands that are held.
+        """Advance all worlds while the winches follow a constant command.
 
         Worlds that have failed stand still; see `SimulatorState.failed`.
 
         Args:
-            unstrained_length_command: What the drives are asked for [m], shape (B, n); a Warp
-                array on the device is used as it is, unchecked.
+            unstrained_length_command: Lengths asked of the drives [m], shape (B, n); a Warp array
+                on the device is used unchecked.
             duration: [s].
 
         Raises:
@@ -249,7 +247,7 @@ class Simulator:
         self._advance(unstrained_length_command, duration, follow=False)
 
     def follow(self, unstrained_length: ArrayLike | wp.array, duration: float) -> None:
-        """Advance all worlds while the wound lengths go straight to given ones, past the winches.
+        """Advance all worlds while the wound lengths change linearly in time, without winches.
 
         Args:
             unstrained_length: True lengths at the end [m], shape (B, n).
@@ -261,18 +259,18 @@ class Simulator:
         self._advance(unstrained_length, duration, follow=True)
 
     def cable_points(self) -> Array:
-        """Where the cables are now, for pictures and sag.
+        """Return points on the cables as they are now, for pictures and sag.
 
         Returns:
             Points in W [m], shape (B, n, segments + 1, 3), from tangent point to anchor point.
-            Those of particles lie on the cable for which their chain stands, which touches the
+            Those of particles lie on the cable that their chain approximates, which touches the
             middle of each segment, not on the nodes.
         """
-        found: Array = self._dynamics.points(self.segments).numpy()
-        return found
+        points: Array = self._dynamics.points(self.segments).numpy()
+        return points
 
     def save(self) -> Snapshot:
-        """A copy of everything that changes; `restore` goes on from there, bit by bit."""
+        """Copy everything that changes; `restore` continues from there, bit for bit."""
         return Snapshot(
             cables=self.cables,
             segments=self.segments,
@@ -280,37 +278,37 @@ class Simulator:
         )
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go on from a snapshot of a simulator with as many worlds and the same cables.
+        """Continue from a snapshot of a simulator with as many worlds and the same cables.
 
-        The robots are those of this simulator, which may be others than those of the snapshot.
+        The robots are those of this simulator and may differ from those of the snapshot.
 
         Raises:
-            InvalidField: It is of another kind or size. Nothing has been changed then.
+            InvalidField: Its kind or size differs. Nothing has been changed then.
         """
         if not isinstance(snapshot, Snapshot):
             raise InvalidField("snapshot", type(snapshot).__name__, "a Snapshot, from save")
-        kind = (self.cables, self.segments)
-        if (snapshot.cables, snapshot.segments) != kind:
-            given = f"{snapshot.cables} of {snapshot.segments} segments"
-            raise InvalidField("snapshot", given, f"{kind[0]} of {kind[1]} segments")
+        kind = f"{self.cables} of {self.segments} segments"
+        other = f"{snapshot.cables} of {snapshot.segments} segments"
+        if other != kind:
+            raise InvalidField("snapshot", other, kind)
         for name, array in self._named().items():
-            mine = array.numpy()
-            found = snapshot.arrays.get(name)
-            if found is None or found.shape != mine.shape:
-                size = None if found is None else found.shape
-                raise InvalidField(f"snapshot.{name}", f"shape {size}", f"shape {mine.shape}")
-            if found.dtype != mine.dtype:
-                raise InvalidField(f"snapshot.{name}", found.dtype, str(mine.dtype))
+            present = array.numpy()
+            saved = snapshot.arrays.get(name)
+            if saved is None or saved.shape != present.shape:
+                shape = None if saved is None else saved.shape
+                raise InvalidField(f"snapshot.{name}", f"shape {shape}", f"shape {present.shape}")
+            if saved.dtype != present.dtype:
+                raise InvalidField(f"snapshot.{name}", saved.dtype, str(present.dtype))
         for name, array in self._named().items():
             array.assign(snapshot.arrays[name])
 
     def _named(self) -> dict[str, wp.array]:
-        """Everything that changes, by name."""
+        """Return the device arrays of everything that changes, by name."""
         shared = {name: getattr(self._worlds, name) for name in STATE}
         return shared | {f"cable_{name}": array for name, array in self._dynamics.arrays.items()}
 
     def _advance(self, command: ArrayLike | wp.array, duration: float, *, follow: bool) -> None:
-        """Take over the command and launch."""
+        """Check and upload the command, then launch."""
         check_positive("duration", duration, "s")
         shape = (self._size, self.fleet.n)
         if isinstance(command, wp.array):
@@ -324,33 +322,33 @@ class Simulator:
             lengths = batch(name, command, (self.fleet.n,))
             check_rows(name, lengths, self._size)
             check_lengths(name, lengths)
-            if self._asked is None:
+            if self._host_command is None:
                 self._worlds.command.assign(lengths)
             else:
-                self._asked[:] = lengths
-        if duration > STEPS_MAX * self.time_step:
-            allowed = f"at most {STEPS_MAX:g} time steps of {self.time_step:g} s"
+                self._host_command[:] = lengths
+        if duration > CALL_STEPS_MAX * self.time_step:
+            allowed = f"at most {CALL_STEPS_MAX:g} time steps of {self.time_step:g} s"
             raise InvalidField("duration", f"{duration} s", allowed)
         count = max(1, int(np.ceil(duration / self.time_step - 1e-6)))
         self._dynamics.advance(follow, count, duration / count)
 
-    def _which(self, worlds: Sequence[int] | NDArray[Any] | None) -> NDArray[np.int32]:
-        """Indices of worlds, checked."""
+    def _indices(self, worlds: Sequence[int] | NDArray[Any] | None) -> NDArray[np.int32]:
+        """Return indices of worlds; refuse what selects none or one twice."""
         if worlds is None:
             return np.arange(self._size, dtype=np.int32)
         try:
-            given = np.asarray(worlds)
+            indices = np.asarray(worlds)
         except ValueError:
-            given = np.empty((0, 0))
-        if given.dtype == bool and given.shape == (self._size,):
-            given = np.flatnonzero(given)
-        whole = given.ndim == 1 and len(given) > 0 and np.issubdtype(given.dtype, np.integer)
+            indices = np.empty((0, 0))
+        if indices.dtype == bool and indices.shape == (self._size,):
+            indices = np.flatnonzero(indices)
+        whole = indices.ndim == 1 and len(indices) > 0 and np.issubdtype(indices.dtype, np.integer)
         allowed = f"indices below {self._size}, each once, or a mask of shape ({self._size},)"
-        if not whole or given.min() < 0 or given.max() >= self._size:
+        if not whole or indices.min() < 0 or indices.max() >= self._size:
             raise InvalidField("worlds", worlds, allowed)
-        if len(np.unique(given)) < len(given):
+        if len(np.unique(indices)) < len(indices):
             raise InvalidField("worlds", worlds, allowed)
-        return given.astype(np.int32)
+        return indices.astype(np.int32)
 
     def _rest(
         self,
@@ -359,8 +357,8 @@ class Simulator:
         rotation: ArrayLike | None,
         unstrained_length: ArrayLike | None,
     ) -> Equilibrium:
-        """Equilibria of some worlds, or an error that names the first that has none."""
-        fleet = self._hanging(which)
+        """Return equilibria of some worlds; refuse the first that has none by its name."""
+        fleet = self._static_fleet(which)
         count = len(which)
         if unstrained_length is not None:
             if position is not None or rotation is not None:
@@ -391,13 +389,13 @@ class Simulator:
 
 
 def _draw(robots: list[Robot], condition: Condition, seeds: NDArray[np.int64]) -> list[Robot]:
-    """The plant of each world."""
+    """Draw the plant of each world."""
     each = robots * len(seeds) if len(robots) == 1 else robots
     draws = [np.random.default_rng([int(seed), 1]) for seed in seeds]
     return [draw_plant(robot, condition, draw) for robot, draw in zip(each, draws, strict=True)]
 
 
 def _weightless(fleet: Fleet) -> Fleet:
-    """The same robots on cables without weight."""
-    light = np.full(fleet.n, WEIGHTLESS)
+    """Return the same robots on cables without weight."""
+    light = np.full(fleet.n, STRAIGHT_DENSITY_KG_PER_M)
     return Fleet([replace(robot, linear_density=light) for robot in fleet.robots])

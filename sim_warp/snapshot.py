@@ -1,4 +1,4 @@
-"""What a simulator saves and restores."""
+"""Snapshots of a simulator, in memory and in files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from carosac_toolkit.base.npz import read_npz, write_npz
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Snapshot:
-    """Everything in a simulator that changes.
+    """Copy of everything in a simulator that changes.
 
     Attributes:
         cables: Model of the cables.
@@ -26,13 +26,13 @@ class Snapshot:
     arrays: dict[str, NDArray[Any]]
 
     def to_npz(self, path: str | Path) -> None:
-        """Write to one ``.npz`` file, readable with numpy alone."""
+        """Write one ``.npz`` file, readable with numpy alone."""
         header = {"cables": self.cables, "segments": self.segments}
         write_npz(path, "__header__", header, self.arrays)
 
     @classmethod
     def from_npz(cls, path: str | Path) -> Snapshot:
-        """Read what `to_npz` wrote.
+        """Read a file of `to_npz`.
 
         Raises:
             MissingFile: There is no such file.

@@ -28,9 +28,10 @@ class SimulatorState:
             platform in W [m], shape (B, n, segments - 1, 3); None for cables without nodes.
         iterations: Most Newton steps that a time step of the last call took, shape (B,).
         capped: Time steps of the last call that ended at the limit of Newton steps, shape (B,).
-        residual: Largest last Newton step of the platform in the last call [m], shape (B,);
-            moments of arm times angle added.
-        failed: Worlds that stand still since a time step had no finite solution; `reset` them.
+        residual: Largest last Newton step of the platform in the last call [m], shape (B,): its
+            translation plus its rotation times a typical arm.
+        failed: True for worlds that stand still since a time step had no finite solution, until
+            `reset`, shape (B,).
     """
 
     time: Array
@@ -51,7 +52,7 @@ class StateViews:
     """Device arrays of a simulator, which change as it steps; names as in `SimulatorState`.
 
     Warp arrays of vectors and matrices: ``position`` has shape (B,) of ``wp.vec3d``, and so on.
-    Read them; writing goes through `Simulator.reset` and `Simulator.restore`.
+    Read-only by convention: `Simulator.reset` and `Simulator.restore` write them.
     """
 
     time: wp.array
@@ -68,26 +69,27 @@ class StateViews:
     failed: wp.array
 
     def __init__(self, worlds: Any, particles: wp.array | None) -> None:
-        """Look at the arrays of a `Worlds` struct."""
-        self._host: dict[str, NDArray[Any]] | None = None
+        """View the arrays of a `Worlds` struct."""
+        self._cached: dict[str, NDArray[Any]] | None = None
         for name in SimulatorState.__dataclass_fields__:
             if name != "particles":
                 setattr(self, name, getattr(worlds, name))
         self.particles = particles
 
     def numpy(self) -> SimulatorState:
-        """Copies, as numpy arrays."""
-        values: dict[str, Any] = {name: np.array(view) for name, view in self._seen().items()}
+        """Copy the state to numpy arrays."""
+        host = self._host_arrays()
+        values: dict[str, Any] = {name: np.array(view) for name, view in host.items()}
         values["failed"] = values["failed"] != 0
         values.setdefault("particles", None)
         return SimulatorState(**values)
 
-    def _seen(self) -> dict[str, NDArray[Any]]:
-        """The arrays by name as numpy sees them; on the CPU that is the same memory, kept."""
-        if self._host is not None:
-            return self._host
+    def _host_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays by name in numpy; on the CPU these share the memory and are cached."""
+        if self._cached is not None:
+            return self._cached
         arrays = {name: getattr(self, name) for name in SimulatorState.__dataclass_fields__}
-        found = {name: array.numpy() for name, array in arrays.items() if array is not None}
+        host = {name: array.numpy() for name, array in arrays.items() if array is not None}
         if self.time.device.is_cpu:
-            self._host = found
-        return found
+            self._cached = host
+        return host

@@ -2,7 +2,7 @@
 
 The method of game engines and of the system that this toolkit rebuilds, for comparison: positions
 are predicted, then each segment in turn pulls its two ends together (Gauss-Seidel), over and over,
-within its compliance. It takes stiff cables for soft ones until iterations are many or steps small;
+within its compliance. Stiff cables behave as soft ones until iterations are many or steps small;
 then it tends to what `particle_kernels` solves exactly.
 
 References:
@@ -33,12 +33,12 @@ from carosac_toolkit.physics.motion.world_kernels import (
 )
 from carosac_toolkit.physics.rest.platform_kernels import orthonormal, rotation_of
 from sim_warp.particle_kernels import (
+    CableMesh,
     Chains,
-    Feed,
     length_share,
+    mesh_of,
     node_mass,
     run_strain,
-    share_out,
     wrapped_arc,
 )
 
@@ -46,53 +46,53 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @wp.struct
-class Body:
-    """The platform with the half segments at its anchor points, in the course of a time step."""
+class LoadedBody:
+    """The platform with the half segments at its anchor points, within a time step."""
 
     center: wp.vec3d  # centre of mass of all that [m]
     lever: wp.vec3d  # from the platform's centre of mass to it, in P [m]
     rotation: wp.mat33d
-    mobility: wp.float64  # 1 / mass [1/kg]
-    turning: wp.mat33d  # inverse inertia, in W [1/(kg m^2)]
+    inverse_mass: wp.float64  # [1/kg]
+    inverse_inertia: wp.mat33d  # in W [1/(kg m^2)]
 
 
 @wp.func
-def whole_body(plants: Plants, worlds: Worlds, chains: Chains, b: int, row: int, body: RigidBody,
-               motion: Motion) -> Body:  # fmt: skip
-    """Platform and half segments as one rigid body."""
+def loaded_body(plants: Plants, worlds: Worlds, chains: Chains, b: int, row: int, body: RigidBody,
+                motion: Motion) -> LoadedBody:  # fmt: skip
+    """Combine platform and half segments into one rigid body."""
     mass = body.mass
     moment = wp.vec3d()
     inertia = world_inertia(body, motion.rotation)
     back = wp.transpose(motion.rotation)
-    unity = wp.identity(n=3, dtype=wp.float64)
+    identity = wp.identity(n=3, dtype=wp.float64)
     for i in range(worlds.winch.shape[1]):
         cable = plants.cables[row, i]
         m = half_mass(cable, worlds.winch[b, i].length, chains.arc[b, i], body, chains.segments)
         arm = motion.rotation * (cable.anchor_point - body.center_of_mass)
         mass += m
         moment = moment + m * arm
-        inertia = inertia + m * (wp.dot(arm, arm) * unity - wp.outer(arm, arm))
+        inertia = inertia + m * (wp.dot(arm, arm) * identity - wp.outer(arm, arm))
     shift = moment / mass
-    inertia = inertia - mass * (wp.dot(shift, shift) * unity - wp.outer(shift, shift))
-    out = Body()
+    inertia = inertia - mass * (wp.dot(shift, shift) * identity - wp.outer(shift, shift))
+    out = LoadedBody()
     out.center = motion.center + shift
     out.lever = back * shift
     out.rotation = motion.rotation
-    out.mobility = ONE / mass
-    out.turning = inverse33(inertia)
+    out.inverse_mass = ONE / mass
+    out.inverse_inertia = inverse33(inertia)
     return out
 
 
 @wp.func
 def half_mass(cable: Cable, length: wp.float64, arc: wp.float64, body: RigidBody,
               segments: int) -> wp.float64:  # fmt: skip
-    """Mass of half a segment [kg]."""
+    """Return the mass of half a segment [kg]."""
     return HALF * density_of(cable, body.gravity) * (length - arc) / wp.float64(segments)
 
 
 @wp.func
 def predict_nodes(chains: Chains, b: int, s: int, n: int, gravity: wp.float64, h: wp.float64):
-    """Free flight of all nodes; what they leave is kept in `trial`."""
+    """Predict all nodes in free fall; `trial` keeps their positions before that [m]."""
     for i in range(n):
         for k in range(chains.segments - 1):
             v = chains.velocity[b, i, k]
@@ -104,25 +104,26 @@ def predict_nodes(chains: Chains, b: int, s: int, n: int, gravity: wp.float64, h
 
 
 @wp.func
-def pull_segment(chains: Chains, cable: Cable, feed: Feed, b: int, s: int, i: int, k: int,
-                 platform: Body, start: Body, body: RigidBody, h: wp.float64) -> Body:  # fmt: skip
-    """Let one segment pull its ends together within its compliance."""
+def project_segment(chains: Chains, cable: Cable, mesh: CableMesh, b: int, s: int, i: int, k: int,
+                    platform: LoadedBody, start: LoadedBody, body: RigidBody,
+                    h: wp.float64) -> LoadedBody:  # fmt: skip
+    """Project the constraint of one segment: pull its ends together within its compliance."""
     out = platform
     last = chains.segments - 1
     share = length_share(k, chains.segments)
-    rest = share * feed.other
+    rest_length = share * mesh.mean_length
     if k == 0:
-        rest = feed.first + cable.run_length
-    compliance = rest / cable.axial_stiffness / (h * h)
-    slip = cable.axial_damping / cable.axial_stiffness / h
+        rest_length = mesh.first_length + cable.run_length
+    compliance = rest_length / cable.axial_stiffness / (h * h)
+    damping = cable.axial_damping / cable.axial_stiffness / h
     arm = wp.vec3d()
     upper = wp.vec3d()
     upper_step = wp.vec3d()
-    upper_mobility = wp.float64(0.0)
+    upper_inverse_mass = wp.float64(0.0)
     if k > 0:
         upper = chains.position[b, i, k - 1]
         upper_step = upper - chains.trial[s, i, k - 1]
-        upper_mobility = ONE / node_mass(feed, k - 1)
+        upper_inverse_mass = ONE / node_mass(mesh, k - 1)
     if k == last:
         offset = cable.anchor_point - body.center_of_mass - platform.lever
         arm = platform.rotation * offset
@@ -135,41 +136,41 @@ def pull_segment(chains: Chains, cable: Cable, feed: Feed, b: int, s: int, i: in
         span, _wrap, unit, _bend, _valid = straight_cable(
             lower - cable.exit_point, cable.pulley_radius, cable.swivel_axis
         )
-        more = run_strain(cable, feed, body.gravity, unit)
-        excess = span - feed.first - cable.run_length * more
-        paid = h * feed.first_rate
+        strain = run_strain(cable, mesh, body.gravity, unit)
+        excess = span - mesh.first_length - cable.run_length * strain
+        paid_out = h * mesh.first_rate
     else:
         d = lower - upper
         span = wp.length(d) + wp.float64(1.0e-12)
         unit = d / span
-        excess = span - rest
-        paid = h * share * feed.other_rate
+        excess = span - rest_length
+        paid_out = h * share * mesh.mean_rate
     turn = wp.vec3d()
     if k == last:
-        turn = platform.turning * wp.cross(arm, unit)
-        lower_mobility = platform.mobility + wp.dot(wp.cross(arm, unit), turn)
+        turn = platform.inverse_inertia * wp.cross(arm, unit)
+        lower_inverse_mass = platform.inverse_mass + wp.dot(wp.cross(arm, unit), turn)
     else:
-        lower_mobility = ONE / node_mass(feed, k)
+        lower_inverse_mass = ONE / node_mass(mesh, k)
     multiplier = chains.predicted[b, i, k]
-    rate = wp.dot(unit, lower_step - upper_step) - paid
-    change = -(excess + compliance * multiplier + slip * rate) / (
-        (ONE + slip) * (lower_mobility + upper_mobility) + compliance
+    rate = wp.dot(unit, lower_step - upper_step) - paid_out
+    change = -(excess + compliance * multiplier + damping * rate) / (
+        (ONE + damping) * (lower_inverse_mass + upper_inverse_mass) + compliance
     )
     change = wp.min(multiplier + change, ZERO) - multiplier
     chains.predicted[b, i, k] = multiplier + change
     if k > 0:
-        chains.position[b, i, k - 1] = upper - (change * upper_mobility) * unit
+        chains.position[b, i, k - 1] = upper - (change * upper_inverse_mass) * unit
     if k == last:
-        out.center = platform.center + (change * platform.mobility) * unit
+        out.center = platform.center + (change * platform.inverse_mass) * unit
         out.rotation = rotation_of(change * turn) * platform.rotation
     else:
-        chains.position[b, i, k] = lower + (change * lower_mobility) * unit
+        chains.position[b, i, k] = lower + (change * lower_inverse_mass) * unit
     return out
 
 
 @wp.func
 def rotation_vector(r: wp.mat33d) -> wp.vec3d:
-    """Rotation vector of a small rotation."""
+    """Return the rotation vector of a small rotation."""
     sine = HALF * wp.vec3d(r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])
     size = wp.length(sine)
     scale = ONE + size * size / wp.float64(6.0)
@@ -179,9 +180,9 @@ def rotation_vector(r: wp.mat33d) -> wp.vec3d:
 
 
 @wp.func
-def keep_nodes(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, row: int,
-               h: wp.float64):  # fmt: skip
-    """Velocities from positions; multipliers to tensions."""
+def accept_nodes(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, row: int,
+                 h: wp.float64):  # fmt: skip
+    """Derive velocities from positions and tensions from multipliers."""
     body = plants.bodies[row]
     motion = worlds.motion[b]
     for i in range(worlds.winch.shape[1]):
@@ -203,36 +204,38 @@ def keep_nodes(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, r
 
 @wp.func
 def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, row: int,
-              h: wp.float64, rounds: int):  # fmt: skip
-    """Predict, project, derive velocities; lengths are those at the end already."""
+              h: wp.float64, iterations: int):  # fmt: skip
+    """Predict, project, derive velocities; the unstrained lengths are already those at the end."""
     body = plants.bodies[row]
     motion = worlds.motion[b]
     n = worlds.winch.shape[1]
     gusts = blow(plants.winds[row], worlds.gusts[b], worlds.time[b] + h, worlds.seed[b])
-    start = whole_body(plants, worlds, chains, b, row, body, motion)
+    start = loaded_body(plants, worlds, chains, b, row, body, motion)
     omega = motion.angular_velocity
     velocity = motion.velocity + wp.cross(omega, motion.rotation * start.lever)
     push = gusts.force - body.drag * motion.velocity
     # Wind and drag act on the platform's own centre of mass.
     moment = -body.angular_drag * omega - wp.cross(motion.rotation * start.lever, push)
-    spin = inverse33(start.turning) * omega
+    spin = inverse33(start.inverse_inertia) * omega
     moment = moment - wp.cross(omega, spin)
-    velocity = velocity + h * (start.mobility * push - wp.vec3d(ZERO, ZERO, body.gravity))
-    omega = omega + h * (start.turning * moment)
+    velocity = velocity + h * (start.inverse_mass * push - wp.vec3d(ZERO, ZERO, body.gravity))
+    omega = omega + h * (start.inverse_inertia * moment)
     platform = start
     platform.center = start.center + h * velocity
     platform.rotation = rotation_of(h * omega) * start.rotation
     predict_nodes(chains, b, s, n, body.gravity, h)
-    for _j in range(rounds):
+    for _j in range(iterations):
         for i in range(n):
             winch = worlds.winch[b, i]
             cable = plants.cables[row, i]
-            feed = share_out(
+            mesh = mesh_of(
                 cable, winch.length, winch.rate, chains.arc[b, i], ZERO, body.gravity,
                 chains.segments,
             )  # fmt: skip
             for k in range(chains.segments):
-                platform = pull_segment(chains, cable, feed, b, s, i, k, platform, start, body, h)
+                platform = project_segment(
+                    chains, cable, mesh, b, s, i, k, platform, start, body, h
+                )
     after = motion
     after.rotation = orthonormal(platform.rotation)
     after.center = platform.center - after.rotation * start.lever
@@ -241,19 +244,19 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
     after.velocity = velocity - wp.cross(after.angular_velocity, after.rotation * start.lever)
     after.acceleration = (after.velocity - motion.velocity) / h
     after.angular_acceleration = (after.angular_velocity - motion.angular_velocity) / h
-    worlds.iterations[b] = rounds
+    worlds.iterations[b] = iterations
     if is_lost(after, body, plants.cables[row, 0].exit_point):
         worlds.failed[b] = 1
     else:
         worlds.motion[b] = after
         worlds.gusts[b] = gusts
         worlds.time[b] = worlds.time[b] + h
-        keep_nodes(plants, worlds, chains, b, s, row, h)
+        accept_nodes(plants, worlds, chains, b, s, row, h)
 
 
 @wp.kernel
-def advance(plants: Plants, worlds: Worlds, chains: Chains, rounds: int, follow: int, count: int,
-            h: wp.float64):  # fmt: skip
+def advance(plants: Plants, worlds: Worlds, chains: Chains, iterations: int, follow: int,
+            count: int, h: wp.float64):  # fmt: skip
     """Advance each world by `count` time steps of h; one thread a world."""
     b = wp.tid()
     s = wp.min(b, chains.trial.shape[0] - 1)
@@ -262,7 +265,7 @@ def advance(plants: Plants, worlds: Worlds, chains: Chains, rounds: int, follow:
     left = count
     while left > 0 and worlds.failed[b] == 0:
         turn_winches(plants, worlds, b, row, h, h * wp.float64(left), follow, 0, 1)
-        time_step(plants, worlds, chains, b, s, row, h, rounds)
+        time_step(plants, worlds, chains, b, s, row, h, iterations)
         if worlds.failed[b] == 1:
             turn_back(worlds, b, 0, 1)
         left -= 1

@@ -10,7 +10,7 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.drivers.sensors import PERFECT
 from carosac_toolkit.loop.values import Command
 from carosac_toolkit.physics.rest import statics
-from sim_warp.driver import SimDriver, SimDriverSettings, SimPlant
+from sim_warp import SimDriver, SimDriverSettings, SimPlant, Simulator
 from tests.robots import simple_robot
 
 PERIOD = 0.02
@@ -162,6 +162,48 @@ def test_wind_moves_the_platform_the_same_way_for_the_same_seed():
     )  # fmt: skip
     assert np.abs(calm).max() < 1e-5 < 1e-3 < np.abs(windy).max()
     assert np.array_equal(windy, again) and not np.array_equal(windy, other)
+
+
+def test_wind_of_a_long_correlation_time_changes_slowly():
+    def change(wind_time):
+        """Change of the force of the wind in 20 ms over its standard deviation."""
+        settings = SimDriverSettings(wind_force=5.0, wind_time=wind_time)
+        plant = SimPlant(simple_robot(), settings, size=8)
+        plant.reset(np.tile(simple_robot().home_position, (8, 1)))
+        held, force = plant.read_lengths(), []
+        for _ in range(100):
+            plant.advance(held, PERIOD)
+            force.append(plant.simulator.save().arrays["gusts"]["force"][:, :2] / 5.0)
+        return np.diff(force, axis=0).std()
+
+    for time in (0.2, 2.0, 20.0):  # [s]; interpolation between draws smooths the shortest one
+        assert change(time) == pytest.approx(np.sqrt(2.0 * PERIOD / time), rel=0.15)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"cables": "catenary"}, {"segments": 5}, {"time_step": 1.0 / 240.0}, {"cable_drag": 3.0}],
+    ids=lambda options: next(iter(options)),
+)
+def test_settings_of_the_cables_are_those_of_the_simulator(options):
+    plant, default = (
+        SimPlant(simple_robot(), SimDriverSettings(**changes)) for changes in (options, {})
+    )
+    simulator = Simulator(simple_robot(), **{"time_step": 5e-3, **options})
+    rest = plant.read_lengths()
+    for moved in (plant, default):
+        moved.reset(np.array(STARTS[:1]))
+        moved.advance(rest, 0.5)
+    simulator.reset(STARTS[:1])
+    simulator.step(rest, 0.5)
+    there = simulator.state.numpy().position
+    assert np.array_equal(plant.truth().position, there)
+    assert np.abs(default.truth().position - there).max() > 1e-8
+
+
+def test_a_device_that_is_not_there_is_refused():
+    with pytest.raises(InvalidField, match=r"device: got 'cuda:99'; allowed: one of \['cpu'"):
+        SimDriver.build(simple_robot(), SimDriverSettings(device="cuda:99"))
 
 
 def test_drums_that_the_drives_misjudge_say_other_lengths_than_are_wound():

@@ -13,9 +13,14 @@ from carosac_toolkit.loop.values import Command, Measurement
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.validation import validate
 from carosac_toolkit.validation.run import run_open_loop
+from sim_warp import (
+    SimDriver,
+    SimDriverSettings,
+    Simulator,
+    SimulatorEstimator,
+    SimulatorSettings,
+)
 from sim_warp.delayed_lengths import DelayedLengths
-from sim_warp.driver import SimDriver, SimDriverSettings
-from sim_warp.estimator import SimulatorEstimator, SimulatorSettings
 from tests.robots import simple_robot
 
 ROBOT = simple_robot()
@@ -202,6 +207,21 @@ def test_lengths_without_a_rest_keep_the_last_good_pose_are_counted_and_left_beh
     assert beliefs[-1].position[1] == pytest.approx(beliefs[-1].position[0], abs=1e-4)
     alone = play(estimator(), [measured(PERIOD * k, good) for k in range(4)])
     assert np.array_equal(beliefs[-1].position[0], alone[-1].position[0])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"cables": "catenary"}, {"segments": 5}, {"time_step": 1.0 / 240.0}, {"cable_drag": 3.0}],
+    ids=lambda options: next(iter(options)),
+)
+def test_settings_of_the_cables_are_those_of_the_simulator(ramps, options):
+    simulator = Simulator(ROBOT, **options)
+    simulator.reset(unstrained_length=ramps[0].unstrained_length)
+    for row in ramps[1:]:
+        simulator.follow(row.unstrained_length, PERIOD)
+    there = simulator.state.numpy().position[0]
+    assert positions(play(estimator(**options), ramps))[-1] == pytest.approx(there, abs=1e-9)
+    assert np.abs(positions(play(estimator(), ramps))[-1] - there).max() > 1e-8
 
 
 def test_after_a_long_gap_the_platform_is_hung_anew(ramps):

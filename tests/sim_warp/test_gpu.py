@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim_warp import Simulator
+from sim_warp import SimDriverSettings, SimPlant, Simulator
 from tests.gpu import NEEDS_GPU
 from tests.robots import eight_cable_robot, simple_robot, with_pulleys
 from tests.sim_warp.worlds import KICK, MODELS, assert_same, held, on_device, rows
@@ -37,6 +37,18 @@ def test_gpu_and_cpu_agree(robot, cables):
     assert gpu.position == pytest.approx(host.position, abs=1e-9)
     assert gpu.rotation == pytest.approx(host.rotation, abs=1e-9)
     assert gpu.unstrained_length == pytest.approx(host.unstrained_length, abs=1e-12)
+
+
+def test_the_device_of_the_settings_is_that_of_the_worlds():
+    host, gpu = (
+        SimPlant(simple_robot(), SimDriverSettings(segments=8, device=device), size=4)
+        for device in ("cpu", "cuda")
+    )
+    for plant in (host, gpu):
+        plant.reset(np.tile(simple_robot().home_position, (4, 1)))
+        plant.advance(plant.read_lengths() + 0.02, 0.5)
+    assert gpu.simulator.state.position.device.is_cuda
+    assert gpu.truth().position == pytest.approx(host.truth().position, abs=1e-9)
 
 
 @ALL_MODELS

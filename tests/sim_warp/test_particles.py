@@ -357,3 +357,27 @@ def test_random_winch_steps_lose_no_world_and_all_come_home(time_step):
     state = sim.state.numpy()
     assert not state.failed.any()
     assert state.position == pytest.approx(rest, abs=1e-6)
+
+
+def test_every_change_of_the_active_set_is_seen():
+    """Also one that leaves a weighted sum over the slack segments as it was."""
+    segments, time_step = 4, 1.0 / 120.0
+    sim = Simulator(simple_robot(), worlds=16, segments=segments, time_step=time_step)
+    home, rng = held(sim), np.random.default_rng(7)
+    slack, rough, last = [], [], []
+    for k in range(240):
+        if k % 30 == 0:
+            command = home + rng.uniform(-0.2, 0.2, home.shape)
+        sim.step(command, time_step)
+        arrays = sim.save().arrays
+        slack.append(~(arrays["cable_predicted"] > 0.0))
+        rough.append(arrays["rough"])
+        last.append(arrays["last"])
+    changed = np.diff(slack, axis=0).any(axis=(2, 3))
+    k, i = np.arange(segments), np.arange(4)[:, None]
+    weighted = (np.array(slack) * (1.0 + k + i * segments + 0.5 * k**2)).sum(axis=(2, 3))
+    assert (changed & (np.diff(weighted, axis=0) == 0.0)).any()
+    restarted = np.array(rough) == np.max(rough)  # the count of rough steps to go starts anew
+    whole = np.isclose(last, time_step)  # time steps taken in parts end with one of these
+    assert whole.mean() > 0.9
+    assert np.array_equal(restarted[1:][whole[1:]], changed[whole[1:]])

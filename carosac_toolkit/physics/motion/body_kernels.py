@@ -25,7 +25,7 @@ References:
 import warp as wp
 
 from carosac_toolkit.physics.cable.catenary_kernels import HALF, ONE, ZERO, inverse33
-from carosac_toolkit.physics.rest.platform_kernels import cross_matrix, orthonormal, rotation_of
+from carosac_toolkit.physics.rest.platform_kernels import lever_terms, orthonormal, rotation_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -179,22 +179,14 @@ def inertial_system(body: RigidBody, start: Motion, trial: Motion, scheme: Schem
 
 @wp.func
 def attach(system: System, arm: wp.vec3d, force: wp.vec3d, k: wp.mat33d) -> System:
-    """Add a force at a lever arm whose point of attack has the stiffness k = -d force / d point.
-
-    The same physics as `platform_kernels.add_lever`, in blocks.
-    """
+    """Add a force at a lever arm whose point of attack has the stiffness k = -d force / d point."""
     out = system
-    x = cross_matrix(arm)
-    kx = k * x
+    moment, kx, xkx, turn = lever_terms(arm, force, k)
     out.force = system.force + force
-    out.moment = system.moment + wp.cross(arm, force)
+    out.moment = system.moment + moment
     out.tt = system.tt + k
     out.tr = system.tr - kx
-    outer = wp.outer(arm, force)
-    turn = HALF * (outer + wp.transpose(outer)) - wp.dot(arm, force) * wp.identity(
-        n=3, dtype=wp.float64
-    )
-    out.rr = system.rr - x * kx - turn
+    out.rr = system.rr - xkx - HALF * (turn + wp.transpose(turn))
     return out
 
 

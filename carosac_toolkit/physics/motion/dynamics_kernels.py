@@ -9,7 +9,6 @@ of a straight cable that swings about its exit, and so does its air drag.
 import warp as wp
 
 from carosac_toolkit.physics.cable.catenary_kernels import (
-    ONE,
     ZERO,
     Cable,
     density_of,
@@ -211,12 +210,12 @@ def keep_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, b
                  scheme: Scheme):  # fmt: skip
     """Anchor velocities and tensions at the end of a time step."""
     motion = worlds.motion[b]
-    snap = wp.float64(0.0)
+    snap = bool(False)
     for i in range(worlds.winch.shape[1]):
         before = worlds.tension[b, i]
         now = hung.tension[b, i]
         if wp.abs(now - before) > SNAP * wp.max(now, before):
-            snap = ONE
+            snap = True
         worlds.tension[b, i] = now
         arm = motion.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
         velocity = motion.velocity + wp.cross(motion.angular_velocity, arm)
@@ -224,7 +223,7 @@ def keep_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, b
             scheme, worlds.anchor_velocity[b, i], worlds.anchor_rate[b, i], velocity
         )
         worlds.anchor_velocity[b, i] = velocity
-    worlds.rough[b] = roughness(worlds.rough[b], ZERO, snap)
+    worlds.rough[b] = roughness(worlds.rough[b], snap)
 
 
 @wp.func

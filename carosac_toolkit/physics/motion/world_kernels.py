@@ -48,8 +48,7 @@ class Worlds:
     gusts: wp.array(dtype=Gusts)
     seed: wp.array(dtype=int)
     last: wp.array(dtype=wp.float64)  # size of the last step [s]; 0: there was none
-    slack: wp.array(dtype=wp.float64)  # stands for which segments of chains are slack
-    rough: wp.array(dtype=int)  # steps to go since a cable fell slack or snapped taut, or `ALIKE`
+    rough: wp.array(dtype=int)  # steps until an impact of a cable is over, or `ALIKE`
     failed: wp.array(dtype=int)
     time: wp.array(dtype=wp.float64)  # since the last reset [s]
     position: wp.array(dtype=wp.vec3d)  # platform origin [m]
@@ -143,11 +142,11 @@ def turn_back(worlds: Worlds, b: int, lane: int, lanes: int):
 
 
 @wp.func
-def roughness(rough: int, before: wp.float64, now: wp.float64) -> int:
-    """Steps to go until an impact is over, which is where `before` and `now` differ."""
+def roughness(rough: int, impact: bool) -> int:
+    """Return the steps to go until an impact is over, after a step with or without one."""
     if rough == ALIKE:
         return ALIKE
-    if before != now:
+    if impact:
         return CALM
     return wp.max(rough - 1, 0)
 
@@ -197,7 +196,6 @@ def place(plants: Plants, worlds: Worlds, which: wp.array(dtype=int),
     worlds.gusts[b] = Gusts()
     worlds.time[b] = wp.float64(0.0)
     worlds.last[b] = wp.float64(0.0)
-    worlds.slack[b] = wp.float64(0.0)
     worlds.rough[b] = 0
     worlds.failed[b] = 0
     worlds.iterations[b] = 0

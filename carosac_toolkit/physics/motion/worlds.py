@@ -19,7 +19,7 @@ from carosac_toolkit.robot.robot import Robot
 
 # What a world needs to go on, and what people read of it.
 STATE = (
-    "motion", "winch", "anchor_velocity", "anchor_rate", "gusts", "seed", "last", "slack", "rough",
+    "motion", "winch", "anchor_velocity", "anchor_rate", "gusts", "seed", "last", "rough",
     "failed", "time", "command", "position", "rotation", "twist", "acceleration",
     "unstrained_length", "tension", "iterations", "capped", "residual",
 )  # fmt: skip
@@ -67,7 +67,7 @@ def allocate_worlds(size: int, n: int, device: str, seeds: NDArray[np.int32]) ->
     out = world_kernels.Worlds()
     for name, kind in (
         ("motion", Motion), ("gusts", Gusts), ("rough", int), ("failed", int),
-        ("last", wp.float64), ("slack", wp.float64),
+        ("last", wp.float64),
         ("position", wp.vec3d), ("rotation", wp.mat33d), ("twist", vec6d),
         ("acceleration", vec6d), ("time", wp.float64), ("iterations", int),
         ("capped", int), ("residual", wp.float64),

@@ -23,8 +23,8 @@ from carosac_toolkit.physics.rest.margin_kernels import (
 from carosac_toolkit.physics.rest.platform_kernels import (
     Body,
     anchor_of,
-    cross_matrix,
     factorise,
+    lever_terms,
     mat66d,
     orthonormal,
     rotation_of,
@@ -95,13 +95,11 @@ class Turning:
 def add_turning(total: Turning, arm: wp.vec3d, force: wp.vec3d, k: wp.mat33d) -> Turning:
     """Add a force at a lever arm. k = -d force / d anchor is not symmetric at constant tension."""
     out = Turning()
-    x = cross_matrix(arm)
-    kx = k * x
-    turn = wp.outer(arm, force) - wp.dot(arm, force) * wp.identity(n=3, dtype=wp.float64)
+    moment, kx, xkx, turn = lever_terms(arm, force, k)
     out.force = total.force + force
-    out.moment = total.moment + wp.cross(arm, force)
+    out.moment = total.moment + moment
     out.force_r = total.force_r + kx
-    out.moment_r = total.moment_r + x * kx + turn
+    out.moment_r = total.moment_r + xkx + turn
     return out
 
 

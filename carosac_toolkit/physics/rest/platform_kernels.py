@@ -60,17 +60,24 @@ def orthonormal(r: wp.mat33d) -> wp.mat33d:
 
 
 @wp.func
+def lever_terms(arm: wp.vec3d, force: wp.vec3d, k: wp.mat33d):
+    """Return the moment of a force at a lever arm, and the parts of its rotational stiffness.
+
+    With k = -d force / d anchor and X = [arm]x these are kX and XkX, from the motion of the anchor
+    point, and the derivative of the moment as the arm of a constant force turns.
+    """
+    x = cross_matrix(arm)
+    kx = k * x
+    turn = wp.outer(arm, force) - wp.dot(arm, force) * wp.identity(n=3, dtype=wp.float64)
+    return wp.cross(arm, force), kx, x * kx, turn
+
+
+@wp.func
 def add_lever(stiffness: mat66d, wrench: vec6d, arm: wp.vec3d, force: wp.vec3d,
               k: wp.mat33d) -> Balance:  # fmt: skip
     """Add a force with an anchor stiffness k = -d force / d anchor at a lever arm."""
-    x = cross_matrix(arm)
-    kx = k * x  # translation by -[arm]x per rotation
-    moment = wp.cross(arm, force)
-    xkx = x * kx
-    # Turning the arm of a constant force: symmetric part, which is the whole of it at equilibrium.
-    turn = HALF * (wp.outer(arm, force) + wp.outer(force, arm)) - wp.dot(arm, force) * wp.identity(
-        n=3, dtype=wp.float64
-    )
+    moment, kx, xkx, turn = lever_terms(arm, force, k)
+    turn = HALF * (turn + wp.transpose(turn))  # at equilibrium the whole of it, summed over forces
     out = Balance()
     out.wrench = wrench + vec6d(force[0], force[1], force[2], moment[0], moment[1], moment[2])
     s = stiffness
