@@ -24,8 +24,8 @@ import warp as wp
 from carosac_toolkit.physics.cable.catenary_kernels import HALF, ONE, ZERO, Cable, density_of
 from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.motion.body_kernels import (
-    ROUGH,
-    SMOOTH,
+    FAST_MOTION_SHARE,
+    FAST_MOTION_SHARE_ROUGH,
     Gusts,
     Motion,
     RigidBody,
@@ -43,8 +43,8 @@ from carosac_toolkit.physics.motion.body_kernels import (
     solve_system,
 )
 from carosac_toolkit.physics.motion.world_kernels import (
-    LIMIT,
-    STEP,
+    NEWTON_STEP_MIN_M,
+    NEWTON_STEPS_MAX,
     Plants,
     Worlds,
     clock_after,
@@ -481,9 +481,9 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
     body = plants.bodies[row]
     start = flight.motion
     gusts = blow(plants.winds[row], flight.gusts, flight.time + h, worlds.seed[b])
-    left = SMOOTH
+    left = FAST_MOTION_SHARE
     if flight.rough > 0:
-        left = ROUGH
+        left = FAST_MOTION_SHARE_ROUGH
     scheme = scheme_of(h, flight.last, False, left)
     velocity = start.velocity + h * start.velocity_rate
     omega = start.angular_velocity + h * start.angular_rate
@@ -492,7 +492,7 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
     count = int(0)
     solved = bool(False)
     size = wp.float64(0.0)
-    while count < LIMIT and not solved:
+    while count < NEWTON_STEPS_MAX and not solved:
         system = inertial_system(body, start, trial, scheme, gusts.force)
         system = load_chains(plants, worlds, chains, b, s, row, body, trial, system, scheme, lane)
         newton = solve_system(system)
@@ -504,7 +504,7 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
         trial = moved(start, scheme, velocity, omega)
         count += 1
         size = wp.length(newton.move) + body.arm * wp.length(newton.turn)
-        solved = size < STEP and far == 0
+        solved = size < NEWTON_STEP_MIN_M and far == 0
     out = flight
     out.taken = 0
     if solved or ticks == 1:

@@ -20,8 +20,8 @@ from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest.platform_kernels import Body
 from carosac_toolkit.robot.robot import Robot
 
-KEPT = 12  # sets of buffers remembered per robot
-KEPT_SIZE = 4096  # larger batches allocate anew: their solve takes far longer
+BUFFER_SETS_MAX = 12  # sets of buffers remembered per robot
+KEPT_BATCH_MAX = 4096  # larger batches allocate anew: their solve takes far longer
 
 
 def cable_records(robot: Robot) -> NDArray[Any]:
@@ -189,7 +189,7 @@ def kept_buffers(
         buffers.length_scale = float(np.mean(sizes))
         return buffers
 
-    if size > KEPT_SIZE:
+    if size > KEPT_BATCH_MAX:
         return make()
     with _lock:
         kept = _buffers.setdefault(robot, OrderedDict())
@@ -197,6 +197,6 @@ def kept_buffers(
         if key not in kept:
             kept[key] = make()
         kept.move_to_end(key)
-        if len(kept) > KEPT:
+        if len(kept) > BUFFER_SETS_MAX:
             kept.popitem(last=False)
         return kept[key]

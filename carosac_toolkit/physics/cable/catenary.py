@@ -28,7 +28,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable import hanging_kernels
 
-CLOSURE = 1e-11  # of the length, above which a cable counts as not converged
+CATENARY_CLOSURE_MAX = 1e-11  # of the length, above which a cable counts as not converged
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -133,7 +133,9 @@ def _run(values: dict[str, Array], device: str) -> Catenary:
     scale = given["unstrained_length"] + chord[possible]
     good = np.zeros(len(length), dtype=bool)
     good[possible] = (
-        np.isfinite(closure) & (closure <= CLOSURE * scale) & np.isfinite(horizontal + lower)
+        np.isfinite(closure)
+        & (closure <= CATENARY_CLOSURE_MAX * scale)
+        & np.isfinite(horizontal + lower)
     )
 
     def spread(found: NDArray[np.float64]) -> Array:

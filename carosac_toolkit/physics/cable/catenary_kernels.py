@@ -26,7 +26,7 @@ ZERO = wp.constant(wp.float64(0.0))
 HALF = wp.constant(wp.float64(0.5))
 ONE = wp.constant(wp.float64(1.0))
 TWO = wp.constant(wp.float64(2.0))
-TINY = wp.constant(wp.float64(1.0e-40))  # [N^2] floor of H^2: 1e-20 N
+DIVISION_FLOOR = wp.constant(wp.float64(1.0e-40))  # [N^2] floor of H^2: 1e-20 N
 
 
 @wp.struct
@@ -121,7 +121,7 @@ def inverse33(a: wp.mat33d) -> wp.mat33d:
 @wp.func
 def catenary_span(q: wp.vec3d, length: wp.float64, w: wp.float64, ea: wp.float64) -> Span:
     """Irvine's elastic catenary from the tension vector at its exit end."""
-    h2 = q[0] * q[0] + q[1] * q[1] + TINY
+    h2 = q[0] * q[0] + q[1] * q[1] + DIVISION_FLOOR
     va = q[2]
     vb = q[2] - w * length
     ta = wp.sqrt(h2 + va * va)
@@ -173,7 +173,7 @@ def pulley_wrap(q: wp.vec3d, cable: Cable) -> Wrap:
         out.tangent_point = cable.exit_point
         return out
     k = cable.swivel_axis
-    tension = wp.sqrt(wp.dot(q, q) + TINY)
+    tension = wp.sqrt(wp.dot(q, q) + DIVISION_FLOOR)
     leaving = -q / tension
     cosine = wp.dot(leaving, k)
     across = leaving - cosine * k
@@ -194,7 +194,7 @@ def hang(q: wp.vec3d, anchor: wp.vec3d, unstrained_length: wp.float64, cable: Ca
     """Evaluate one cable: closure, force on the platform, and their derivatives."""
     w = cable.weight_per_length
     ea = cable.axial_stiffness
-    tension = wp.sqrt(wp.dot(q, q) + TINY)
+    tension = wp.sqrt(wp.dot(q, q) + DIVISION_FLOOR)
     strained = ONE + tension / ea
     wrap = pulley_wrap(q, cable)
     arc = cable.pulley_radius * wrap.angle
@@ -227,7 +227,7 @@ def taut_tension(chord: wp.float64, span: wp.float64, length: wp.float64, w: wp.
         t = wp.min(root, wp.sqrt(b / -strain))
     for _i in range(8):
         t -= (t * t * (t / ea - strain) - b) / (
-            t * (wp.float64(3.0) * t / ea - TWO * strain) + TINY
+            t * (wp.float64(3.0) * t / ea - TWO * strain) + DIVISION_FLOOR
         )
     return t
 

@@ -15,7 +15,9 @@ from carosac_toolkit.physics.cable.catenary_kernels import (
 from carosac_toolkit.physics.cable.tension_kernels import pull_down
 from carosac_toolkit.physics.rest.platform_kernels import anchor_of
 
-SETTLED = wp.constant(wp.float64(1.0e-12))  # of the length: a cable that fits is left alone
+SETTLED_CLOSURE_MAX = wp.constant(
+    wp.float64(1.0e-12)
+)  # of the length: a cable that fits is left alone
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -127,7 +129,9 @@ def hanging_points(
     cable = cables[wp.min(b, cables.shape[0] - 1), i]
     anchor = anchor_of(cable, position[b], rotation[b])
     length = unstrained_length[b, i]
-    found = settle(guess_cable(anchor, length, cable), anchor, length, cable, SETTLED * length, 100)
+    found = settle(
+        guess_cable(anchor, length, cable), anchor, length, cable, SETTLED_CLOSURE_MAX * length, 100
+    )
     tension[b, i] = wp.length(found.hanging.force)
     closure[b, i] = wp.length(found.hanging.closure)
     for k in range(points.shape[2]):

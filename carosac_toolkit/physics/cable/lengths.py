@@ -15,8 +15,8 @@ from carosac_toolkit.physics.cable import hanging_kernels
 from carosac_toolkit.physics.device import device_robot
 from carosac_toolkit.robot.robot import Robot
 
-CLOSURE = 1e-10  # [m]: a larger gap is no solution
-MISMATCH = 1e-9  # of the tension: a larger one is no solution
+TENSIONED_CLOSURE_MAX_M = 1e-10  # [m]: a larger gap is no solution
+TENSION_MISMATCH_MAX = 1e-9  # of the tension: a larger one is no solution
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,7 +83,11 @@ def length_at_tension(
         device=device,
     )
     length, sag, stretch, closure, mismatch = (a.numpy() for a in outputs)
-    valid = known & (closure <= CLOSURE) & (mismatch <= MISMATCH * np.where(known, asked, 1.0))
+    valid = (
+        known
+        & (closure <= TENSIONED_CLOSURE_MAX_M)
+        & (mismatch <= TENSION_MISMATCH_MAX * np.where(known, asked, 1.0))
+    )
     valid &= (length > 0.0) & (taut.numpy() == 1)
     return CableLengths(
         unstrained_length=np.where(valid, length, np.nan),

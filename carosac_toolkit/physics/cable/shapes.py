@@ -15,7 +15,7 @@ from carosac_toolkit.physics.cable import hanging_kernels
 from carosac_toolkit.physics.device import check_call, device_robot
 from carosac_toolkit.robot.robot import Robot
 
-CLOSURE = 1e-9  # [m]: a cable that misses its anchor point by more has not been found
+HANGING_CLOSURE_MAX_M = 1e-9  # [m]: a cable that misses its anchor point by more has not been found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,7 +85,7 @@ def hanging_cables(
         tension, closure, points,
     ]  # fmt: skip
     wp.launch(hanging_kernels.hanging_points, shape, inputs=inputs, device=device)
-    valid = known & (closure.numpy() <= CLOSURE)
+    valid = known & (closure.numpy() <= HANGING_CLOSURE_MAX_M)
     return HangingCables(
         points=np.where(valid[..., None, None], points.numpy(), np.nan),
         tension=np.where(valid, tension.numpy(), np.nan),

@@ -29,7 +29,7 @@ from carosac_toolkit.physics.cable import straight_line_kernels
 from carosac_toolkit.physics.device import check_device, kept_buffers
 from carosac_toolkit.robot.robot import Robot
 
-TOLERANCE = 1e-10  # gradient norm over the longest length that counts as converged [-]
+GRADIENT_TOLERANCE = 1e-10  # gradient norm over the longest length that counts as converged [-]
 MAX_ITERATIONS = 200
 
 
@@ -100,7 +100,7 @@ def straight_length(
         straight_line_kernels.straight_lengths,
         (len(points), robot.n),
         {"position": points, "rotation": turns},
-        ("position", "rotation", *_GEOMETRY, *outputs),
+        ("position", "rotation", *_GEOMETRY_FIELDS, *outputs),
         outputs,
     )
     return StraightCables(
@@ -183,7 +183,14 @@ def forward_kinematics(
         straight_line_kernels.fit_position,
         len(targets),
         {"target": targets, "rotation": turns, "position": start},
-        ("target", "rotation", *_GEOMETRY, wp.float64(TOLERANCE), MAX_ITERATIONS, *outputs),
+        (
+            "target",
+            "rotation",
+            *_GEOMETRY_FIELDS,
+            wp.float64(GRADIENT_TOLERANCE),
+            MAX_ITERATIONS,
+            *outputs,
+        ),
         (*outputs, "rotation"),
     )
     return StraightLineFit(
@@ -205,7 +212,7 @@ def _launch(
     buffers = kept_buffers(robot, "straight_line", size, device, lambda: _shapes(size, robot.n))
     with buffers.lock:
         if not buffers.launched:
-            for name in _GEOMETRY:
+            for name in _GEOMETRY_FIELDS:
                 buffers.put(name, getattr(robot, name))
         for name, value in inputs.items():
             buffers.put(name, value)
@@ -226,7 +233,7 @@ def _shapes(size: int, n: int) -> dict[str, tuple[Any, Any]]:
     }  # fmt: skip
 
 
-_GEOMETRY = ("exit_points", "anchor_points", "pulley_radius", "swivel_axis")
+_GEOMETRY_FIELDS = ("exit_points", "anchor_points", "pulley_radius", "swivel_axis")
 
 
 def _rotations(robot: Robot, rotation: ArrayLike | None, size: int) -> Array:

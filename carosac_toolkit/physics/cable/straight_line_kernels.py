@@ -9,8 +9,8 @@ vec3 = wp.vec3d
 mat33 = wp.mat33d
 
 PI = wp.constant(wp.float64(3.141592653589793))
-MU_START = wp.constant(wp.float64(1.0e-2))  # first damping, per cable, once a step is refused
-MU_END = wp.constant(wp.float64(1.0e12))  # no step can be accepted any more
+DAMPING_START = wp.constant(wp.float64(1.0e-2))  # first damping, per cable, once a step is refused
+DAMPING_MAX = wp.constant(wp.float64(1.0e12))  # no step can be accepted any more
 
 
 @wp.func
@@ -202,7 +202,7 @@ def fit_position(
     count = wp.int32(0)
     while (
         count < max_iterations
-        and mu < MU_END
+        and mu < DAMPING_MAX
         and wp.length(gradient) > f64(0.01) * tolerance * scale
     ):
         count += 1
@@ -226,10 +226,10 @@ def fit_position(
                 hessian = hessian_1
                 valid = valid_1
         if gain < f64(0.25):
-            mu = wp.max(f64(4.0) * mu, MU_START * cables)
+            mu = wp.max(f64(4.0) * mu, DAMPING_START * cables)
         elif gain > f64(0.75):
             mu *= f64(0.125)
-            if mu < f64(1.0e-3) * MU_START * cables:
+            if mu < f64(1.0e-3) * DAMPING_START * cables:
                 mu = f64(0.0)
     _step, minimum = solve_positive(hessian, gradient)
     done = wp.int32(0)

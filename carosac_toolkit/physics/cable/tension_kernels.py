@@ -16,8 +16,10 @@ from carosac_toolkit.physics.rest.start_kernels import straight_to
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-MARGIN = wp.constant(wp.float64(1.3))  # over the least tension, where length and tension part ways
-WIDE_MARGIN = wp.constant(wp.float64(4.0))
+LEAST_TENSION_FACTOR = wp.constant(
+    wp.float64(1.3)
+)  # over the least tension, where length and tension part ways
+LEAST_TENSION_FACTOR_WIDE = wp.constant(wp.float64(4.0))
 
 
 @wp.struct

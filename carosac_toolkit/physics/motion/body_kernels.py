@@ -44,10 +44,14 @@ class RigidBody:
     size: wp.float64  # typical cable length [m]
 
 
-GRID = wp.constant(wp.float64(0.01))  # [s] between two draws of the wind
-SMOOTH = wp.constant(wp.float64(0.7))  # share of very fast motions that is left after a step
-ROUGH = wp.constant(wp.float64(0.2))  # the same while particles fall slack and snap taut
-JUMP = wp.constant(wp.float64(2.0))  # a larger ratio of two steps is a new start
+GUST_INTERVAL_S = wp.constant(wp.float64(0.01))  # [s] between two draws of the wind
+FAST_MOTION_SHARE = wp.constant(
+    wp.float64(0.7)
+)  # share of very fast motions that is left after a step
+FAST_MOTION_SHARE_ROUGH = wp.constant(
+    wp.float64(0.2)
+)  # the same while particles fall slack and snap taut
+STEP_RATIO_MAX = wp.constant(wp.float64(2.0))  # a larger ratio of two steps is a new start
 
 
 @wp.struct
@@ -104,7 +108,7 @@ def scheme_of(h: wp.float64, last: wp.float64, forget: bool, left: wp.float64) -
     It is an implicit Euler step after a jump in size and to `forget` what was before; of motions
     that are much faster than another step a share `left` is left.
     """
-    slack = JUMP * wp.float64(1.0 + 1.0e-6)
+    slack = STEP_RATIO_MAX * wp.float64(1.0 + 1.0e-6)
     out = Scheme()
     out.h = h
     if forget or h > slack * last or last > slack * h:
@@ -282,12 +286,12 @@ class Wind:
 
 @wp.struct
 class Gusts:
-    """The wind on one platform: forces at two instants `GRID` apart, and between them [N]."""
+    """Wind force on one platform [N], interpolated between draws `GUST_INTERVAL_S` apart."""
 
     force: wp.vec3d  # at the end of the last step
     before: wp.vec3d
     after: wp.vec3d
-    count: int  # of instants drawn so far; `after` is the force at (count - 1) GRID
+    count: int  # of instants drawn so far; `after` is the force at (count - 1) GUST_INTERVAL_S
 
 
 @wp.func
@@ -308,11 +312,11 @@ def blow(wind: Wind, gusts: Gusts, time: wp.float64, seed: int) -> Gusts:
         if out.count == 0:
             out.after = draw_gust(wind, out.after, ZERO, seed, 0)  # of the stationary distribution
             out.count = 1
-        keep = wp.exp(-GRID / wind.time)
-        while time > wp.float64(out.count - 1) * GRID:
+        keep = wp.exp(-GUST_INTERVAL_S / wind.time)
+        while time > wp.float64(out.count - 1) * GUST_INTERVAL_S:
             out.before = out.after
             out.after = draw_gust(wind, out.before, keep, seed, out.count)
             out.count += 1
-        share = time / GRID - wp.float64(out.count - 2)
+        share = time / GUST_INTERVAL_S - wp.float64(out.count - 2)
         out.force = out.before + share * (out.after - out.before)
     return out

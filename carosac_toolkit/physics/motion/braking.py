@@ -27,11 +27,11 @@ from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.motion import braking_kernels, stop_kernels
 from carosac_toolkit.robot.robot import Robot
 
-SETTLE_SLACK = 1e-9  # by how much a shortened step may end beyond what was asked for [m]
-BOX_SLACK = 1e-9  # what the straight-line position is known to [m]
-_EPSILON = 2.0**-52
-_STATE = ("length", "speed", "acceleration", "position")
-_PER_CABLE = (
+SETTLE_SLACK_M = 1e-9  # by how much a shortened step may end beyond what was asked for [m]
+BOX_SLACK_M = 1e-9  # what the straight-line position is known to [m]
+_MACHINE_EPSILON = 2.0**-52
+_MOTION_FIELDS = ("length", "speed", "acceleration", "position")
+_CABLE_BUFFERS = (
     "length", "speed", "acceleration", "asked", "pace", "actual", "brake_length", "base_length",
     "base_speed", "base_acceleration", "share", "base_end", "walk_length", "walk_speed",
     "walk_acceleration", "sent_length", "sent_speed", "sent_acceleration", "low", "high", "peak",
@@ -91,7 +91,7 @@ class Slack:
     @classmethod
     def of(cls, robot: Robot, jerk_max: float, period: float) -> Slack:
         """The slack of a robot's winches at a period [s]."""
-        grain = 4.0 * _EPSILON * float(robot.length_max.max())
+        grain = 4.0 * _MACHINE_EPSILON * float(robot.length_max.max())
         return cls(
             length=grain,
             speed=grain / period + 1e-12 * float(robot.speed_max.min()),
@@ -124,7 +124,8 @@ class Brakes:
         rules.steps_max, rules.use_box = most_steps(robot, jerk_max, period), int(box)
         work = stop_kernels.Work()
         arrays = {
-            name: wp.zeros((size, robot.n), dtype=wp.float64, device="cpu") for name in _PER_CABLE
+            name: wp.zeros((size, robot.n), dtype=wp.float64, device="cpu")
+            for name in _CABLE_BUFFERS
         }
         arrays |= {
             k: wp.zeros(size, dtype=wp.vec3d, device="cpu") for k in ("position", "sent_position")
@@ -179,12 +180,12 @@ class Brakes:
 
     def _put(self, motion: Motion) -> None:
         """Copy a motion in."""
-        for name, value in zip(_STATE, motion, strict=True):
+        for name, value in zip(_MOTION_FIELDS, motion, strict=True):
             self._views[name][...] = value
 
     def _sent(self) -> Motion:
         """Copy the motion after a step out."""
-        return Motion(*(self._views[f"sent_{name}"].copy() for name in _STATE))
+        return Motion(*(self._views[f"sent_{name}"].copy() for name in _MOTION_FIELDS))
 
 
 def most_steps(robot: Robot, jerk_max: float, period: float) -> int:
@@ -205,4 +206,4 @@ def _fill_rules(rules: Any, robot: Robot, slack: Slack) -> None:
     rules.box_min, rules.box_max = wp.vec3d(robot.workspace_min), wp.vec3d(robot.workspace_max)
     rules.length_slack, rules.speed_slack = slack.length, slack.speed
     rules.acceleration_slack, rules.jerk_slack = slack.acceleration, slack.jerk
-    rules.settle_slack, rules.box_slack = SETTLE_SLACK, BOX_SLACK
+    rules.settle_slack, rules.box_slack = SETTLE_SLACK_M, BOX_SLACK_M

@@ -17,8 +17,8 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 f64 = wp.float64
 
-HALVINGS = wp.constant(20)  # to a millionth of what jerk allows in one period
-SMALLEST_SHARE = wp.constant(wp.float64(1.0e-3))
+BISECTION_STEPS = wp.constant(20)  # to a millionth of what jerk allows in one period
+LIMIT_SHARE_MIN = wp.constant(wp.float64(1.0e-3))
 
 
 @wp.func
@@ -85,7 +85,7 @@ def base_in_step(b: int, work: Work, rules: Rules):
         share = ratio(work.asked[b, i] - work.length[b, i], gap_max)
         share = wp.max(share, ratio(work.speed[b, i] - work.pace[b, i], speed_max))
         share = wp.max(share, ratio(work.acceleration[b, i], a_most))
-        share = wp.max(share, SMALLEST_SHARE)
+        share = wp.max(share, LIMIT_SHARE_MIN)
         a_max = share * a_least
         jump = share * rules.jerk_max * rules.period
         v, a = brake_step(
@@ -162,7 +162,7 @@ def search(b: int, good: f64, work: Work, rules: Rules):
         best = f64(0.0)
     if best >= f64(0.0):
         bad = reach
-        for _k in range(HALVINGS):
+        for _k in range(BISECTION_STEPS):
             trial = f64(0.5) * (best + bad)
             if admissible(b, trial, 1, work, rules) == 1:
                 best = trial

@@ -19,7 +19,7 @@ from carosac_toolkit.physics.cable.catenary_kernels import (
 )
 from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.motion.body_kernels import (
-    SMOOTH,
+    FAST_MOTION_SHARE,
     Gusts,
     Motion,
     Newton,
@@ -40,9 +40,9 @@ from carosac_toolkit.physics.motion.body_kernels import (
 )
 from carosac_toolkit.physics.motion.winch_kernels import WinchState
 from carosac_toolkit.physics.motion.world_kernels import (
-    ALIKE,
-    LIMIT,
-    STEP,
+    NEWTON_STEP_MIN_M,
+    NEWTON_STEPS_MAX,
+    STEPS_ALIKE,
     Plants,
     Worlds,
     clock_after,
@@ -58,15 +58,21 @@ from carosac_toolkit.physics.rest.platform_kernels import cable_stiffness
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-INNER = wp.constant(60)  # steps of one cable
-LOOSE = wp.constant(wp.float64(1.0e-3))  # of the typical length: a larger closure is closed first
-SNAP = wp.constant(wp.float64(0.5))  # share by which a tension changes in a step that snaps
-TIGHT = wp.constant(wp.float64(1.0e-12))
-NEAR = wp.constant(wp.float64(0.3))  # of q: a larger correction is not of first order any more
-GAP = wp.constant(wp.float64(1.0e-5))  # [m] a larger closure asks for another step
-SAGGING = wp.constant(0)
-INSTANT = wp.constant(wp.float64(1.0e-6))  # [s] in which nothing moves
-CLOSED = wp.constant(3)  # evaluations after which free cables are closed
+MOTION_CABLE_STEPS_MAX = wp.constant(60)  # steps of one cable
+LOOSE_CLOSURE_MAX = wp.constant(
+    wp.float64(1.0e-3)
+)  # of the typical length: a larger closure is closed first
+SNAP_TENSION_CHANGE = wp.constant(
+    wp.float64(0.5)
+)  # share by which a tension changes in a step that snaps
+TIGHT_CLOSURE_MAX = wp.constant(wp.float64(1.0e-12))
+FIRST_ORDER_CORRECTION_MAX = wp.constant(
+    wp.float64(0.3)
+)  # of q: a larger correction is not of first order any more
+MOTION_CLOSURE_MAX_M = wp.constant(wp.float64(1.0e-5))  # [m] a larger closure asks for another step
+SAGGING_MODEL = wp.constant(0)
+RELEASE_STEP_S = wp.constant(wp.float64(1.0e-6))  # [s] in which nothing moves
+RELEASE_EVALUATIONS = wp.constant(3)  # evaluations after which free cables are closed
 
 
 @wp.struct
@@ -95,10 +101,17 @@ def sagging_pull(cable: Cable, q: wp.vec3d, anchor: wp.vec3d, velocity: wp.vec3d
                  length: wp.float64, rate: wp.float64, reach: wp.float64,
                  size: wp.float64) -> Pull:  # fmt: skip
     """An elastic catenary with axial damping: tension grows by damping / EA times its rate."""
-    s = settle(q, anchor, length, cable, LOOSE * size, INNER)
+    s = settle(q, anchor, length, cable, LOOSE_CLOSURE_MAX * size, MOTION_CABLE_STEPS_MAX)
     rest = s.inverse * s.hanging.closure
-    if not wp.length(rest) < NEAR * wp.length(s.q):
-        s = settle(guess_cable(anchor, length, cable), anchor, length, cable, TIGHT * size, INNER)
+    if not wp.length(rest) < FIRST_ORDER_CORRECTION_MAX * wp.length(s.q):
+        s = settle(
+            guess_cable(anchor, length, cable),
+            anchor,
+            length,
+            cable,
+            TIGHT_CLOSURE_MAX * size,
+            MOTION_CABLE_STEPS_MAX,
+        )
         rest = s.inverse * s.hanging.closure
     force = s.hanging.force - s.hanging.force_q * rest
     k = cable_stiffness(s.hanging, s.inverse)
@@ -165,7 +178,7 @@ def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, m
         anchor = trial.center + arm
         velocity = trial.velocity + wp.cross(trial.angular_velocity, arm)
         pull = Pull()
-        if model == SAGGING:
+        if model == SAGGING_MODEL:
             pull = sagging_pull(
                 cable,
                 hung.q[b, i],
@@ -184,7 +197,7 @@ def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, m
         hung.tension[b, i] = wp.length(pull.force)
         force = pull.force
         k = pull.stiffness
-        if model == SAGGING:
+        if model == SAGGING_MODEL:
             mass = anchor_mass(cable, winch.length, body.gravity)
             felt = rate_felt(
                 scheme, worlds.anchor_velocity[b, i], worlds.anchor_rate[b, i], velocity
@@ -215,7 +228,7 @@ def keep_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, b
     for i in range(worlds.winch.shape[1]):
         before = worlds.tension[b, i]
         now = hung.tension[b, i]
-        if wp.abs(now - before) > SNAP * wp.max(now, before):
+        if wp.abs(now - before) > SNAP_TENSION_CHANGE * wp.max(now, before):
             snap = ONE
         worlds.tension[b, i] = now
         arm = motion.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
@@ -237,7 +250,7 @@ def time_step(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, mode
     body = plants.bodies[row]
     start = worlds.motion[b]
     gusts = blow(plants.winds[row], worlds.gusts[b], worlds.time[b] + h, worlds.seed[b])
-    scheme = scheme_of(h, worlds.last[b], worlds.rough[b] > 0, SMOOTH)
+    scheme = scheme_of(h, worlds.last[b], worlds.rough[b] > 0, FAST_MOTION_SHARE)
     velocity = start.velocity + h * start.velocity_rate
     omega = start.angular_velocity + h * start.angular_rate
     trial = moved(start, scheme, velocity, omega)
@@ -251,13 +264,13 @@ def time_step(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, mode
         newton = solve_system(loaded.system)
         velocity += newton.move / scheme.reach
         omega += newton.turn / scheme.reach
-        if model == SAGGING:
+        if model == SAGGING_MODEL:
             carry_cables(plants, hung, b, row, body, trial, newton.move, newton.turn)
         trial = moved(start, scheme, velocity, omega)
         count += 1
         size = wp.length(newton.move) + body.arm * wp.length(newton.turn)
-        solved = size < STEP and loaded.gap < GAP
-        going = (not solved) and count < LIMIT
+        solved = size < NEWTON_STEP_MIN_M and loaded.gap < MOTION_CLOSURE_MAX_M
+        going = (not solved) and count < NEWTON_STEPS_MAX
     if not solved and ticks > 1:
         return 0
     worlds.iterations[b] = wp.max(worlds.iterations[b], count)
@@ -330,7 +343,7 @@ def release(plants: Plants, worlds: Worlds, hung: Hung, freed: Freed, model: int
     worlds.gusts[b] = gusts
     worlds.time[b] = ZERO
     worlds.last[b] = h
-    worlds.rough[b] = ALIKE
+    worlds.rough[b] = STEPS_ALIKE
     worlds.failed[b] = 0
     for i in range(worlds.winch.shape[1]):
         winch = WinchState()
@@ -340,15 +353,15 @@ def release(plants: Plants, worlds: Worlds, hung: Hung, freed: Freed, model: int
         arm = start.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
         worlds.anchor_velocity[b, i] = start.velocity + wp.cross(omega, arm)
         worlds.anchor_rate[b, i] = wp.vec3d()
-    scheme = scheme_of(INSTANT, ZERO, True, SMOOTH)
+    scheme = scheme_of(RELEASE_STEP_S, ZERO, True, FAST_MOTION_SHARE)
     trial = moved(start, scheme, start.velocity, omega)
     newton = Newton()
-    for _ in range(CLOSED):  # the first times close the cables
+    for _ in range(RELEASE_EVALUATIONS):  # the first times close the cables
         system = inertial_system(body, start, trial, scheme, gusts.force)
         loaded = load_anchors(plants, worlds, hung, b, row, model, body, trial, system, scheme)
         newton = solve_system(loaded.system)
-    start.velocity_rate = newton.move / (scheme.reach * INSTANT)
-    start.angular_rate = newton.turn / (scheme.reach * INSTANT)
+    start.velocity_rate = newton.move / (scheme.reach * RELEASE_STEP_S)
+    start.angular_rate = newton.turn / (scheme.reach * RELEASE_STEP_S)
     jw = world_inertia(body, start.rotation)
     start.spin_rate = jw * start.angular_rate + wp.cross(omega, start.spin)
     start.acceleration = start.velocity_rate

@@ -19,12 +19,12 @@ from carosac_toolkit.physics.cable.catenary_kernels import vec6d
 from carosac_toolkit.physics.device import Buffers
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.motion import dynamics_kernels
-from carosac_toolkit.physics.motion.dynamics import CABLE_DRAG, NodelessDynamics
+from carosac_toolkit.physics.motion.dynamics import CABLE_DRAG_PER_S, NodelessDynamics
 from carosac_toolkit.physics.motion.winch import WinchSettings
 from carosac_toolkit.physics.motion.worlds import allocate_worlds, rigid_body_record, upload_plants
 from carosac_toolkit.robot.robot import Robot
 
-TIME_STEP = 0.01  # [s]
+PROPAGATION_STEP_S = 0.01  # [s]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,8 +76,8 @@ class Propagation:
         robot: Robot,
         size: int,
         *,
-        time_step: float = TIME_STEP,
-        cable_drag: float = CABLE_DRAG,
+        time_step: float = PROPAGATION_STEP_S,
+        cable_drag: float = CABLE_DRAG_PER_S,
         device: str = "cpu",
     ) -> None:
         """Allocate.

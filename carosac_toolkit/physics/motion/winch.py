@@ -18,9 +18,9 @@ from carosac_toolkit.physics.motion import winch_kernels
 from carosac_toolkit.physics.motion.winch_kernels import Winch
 from carosac_toolkit.robot.robot import Robot
 
-STEP = float(winch_kernels.STEP)  # [s], longest inner step
-SHORTEST_INTEGRAL = 2.0 * STEP  # [s]; what the inner steps resolve
-_STATE = ("length", "rate", "integral")
+INNER_STEP_MAX_S = float(winch_kernels.WINCH_STEP_MAX_S)  # [s], longest inner step
+INTEGRAL_TIME_MIN_S = 2.0 * INNER_STEP_MAX_S  # [s]; what the inner steps resolve
+_STATE_BUFFERS = ("length", "rate", "integral")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class WinchSettings:
     def __post_init__(self) -> None:
         """Refuse what no drive can be."""
         lowest = {
-            "integral_time": (SHORTEST_INTEGRAL, "s"),
+            "integral_time": (INTEGRAL_TIME_MIN_S, "s"),
             "derivative_time": (0.0, "s"),
             "believed_drum_buildup": (0.0, "m"),
         }
@@ -117,7 +117,7 @@ class Winches:
         self._records = wp.array(records[None], dtype=Winch, device="cpu")
         self._encoders = Encoders([robot], len(start), settings)
         self._shape = start.shape
-        names = (*_STATE, "command")
+        names = (*_STATE_BUFFERS, "command")
         shapes: dict[str, tuple[Any, Any]] = {k: (start.shape, wp.float64) for k in names}
         self._buffers = Buffers("cpu", shapes | {"duration": ((1,), wp.float64)})
         self._buffers.put("length", start)
@@ -144,7 +144,7 @@ class Winches:
             self._buffers.put("duration", np.array([duration]))
             self._buffers.launch(
                 "advance", winch_kernels.advance, self._shape,
-                self._records, "command", "duration", *_STATE,
+                self._records, "command", "duration", *_STATE_BUFFERS,
             )  # fmt: skip
 
     def read(self) -> Array:

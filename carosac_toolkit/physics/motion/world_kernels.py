@@ -17,12 +17,16 @@ from carosac_toolkit.physics.motion.winch_kernels import Winch, WinchState, winc
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-CALM = wp.constant(3)  # steps after which a change from slack to taut is over
-ALIKE = wp.constant(-1)  # in place of such steps: all steps alike, through impacts too
-LIMIT = wp.constant(12)  # Newton steps in one time step
-FINEST = wp.constant(64)  # parts of a time step in which it may be taken where it fails
-STEP = wp.constant(wp.float64(1.0e-7))  # [m] a smaller Newton step of the platform is the last
-LOST = wp.constant(wp.float64(100.0))  # typical cable lengths: farther from the exits is lost
+CALM_STEPS = wp.constant(3)  # steps after which a change from slack to taut is over
+STEPS_ALIKE = wp.constant(-1)  # in place of such steps: all steps alike, through impacts too
+NEWTON_STEPS_MAX = wp.constant(12)  # Newton steps in one time step
+STEP_PARTS_MAX = wp.constant(64)  # parts of a time step in which it may be taken where it fails
+NEWTON_STEP_MIN_M = wp.constant(
+    wp.float64(1.0e-7)
+)  # [m] a smaller Newton step of the platform is the last
+LOST_DISTANCE_LENGTHS = wp.constant(
+    wp.float64(100.0)
+)  # typical cable lengths: farther from the exits is lost
 
 
 @wp.struct
@@ -49,7 +53,9 @@ class Worlds:
     seed: wp.array(dtype=int)
     last: wp.array(dtype=wp.float64)  # size of the last step [s]; 0: there was none
     slack: wp.array(dtype=wp.float64)  # stands for which segments of chains are slack
-    rough: wp.array(dtype=int)  # steps to go since a cable fell slack or snapped taut, or `ALIKE`
+    rough: wp.array(
+        dtype=int
+    )  # steps to go since a cable fell slack or snapped taut, or `STEPS_ALIKE`
     failed: wp.array(dtype=int)
     time: wp.array(dtype=wp.float64)  # since the last reset [s]
     position: wp.array(dtype=wp.vec3d)  # platform origin [m]
@@ -77,7 +83,7 @@ class Clock:
 def clock_of(h: wp.float64, count: int) -> Clock:
     """The start of a call of `count` time steps of h [s]."""
     out = Clock()
-    out.size = int(FINEST)
+    out.size = int(STEP_PARTS_MAX)
     out.tick = h / wp.float64(out.size)
     out.ticks = count * out.size
     return out
@@ -91,7 +97,7 @@ def clock_after(clock: Clock, taken: int) -> Clock:
         out.size = clock.size / 2
     else:
         out.done = clock.done + clock.size
-        finest = int(FINEST)
+        finest = int(STEP_PARTS_MAX)
         while out.size < finest and out.done % (2 * out.size) == 0:
             out.size = 2 * out.size
     return out
@@ -145,10 +151,10 @@ def turn_back(worlds: Worlds, b: int, lane: int, lanes: int):
 @wp.func
 def roughness(rough: int, before: wp.float64, now: wp.float64) -> int:
     """Steps to go until an impact is over, which is where `before` and `now` differ."""
-    if rough == ALIKE:
-        return ALIKE
+    if rough == STEPS_ALIKE:
+        return STEPS_ALIKE
     if before != now:
-        return CALM
+        return CALM_STEPS
     return wp.max(rough - 1, 0)
 
 
@@ -156,7 +162,7 @@ def roughness(rough: int, before: wp.float64, now: wp.float64) -> int:
 def is_lost(motion: Motion, body: RigidBody, home: wp.vec3d) -> bool:
     """Whether a motion is not finite or far away from everything."""
     return not (
-        wp.length(motion.center - home) < LOST * body.size
+        wp.length(motion.center - home) < LOST_DISTANCE_LENGTHS * body.size
         and wp.length(motion.velocity) < wp.float64(1.0e4)
         and wp.length(motion.angular_velocity) < wp.float64(1.0e5)
         and wp.isfinite(motion.rotation[0, 0])

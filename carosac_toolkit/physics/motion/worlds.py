@@ -18,7 +18,7 @@ from carosac_toolkit.physics.motion.winch_kernels import Winch, WinchState
 from carosac_toolkit.robot.robot import Robot
 
 # What a world needs to go on, and what people read of it.
-STATE = (
+STATE_FIELDS = (
     "motion", "winch", "anchor_velocity", "anchor_rate", "gusts", "seed", "last", "slack", "rough",
     "failed", "time", "command", "position", "rotation", "twist", "acceleration",
     "unstrained_length", "tension", "iterations", "capped", "residual",

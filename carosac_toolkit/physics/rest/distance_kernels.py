@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from carosac_toolkit.physics.cable.catenary_kernels import ONE, TINY, ZERO
+from carosac_toolkit.physics.cable.catenary_kernels import DIVISION_FLOOR, ONE, ZERO
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -15,8 +15,8 @@ def piece_distance(p: wp.vec3d, u: wp.vec3d, q: wp.vec3d, v: wp.vec3d) -> wp.flo
         Ericson, *Real-Time Collision Detection*, Morgan Kaufmann, 2005, section 5.1.9.
     """
     w = p - q
-    a = wp.dot(u, u) + TINY
-    e = wp.dot(v, v) + TINY
+    a = wp.dot(u, u) + DIVISION_FLOOR
+    e = wp.dot(v, v) + DIVISION_FLOOR
     b = wp.dot(u, v)
     c = wp.dot(u, w)
     f = wp.dot(v, w)

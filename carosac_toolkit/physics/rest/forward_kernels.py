@@ -35,15 +35,15 @@ from carosac_toolkit.physics.rest.start_kernels import cold_start, straight_to
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-INNER = wp.constant(60)  # steps of one cable
-LIMIT = wp.constant(100)  # steps of the platform
-WARM_LIMIT = wp.constant(20)
-RESIDUAL = wp.constant(wp.float64(1.0e-10))  # of the weight
-FITS = wp.constant(wp.float64(2.0e-14))  # of that length: rounding of the coordinates
-GAP = wp.constant(wp.float64(1.0e-13))  # of the typical cable length
-COLD = wp.constant(0)  # no guess: the pose given is home
-NEAR = wp.constant(1)  # a pose is given
-WARM = wp.constant(2)  # a pose and tension vectors are given
+REST_CABLE_STEPS_MAX = wp.constant(60)  # steps of one cable
+REST_STEPS_MAX = wp.constant(100)  # steps of the platform
+WARM_STEPS_MAX = wp.constant(20)
+REST_RESIDUAL_PER_WEIGHT = wp.constant(wp.float64(1.0e-10))  # of the weight
+CLOSURE_ROUNDING = wp.constant(wp.float64(2.0e-14))  # of that length: rounding of the coordinates
+REST_CLOSURE_MAX = wp.constant(wp.float64(1.0e-13))  # of the typical cable length
+START_COLD = wp.constant(0)  # no guess: the pose given is home
+START_AT_POSE = wp.constant(1)  # a pose is given
+START_WARM = wp.constant(2)  # a pose and tension vectors are given
 
 
 @wp.struct
@@ -81,11 +81,11 @@ def load_cables(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.fl
     out.balance = gravity_balance(body, r)
     for i in range(lengths.shape[1]):
         anchor = anchor_of(cables[row, i], p, r)
-        s = settle(q[b, i], anchor, lengths[b, i], cables[row, i], loose, INNER)
+        s = settle(q[b, i], anchor, lengths[b, i], cables[row, i], loose, REST_CABLE_STEPS_MAX)
         inverse[b, i] = s.inverse
         out.gap = wp.max(out.gap, wp.length(s.hanging.closure))
         rest = wp.vec3d()
-        if wp.length(s.hanging.closure) > FITS * body.size:
+        if wp.length(s.hanging.closure) > CLOSURE_ROUNDING * body.size:
             rest = s.inverse * s.hanging.closure
         q[b, i] = s.q - rest
         force = s.hanging.force - s.hanging.force_q * rest
@@ -115,7 +115,7 @@ def relax(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64)
         here = load_cables(cables, lengths, row, b, body, p, r, loose, q, inverse, tension)
         out.steps += 1
         norm = scaled_norm(here.balance.wrench, body.arm)
-        settled = norm <= RESIDUAL * body.weight
+        settled = norm <= REST_RESIDUAL_PER_WEIGHT * body.weight
         power = wp.abs(wp.dot(step, here.balance.wrench))
         overshot = out.steps > 1 and power > wp.float64(0.9) * slope and not settled
         if overshot and halvings < 30:
@@ -137,7 +137,7 @@ def relax(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64)
             out.gap = here.gap
             newton = descent_step(here.balance, body, wp.float64(0.1), wp.float64(0.3))
             out.pivot_min = newton.pivot_min
-            if settled and here.gap <= GAP * body.size:
+            if settled and here.gap <= REST_CLOSURE_MAX * body.size:
                 out.converged = 1
             else:
                 step = newton.step
@@ -210,17 +210,17 @@ def forward(
     body = bodies[wp.min(b, bodies.shape[0] - 1)]
     rest = Rest()
     steps = int(0)
-    if start == NEAR:
+    if start == START_AT_POSE:
         for i in range(unstrained_length.shape[1]):
             anchor = anchor_of(cables[row, i], position[b], rotation[b])
             q[b, i] = guess_cable(anchor, unstrained_length[b, i], cables[row, i])
-    near = start != COLD
-    if start == WARM:
+    near = start != START_COLD
+    if start == START_WARM:
         near = is_near(cables, unstrained_length, row, b, position[b], rotation[b], q)
     if near:
         rest = relax(
             cables, unstrained_length, row, b, body, position[b], rotation[b], q, inverse,
-            tension, WARM_LIMIT,
+            tension, WARM_STEPS_MAX,
         )  # fmt: skip
         steps = rest.steps
     if rest.converged == 0:
@@ -230,7 +230,7 @@ def forward(
         start_cables(cables, unstrained_length, row, b, first.position, first.rotation, q, tension)
         rest = relax(
             cables, unstrained_length, row, b, body, first.position, first.rotation, q, inverse,
-            tension, LIMIT,
+            tension, REST_STEPS_MAX,
         )  # fmt: skip
         steps += rest.steps + first.steps
     position[b] = rest.position

@@ -24,11 +24,15 @@ from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable.catenary_kernels import mat66d, vec6d
 from carosac_toolkit.physics.device import body_record, check_call, device_robot
 from carosac_toolkit.physics.rest import hold_kernels
-from carosac_toolkit.physics.rest.statics import GAP, RESIDUAL, Equilibrium
+from carosac_toolkit.physics.rest.statics import (
+    EQUILIBRIUM_CLOSURE_MAX,
+    EQUILIBRIUM_RESIDUAL_PER_WEIGHT,
+    Equilibrium,
+)
 from carosac_toolkit.physics.rest.tension_margin import scratch
 from carosac_toolkit.robot.robot import Robot
 
-CHUNK = 8192  # poses at a time, in whole lines: what bounds the memory
+CHUNK_POSES = 8192  # poses at a time, in whole lines: what bounds the memory
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,7 +124,7 @@ def _chunks(starts: NDArray[np.int64], size: int) -> list[tuple[int, int, NDArra
     out = []
     first = 0
     for k in range(len(starts)):
-        if k + 1 == len(starts) or ends[k + 1] - starts[first] > CHUNK:
+        if k + 1 == len(starts) or ends[k + 1] - starts[first] > CHUNK_POSES:
             a, b = int(starts[first]), int(ends[k])
             out.append((a, b, np.append(starts[first : k + 1], b) - a))
             first = k + 1
@@ -154,10 +158,10 @@ def _solve(
         scratch(len(first) - 1, count, device),
     ]
     wp.launch(hold_kernels.hold, len(first) - 1, inputs=inputs, device=device)
-    return {name: getattr(poses, name).numpy() for name in _ANSWER}
+    return {name: getattr(poses, name).numpy() for name in _ANSWER_FIELDS}
 
 
-_ANSWER = (
+_ANSWER_FIELDS = (
     "rotation", "tension", "unstrained_length", "q", "lower", "low", "high", "margin", "gap",
     "status", "steps", "stiffness", "residual", "closure", "stable",
 )  # fmt: skip
@@ -186,8 +190,8 @@ def _answer(robot: Robot, position: Array, found: dict[str, Array]) -> WidestRes
     size = float(body_record(robot)["size"])
     margin = np.where(status == 1, found["margin"], np.where(status == 2, -np.inf, np.nan))
     held = margin >= 0.0
-    hung = found["closure"] <= GAP * size
-    sound = (found["residual"] <= RESIDUAL * robot.weight) & hung
+    hung = found["closure"] <= EQUILIBRIUM_CLOSURE_MAX * size
+    sound = (found["residual"] <= EQUILIBRIUM_RESIDUAL_PER_WEIGHT * robot.weight) & hung
     failed = (status == 0) | ~hung | (held & ~sound)
     margin = np.where(failed, np.nan, margin)
     rest = Equilibrium(

@@ -9,13 +9,20 @@ their limits here: there they are continued to first order, which leaves the sig
 
 import warp as wp
 
-from carosac_toolkit.physics.cable.catenary_kernels import ONE, TINY, TWO, ZERO, Cable, vec6d
-from carosac_toolkit.physics.cable.tension_kernels import MARGIN, Pulling, pull
+from carosac_toolkit.physics.cable.catenary_kernels import (
+    DIVISION_FLOOR,
+    ONE,
+    TWO,
+    ZERO,
+    Cable,
+    vec6d,
+)
+from carosac_toolkit.physics.cable.tension_kernels import LEAST_TENSION_FACTOR, Pulling, pull
 from carosac_toolkit.physics.rest.forward_kernels import load_cables
 from carosac_toolkit.physics.rest.inverse_kernels import first_tensions, scaled_wrench, set_limits
 from carosac_toolkit.physics.rest.margin_kernels import (
-    SOLVED,
-    UNSOLVED,
+    MARGIN_SOLVED,
+    MARGIN_UNSOLVED,
     Work,
     largest_margin,
     nearest_balance,
@@ -34,17 +41,17 @@ from carosac_toolkit.physics.rest.start_kernels import cold_start, straight_to
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-ROUNDS = wp.constant(4)  # of fitting straight cables to the position
-STEPS = wp.constant(40)
-ATTEMPTS = wp.constant(5)  # rotations to start from: home, then tilted ones if none was solved
-STABLE = wp.constant(2)  # best rank of an answer; 1: solved, 0: not solved
-TILT = wp.constant(wp.float64(0.7))  # [rad]
-REACH = wp.constant(wp.float64(0.3))  # [rad] first trust region
-REST = wp.constant(wp.float64(1.0e-11))  # wrench left, of the weight
-STILL = wp.constant(wp.float64(1.0e-9))  # margin still to be gained, of the weight
-SHORTEST = wp.constant(wp.float64(1.0e-3))  # part of a step
-NOISE = wp.constant(wp.float64(1.0e-10))  # of the weight
-PENALTY = wp.constant(wp.float64(1.0))  # N of margin that a N of wrench left costs
+HOLD_FIT_ROUNDS = wp.constant(4)  # of fitting straight cables to the position
+HOLD_STEPS_MAX = wp.constant(40)
+HOLD_ATTEMPTS = wp.constant(5)  # rotations to start from: home, then tilted ones if none was solved
+RANK_STABLE = wp.constant(2)  # best rank of an answer; 1: solved, 0: not solved
+HOLD_TILT_RAD = wp.constant(wp.float64(0.7))  # [rad]
+TRUST_RADIUS_RAD = wp.constant(wp.float64(0.3))  # [rad] first trust region
+HOLD_RESIDUAL_PER_WEIGHT = wp.constant(wp.float64(1.0e-11))  # wrench left, of the weight
+MARGIN_GAIN_PER_WEIGHT = wp.constant(wp.float64(1.0e-9))  # margin still to be gained, of the weight
+STEP_PORTION_MIN = wp.constant(wp.float64(1.0e-3))  # part of a step
+GAIN_NOISE_PER_WEIGHT = wp.constant(wp.float64(1.0e-10))  # of the weight
+WRENCH_PENALTY = wp.constant(wp.float64(1.0))  # N of margin that a N of wrench left costs
 
 
 @wp.struct
@@ -168,7 +175,7 @@ def go(b: int, n: int, free: int, start: wp.mat33d, weight: wp.float64, poses: P
     turn = wp.vec3d()
     for j in range(free):
         turn[j] = poses.found[b, n + j] / weight
-    scale = wp.min(ONE, wp.float64(0.5) / (wp.length(turn) + TINY))
+    scale = wp.min(ONE, wp.float64(0.5) / (wp.length(turn) + DIVISION_FLOOR))
     for i in range(n):
         t = poses.tension[b, i]
         poses.kept[b, i] = t
@@ -222,18 +229,18 @@ def come_to_rest(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, 
     n = poses.tension.shape[1]
     count = poses.column.shape[1]
     out = start
-    out.status = UNSOLVED
+    out.status = MARGIN_UNSOLVED
     balanced = int(1)
     for _step in range(12):
-        if balanced == 1 and out.status == UNSOLVED:
+        if balanced == 1 and out.status == MARGIN_UNSOLVED:
             wrench = continued_cables(
                 cables, row, b, body, poses.position[b], out.rotation, external, poses
             )  # fmt: skip
             out.steps += 1
             out.margin = margin_of(b, poses)
             decided = out.margin >= ZERO or out.margin + start.gap < ZERO
-            if wp.length(wrench) <= REST * body.weight and decided:
-                out.status = SOLVED
+            if wp.length(wrench) <= HOLD_RESIDUAL_PER_WEIGHT * body.weight and decided:
+                out.status = MARGIN_SOLVED
             else:
                 target = aim(b, wrench, poses)
                 balanced = nearest_balance(poses.column, b, count, target, line, work, poses.found)
@@ -256,19 +263,22 @@ def seek(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, start: w
     out = Held()
     out.rotation = start
     r = start
-    reach = REACH
+    reach = TRUST_RADIUS_RAD
     portion = wp.float64(1.0)
-    penalty = PENALTY
+    penalty = WRENCH_PENALTY
     margin = wp.float64(0.0)
     left = wp.float64(0.0)
     promised = wp.float64(0.0)
     going = bool(True)
-    while going and out.steps < STEPS:
+    while going and out.steps < HOLD_STEPS_MAX:
         wrench = continued_cables(cables, row, b, body, p, r, external, poses)
         out.steps += 1
         gain = margin_of(b, poses) - margin - penalty * (wp.length(wrench) - left)
-        poor = out.steps > 1 and gain < wp.float64(0.05) * promised - NOISE * body.weight
-        if poor and count == n and portion > SHORTEST:
+        poor = (
+            out.steps > 1
+            and gain < wp.float64(0.05) * promised - GAIN_NOISE_PER_WEIGHT * body.weight
+        )
+        if poor and count == n and portion > STEP_PORTION_MIN:
             portion = wp.float64(0.25) * portion
             promised = wp.float64(0.25) * promised
             step_back(b, n, portion, poses)
@@ -279,7 +289,7 @@ def seek(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, start: w
                 step_back(b, n, ZERO, poses)
                 wrench = continued_cables(cables, row, b, body, p, r, external, poses)
             elif out.steps > 1:
-                reach = wp.min(TWO * reach, REACH)
+                reach = wp.min(TWO * reach, TRUST_RADIUS_RAD)
             portion = wp.float64(1.0)
             out.rotation = r
             margin = margin_of(b, poses)
@@ -289,15 +299,18 @@ def seek(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, start: w
                 poses.column, b, n, count, target, reach * body.weight, poses.lower, poses.upper,
                 line, work, poses.found,
             )  # fmt: skip
-            penalty = wp.max(penalty, TWO * (margin - best.margin) / (left + TINY))
+            penalty = wp.max(penalty, TWO * (margin - best.margin) / (left + DIVISION_FLOOR))
             promised = best.margin - margin + penalty * left
             out.margin = margin
             out.gap = wp.abs(best.margin - margin) + best.gap
-            if best.status != SOLVED:
+            if best.status != MARGIN_SOLVED:
                 out.status = best.status
                 going = False
-            elif left <= REST * body.weight and out.gap <= STILL * body.weight:
-                out.status = SOLVED
+            elif (
+                left <= HOLD_RESIDUAL_PER_WEIGHT * body.weight
+                and out.gap <= MARGIN_GAIN_PER_WEIGHT * body.weight
+            ):
+                out.status = MARGIN_SOLVED
                 keep_weights(line, b, n, poses, work)
                 going = False
             else:
@@ -316,7 +329,7 @@ def start_cold(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, gi
     r = given
     n = poses.tension.shape[1]
     if poses.column.shape[1] > n:
-        for _round in range(ROUNDS):
+        for _round in range(HOLD_FIT_ROUNDS):
             for i in range(n):
                 s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
                 poses.unstrained_length[b, i] = s.length
@@ -333,7 +346,7 @@ def begin(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, r: wp.m
           poses: Poses):  # fmt: skip
     """Straight cables of the tensions of the pose, clipped to the limits."""
     p = poses.position[b]
-    set_limits(cables, row, b, body, p, r, MARGIN, poses.lower, poses.upper)
+    set_limits(cables, row, b, body, p, r, LEAST_TENSION_FACTOR, poses.lower, poses.upper)
     first_tensions(
         cables, row, b, p, r, poses.lower, poses.upper, poses.tension, poses.unstrained_length,
         poses.q,
@@ -347,7 +360,9 @@ def limits_moved(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, 
     most = wp.float64(0.0)
     for i in range(poses.tension.shape[1]):
         poses.kept[b, i] = poses.lower[b, i]
-    set_limits(cables, row, b, body, poses.position[b], r, MARGIN, poses.lower, poses.upper)
+    set_limits(
+        cables, row, b, body, poses.position[b], r, LEAST_TENSION_FACTOR, poses.lower, poses.upper
+    )
     for i in range(poses.tension.shape[1]):
         most = wp.max(most, wp.abs(poses.lower[b, i] - poses.kept[b, i]))
     return most > wp.float64(1.0e-8) * body.weight
@@ -358,7 +373,7 @@ def tilted(attempt: int, rotation: wp.mat33d) -> wp.mat33d:
     """The rotation itself, then four tilted ones."""
     tilt = wp.vec3d()
     if attempt > 0:
-        tilt[attempt % 2] = wp.where(attempt > 2, -TILT, TILT)
+        tilt[attempt % 2] = wp.where(attempt > 2, -HOLD_TILT_RAD, HOLD_TILT_RAD)
     return rotation_of(tilt) * rotation
 
 
@@ -390,11 +405,15 @@ def try_from(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, r: w
     steps = out.steps
     changed = limits_moved(cables, row, b, body, out.rotation, poses)
     rounds = int(1)
-    while poses.column.shape[1] > poses.tension.shape[1] and changed and out.status == SOLVED:
+    while (
+        poses.column.shape[1] > poses.tension.shape[1] and changed and out.status == MARGIN_SOLVED
+    ):
         out = seek(cables, row, b, body, out.rotation, external, line, poses, work)
         steps += out.steps
         rounds += 1
-        changed = rounds < ROUNDS and limits_moved(cables, row, b, body, out.rotation, poses)
+        changed = rounds < HOLD_FIT_ROUNDS and limits_moved(
+            cables, row, b, body, out.rotation, poses
+        )
     out.steps = steps
     poses.status[b] = out.status
     poses.margin[b] = out.margin
@@ -402,9 +421,9 @@ def try_from(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, r: w
     poses.steps[b] = poses.steps[b] + out.steps
     poses.rotation[b] = out.rotation
     poses.stable[b] = 0
-    if out.status == SOLVED and out.margin >= ZERO:
+    if out.status == MARGIN_SOLVED and out.margin >= ZERO:
         poses.stable[b] = judge_rest(cables, row, b, body, out.rotation, external, poses)
-    return wp.where(out.status != UNSOLVED, 1 + poses.stable[b], 0)
+    return wp.where(out.status != MARGIN_UNSOLVED, 1 + poses.stable[b], 0)
 
 
 @wp.kernel
@@ -421,7 +440,7 @@ def hold(
     n = poses.tension.shape[1]
     free = poses.column.shape[1] - n
     body = bodies[0]
-    attempts = wp.where(free > 0, ATTEMPTS, 1)
+    attempts = wp.where(free > 0, HOLD_ATTEMPTS, 1)
     warm = int(-1)
     for b in range(first[line], first[line + 1]):
         home = poses.rotation[b]
@@ -433,7 +452,7 @@ def hold(
                 poses.tension[b, i] = poses.tension[warm, i]
             best = try_from(cables, 0, b, body, poses.rotation[warm], external, line, poses, work)
         attempt = int(0)
-        while best < STABLE and attempt < attempts:
+        while best < RANK_STABLE and attempt < attempts:
             r = start_cold(cables, 0, b, body, tilted(attempt, home), poses)
             rank = try_from(cables, 0, b, body, r, external, line, poses, work)
             if rank > best or attempt == 0:
@@ -443,7 +462,7 @@ def hold(
         if chosen >= 0 and chosen < attempt - 1:
             r = start_cold(cables, 0, b, body, tilted(chosen, home), poses)
             best = try_from(cables, 0, b, body, r, external, line, poses, work)
-        warm = wp.where(free > 0 and best == STABLE, b, -1)
+        warm = wp.where(free > 0 and best == RANK_STABLE, b, -1)
 
 
 @wp.kernel

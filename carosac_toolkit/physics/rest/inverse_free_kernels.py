@@ -6,15 +6,26 @@ the least squared tensions within the limits, starting from a stable rest on str
 
 import warp as wp
 
-from carosac_toolkit.physics.cable.catenary_kernels import HALF, ONE, TINY, TWO, ZERO, Cable, vec6d
-from carosac_toolkit.physics.cable.tension_kernels import MARGIN, WIDE_MARGIN
+from carosac_toolkit.physics.cable.catenary_kernels import (
+    DIVISION_FLOOR,
+    HALF,
+    ONE,
+    TWO,
+    ZERO,
+    Cable,
+    vec6d,
+)
+from carosac_toolkit.physics.cable.tension_kernels import (
+    LEAST_TENSION_FACTOR,
+    LEAST_TENSION_FACTOR_WIDE,
+)
 from carosac_toolkit.physics.rest.inverse_kernels import (
-    CONVERGED,
-    FAILED,
-    INFEASIBLE,
-    LIMIT,
-    RESIDUAL,
-    STEADY,
+    STATUS_CONVERGED,
+    STATUS_FAILED,
+    STATUS_INFEASIBLE,
+    TENSION_CHANGE_PER_WEIGHT,
+    TENSION_RESIDUAL_PER_WEIGHT,
+    TENSION_STEPS_MAX,
     first_tensions,
     pull_cables,
     set_limits,
@@ -34,9 +45,9 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 mat99d = wp.types.matrix((9, 9), wp.float64)
 vec9d = wp.types.vector(9, wp.float64)
 
-ROUNDS = wp.constant(4)  # of fitting straight cables to the position
-ATTEMPTS = wp.constant(6)  # rotations to start from, the later ones only where the first fails
-TILT = wp.constant(wp.float64(0.7))  # [rad]
+FREE_FIT_ROUNDS = wp.constant(4)  # of fitting straight cables to the position
+FREE_ATTEMPTS = wp.constant(6)  # rotations to start from, the later ones only where the first fails
+FREE_TILT_RAD = wp.constant(wp.float64(0.7))  # [rad]
 
 
 @wp.func
@@ -56,7 +67,7 @@ def solve9(matrix: mat99d, right: vec9d) -> vec9d:
         above = x[j]
         x[j] = x[p]
         x[p] = above
-        pivot = a[j, j] + TINY
+        pivot = a[j, j] + DIVISION_FLOOR
         for i in range(j + 1, 9):
             f = a[i, j] / pivot
             for k in range(j, 9):
@@ -67,7 +78,7 @@ def solve9(matrix: mat99d, right: vec9d) -> vec9d:
         s = x[j]
         for k in range(j + 1, 9):
             s -= a[j, k] * x[k]
-        x[j] = s / (a[j, j] + TINY)
+        x[j] = s / (a[j, j] + DIVISION_FLOOR)
     return x
 
 
@@ -273,8 +284,8 @@ def verdict(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.floa
     for i in range(tension.shape[1]):
         slip = wp.float64(1.0e-9) * upper[b, i]
         if tension[b, i] < lower[b, i] - slip or tension[b, i] > upper[b, i] + slip:
-            return INFEASIBLE
-    return CONVERGED
+            return STATUS_INFEASIBLE
+    return STATUS_CONVERGED
 
 
 @wp.struct
@@ -320,14 +331,21 @@ def optimise(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: w
         angle = wp.length(turn)
         dual_force = wp.vec3d(step[0], step[1], step[2])
         dual_moment = wp.vec3d(step[3], step[4], step[5]) / body.arm
-        steady = found.choice.jump <= STEADY * body.weight and angle <= wp.float64(10.0) * STEADY
-        if norm <= RESIDUAL * body.weight and steady and found.choice.changed == 0:
+        steady = (
+            found.choice.jump <= TENSION_CHANGE_PER_WEIGHT * body.weight
+            and angle <= wp.float64(10.0) * TENSION_CHANGE_PER_WEIGHT
+        )
+        if (
+            norm <= TENSION_RESIDUAL_PER_WEIGHT * body.weight
+            and steady
+            and found.choice.changed == 0
+        ):
             out.status = verdict(lower, upper, b, tension)
-        elif out.steps >= LIMIT:
-            refused = verdict(lower, upper, b, wanted) == INFEASIBLE
-            out.status = wp.where(refused, INFEASIBLE, FAILED)
+        elif out.steps >= TENSION_STEPS_MAX:
+            refused = verdict(lower, upper, b, wanted) == STATUS_INFEASIBLE
+            out.status = wp.where(refused, STATUS_INFEASIBLE, STATUS_FAILED)
         else:
-            scale = wp.min(ONE, wp.float64(0.2) / (angle + TINY))
+            scale = wp.min(ONE, wp.float64(0.2) / (angle + DIVISION_FLOOR))
             for i in range(n):
                 tension[b, i] = tension[b, i] + scale * (wanted[b, i] - tension[b, i])
             out.rotation = orthonormal(rotation_of(scale * turn) * r)
@@ -339,7 +357,7 @@ def start_rotation(attempt: int, rotation: wp.mat33d) -> wp.mat33d:
     """The rotation that was given, twice, then four tilted ones."""
     tilt = wp.vec3d()
     if attempt > 1:
-        tilt[attempt % 2] = wp.where(attempt > 3, -TILT, TILT)
+        tilt[attempt % 2] = wp.where(attempt > 3, -FREE_TILT_RAD, FREE_TILT_RAD)
     return rotation_of(tilt) * rotation
 
 
@@ -374,10 +392,10 @@ def inverse_free(
     out = Outcome()
     steps = int(0)
     attempt = int(0)
-    while attempt < ATTEMPTS and out.status != CONVERGED:
+    while attempt < FREE_ATTEMPTS and out.status != STATUS_CONVERGED:
         r = start_rotation(attempt, given)
-        margin = wp.where(attempt == 1, WIDE_MARGIN, MARGIN)
-        for _round in range(ROUNDS):
+        margin = wp.where(attempt == 1, LEAST_TENSION_FACTOR_WIDE, LEAST_TENSION_FACTOR)
+        for _round in range(FREE_FIT_ROUNDS):
             for i in range(tension.shape[1]):
                 s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
                 unstrained_length[b, i] = s.length

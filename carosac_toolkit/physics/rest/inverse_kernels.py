@@ -8,7 +8,7 @@ import warp as wp
 
 from carosac_toolkit.physics.cable.catenary_kernels import ZERO, Cable, vec6d
 from carosac_toolkit.physics.cable.tension_kernels import (
-    MARGIN,
+    LEAST_TENSION_FACTOR,
     Pulling,
     guess_pull,
     lowest_allowed,
@@ -28,13 +28,13 @@ from carosac_toolkit.physics.rest.platform_kernels import (
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-LIMIT = wp.constant(80)
-RESIDUAL = wp.constant(wp.float64(1.0e-11))  # of the weight
-STEADY = wp.constant(wp.float64(1.0e-9))  # change of tension, of the weight
+TENSION_STEPS_MAX = wp.constant(80)
+TENSION_RESIDUAL_PER_WEIGHT = wp.constant(wp.float64(1.0e-11))  # of the weight
+TENSION_CHANGE_PER_WEIGHT = wp.constant(wp.float64(1.0e-9))  # change of tension, of the weight
 
-FAILED = wp.constant(0)
-CONVERGED = wp.constant(1)
-INFEASIBLE = wp.constant(2)
+STATUS_FAILED = wp.constant(0)
+STATUS_CONVERGED = wp.constant(1)
+STATUS_INFEASIBLE = wp.constant(2)
 
 
 @wp.func
@@ -125,7 +125,7 @@ def inverse_held(
     body = bodies[wp.min(b, bodies.shape[0] - 1)]
     p = position[b]
     r = rotation[b]
-    set_limits(cables, row, b, body, p, r, MARGIN, lower, upper)
+    set_limits(cables, row, b, body, p, r, LEAST_TENSION_FACTOR, lower, upper)
     for i in range(n):
         middle[b, i] = ZERO
         tension[b, i] = body.weight
@@ -145,12 +145,16 @@ def inverse_held(
         jump = wp.float64(0.0)
         for i in range(n):
             jump = wp.max(jump, wp.abs(wanted[b, i] - tension[b, i]))
-        if feasible == 1 and norm <= RESIDUAL * body.weight and jump <= STEADY * body.weight:
-            result = CONVERGED
+        if (
+            feasible == 1
+            and norm <= TENSION_RESIDUAL_PER_WEIGHT * body.weight
+            and jump <= TENSION_CHANGE_PER_WEIGHT * body.weight
+        ):
+            result = STATUS_CONVERGED
         elif refused >= 4:
-            result = INFEASIBLE
-        elif count >= LIMIT:
-            result = FAILED
+            result = STATUS_INFEASIBLE
+        elif count >= TENSION_STEPS_MAX:
+            result = STATUS_FAILED
         else:
             for i in range(n):
                 tension[b, i] = wanted[b, i]

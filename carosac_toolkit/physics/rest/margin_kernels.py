@@ -11,20 +11,24 @@ other balanced tensions have a margin over sum l (x - lower) + sum l (upper - x)
 
 import warp as wp
 
-from carosac_toolkit.physics.cable.catenary_kernels import ONE, TINY, ZERO, vec6d
+from carosac_toolkit.physics.cable.catenary_kernels import DIVISION_FLOOR, ONE, ZERO, vec6d
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-RANK = wp.constant(wp.float64(1.0e-11))  # of the largest pivot: a smaller one counts as none
+RANK_PIVOT_MIN = wp.constant(
+    wp.float64(1.0e-11)
+)  # of the largest pivot: a smaller one counts as none
 ZERO_COST = wp.constant(wp.float64(1.0e-11))  # N of margin per N of slack
 ZERO_PIVOT = wp.constant(wp.float64(1.0e-10))
-DANTZIG = wp.constant(40)  # pivots by the steepest rule, then by Bland's, which cannot cycle
-PIVOTS = wp.constant(1000)
-INERT = wp.constant(-1000000)  # a column that moves no tension
+STEEPEST_PIVOTS = wp.constant(
+    40
+)  # pivots by the steepest rule, then by Bland's, which cannot cycle
+SIMPLEX_PIVOTS_MAX = wp.constant(1000)
+INERT_COLUMN = wp.constant(-1000000)  # a column that moves no tension
 
-UNSOLVED = wp.constant(0)
-SOLVED = wp.constant(1)
-UNBALANCED = wp.constant(2)  # A x = b has no solution
+MARGIN_UNSOLVED = wp.constant(0)
+MARGIN_SOLVED = wp.constant(1)
+MARGIN_UNBALANCED = wp.constant(2)  # A x = b has no solution
 
 
 @wp.struct
@@ -114,13 +118,15 @@ def eliminate(
     out = Space()
     going = bool(True)
     while going and out.rank < wp.min(6, count):
-        going = wp.abs(bring_pivot(line, out.rank, count, work)) > RANK * size
+        going = wp.abs(bring_pivot(line, out.rank, count, work)) > RANK_PIVOT_MIN * size
         if going:
             clear_column(line, out.rank, count, work)
             out.rank = out.rank + 1
     out.balanced = 1
     for i in range(out.rank, 6):
-        if wp.abs(work.rows[line, i, count]) > wp.float64(1.0e-9) * (wp.length(target) + TINY):
+        if wp.abs(work.rows[line, i, count]) > wp.float64(1.0e-9) * (
+            wp.length(target) + DIVISION_FLOOR
+        ):
             out.balanced = 0
     return out
 
@@ -222,7 +228,7 @@ def entering_column(line: int, height: int, width: int, bland: bool, work: Work)
     out = int(-1)
     for c in range(width):
         cost = work.table[line, height, c]
-        if work.column_of[line, c] != INERT and cost > ZERO_COST:
+        if work.column_of[line, c] != INERT_COLUMN and cost > ZERO_COST:
             if out < 0:
                 out = c
             elif bland and work.column_of[line, c] < work.column_of[line, out]:
@@ -242,18 +248,18 @@ def climb(line: int, height: int, width: int, work: Work) -> int:
         if r < 0 and wp.abs(work.table[line, height, e]) <= ZERO_COST:
             r = blocking_row(line, e, -sign, height, width, work)
         if r < 0:
-            work.column_of[line, e] = INERT
+            work.column_of[line, e] = INERT_COLUMN
         else:
             exchange(line, r, e, height, width, work)
-    for pivots in range(PIVOTS):
-        e = entering_column(line, height, width, pivots > DANTZIG, work)
+    for pivots in range(SIMPLEX_PIVOTS_MAX):
+        e = entering_column(line, height, width, pivots > STEEPEST_PIVOTS, work)
         if e < 0:
-            return SOLVED
+            return MARGIN_SOLVED
         r = blocking_row(line, e, ONE, height, width, work)
         if r < 0:
-            return UNSOLVED
+            return MARGIN_UNSOLVED
         exchange(line, r, e, height, width, work)
-    return UNSOLVED
+    return MARGIN_UNSOLVED
 
 
 @wp.func
@@ -309,7 +315,7 @@ def read_table(line: int, b: int, n: int, count: int, free: int, work: Work,
             work.weight[line, name] = wp.max(-work.table[line, height, c], ZERO)
             total += wp.where(name < 2 * n, work.weight[line, name], ZERO)
     for j in range(height):
-        work.weight[line, j] = work.weight[line, j] / (total + TINY)
+        work.weight[line, j] = work.weight[line, j] / (total + DIVISION_FLOOR)
     for j in range(count):
         found[b, j] = work.null[line, j, free]
     for row in range(height):
@@ -378,7 +384,7 @@ def largest_margin(column: wp.array2d(dtype=vec6d), b: int, n: int, count: int, 
                    found: wp.array2d(dtype=wp.float64)) -> Margin:  # fmt: skip
     """Solve for n tensions and count - n unlimited unknowns, near what `found` holds."""
     out = Margin()
-    out.status = UNBALANCED
+    out.status = MARGIN_UNBALANCED
     space = eliminate(column, b, count, target, line, work)
     if space.balanced == 1:
         set_null_space(line, count, space.rank, work)

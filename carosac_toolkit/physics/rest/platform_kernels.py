@@ -3,9 +3,9 @@
 import warp as wp
 
 from carosac_toolkit.physics.cable.catenary_kernels import (
+    DIVISION_FLOOR,
     HALF,
     ONE,
-    TINY,
     ZERO,
     Cable,
     Hanging,
@@ -202,7 +202,7 @@ def descent_step(total: Balance, body: Body, reach: wp.float64, turn: wp.float64
     step = solve_factored(f.ldl, total.wrench)
     move = wp.sqrt(step[0] * step[0] + step[1] * step[1] + step[2] * step[2])
     angle = wp.sqrt(step[3] * step[3] + step[4] * step[4] + step[5] * step[5])
-    limit = wp.min(reach * body.size / (move + TINY), turn / (angle + TINY))
+    limit = wp.min(reach * body.size / (move + DIVISION_FLOOR), turn / (angle + DIVISION_FLOOR))
     out.step = wp.min(ONE, limit) * step
     return out
 

@@ -23,9 +23,11 @@ from carosac_toolkit.physics.rest.platform_kernels import (
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-ROUNDS = wp.constant(12)
-STEPS = wp.constant(25)
-SOFTNESS = wp.constant(wp.float64(0.03))  # stretch under the weight, as a share of cable length
+MULTIPLIER_ROUNDS_MAX = wp.constant(12)
+SOFT_STEPS_MAX = wp.constant(25)
+STRETCH_UNDER_WEIGHT = wp.constant(
+    wp.float64(0.03)
+)  # stretch under the weight, as a share of cable length
 
 
 @wp.struct
@@ -98,7 +100,7 @@ def minimise(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float
     energy = soft_energy(
         cables, lengths, multiplier, row, b, body, start.position, start.rotation, k
     )
-    for _step in range(STEPS):
+    for _step in range(SOFT_STEPS_MAX):
         p = out.position
         r = out.rotation
         total = soft_balance(cables, lengths, multiplier, row, b, body, p, r, k)
@@ -131,10 +133,10 @@ def cold_start(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.flo
     out = Start()
     out.position = p0
     out.rotation = r0
-    k = body.weight / (SOFTNESS * body.size)
+    k = body.weight / (STRETCH_UNDER_WEIGHT * body.size)
     for i in range(lengths.shape[1]):
         multiplier[b, i] = ZERO
-    for _round in range(ROUNDS):
+    for _round in range(MULTIPLIER_ROUNDS_MAX):
         out = minimise(cables, lengths, multiplier, row, b, body, out, k)
         worst = wp.float64(0.0)
         for i in range(lengths.shape[1]):

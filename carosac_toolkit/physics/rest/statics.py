@@ -25,9 +25,9 @@ from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest import forward_kernels, inverse_free_kernels, inverse_kernels
 from carosac_toolkit.robot.robot import Robot
 
-RESIDUAL = 1e-9  # of the weight: a larger wrench left over is no equilibrium
-GAP = 1e-11  # of the typical cable length: a larger closure is no equilibrium
-REASONS = ("not converged", "converged", "no tensions within the limits found")
+EQUILIBRIUM_RESIDUAL_PER_WEIGHT = 1e-9  # of the weight: a larger wrench left over is no equilibrium
+EQUILIBRIUM_CLOSURE_MAX = 1e-11  # of the typical cable length: a larger closure is no equilibrium
+STATUS_REASONS = ("not converged", "converged", "no tensions within the limits found")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,7 +50,7 @@ class Equilibrium:
         stiffness: -d wrench / d (translation, rotation vector) in W at the platform origin, at
             constant lengths, shape (B, 6, 6): blocks in N/m, N, N and N m.
         exit_tension: Tension vector at the exit, pointing from platform to exit [N], (B, n, 3).
-        status: Index into `REASONS`, shape (B,).
+        status: Index into `STATUS_REASONS`, shape (B,).
         iterations: Newton steps, shape (B,).
     """
 
@@ -289,7 +289,9 @@ def _equilibrium(robot: Robot | Fleet, buffers: Buffers) -> Equilibrium:
     tension = buffers.get("tension")
     length = buffers.get("unstrained_length")
     residual, gap, status = (buffers.get(k) for k in ("residual", "gap", "status"))
-    sound = (residual <= RESIDUAL * robot.weight) & (gap <= GAP * buffers.length_scale)
+    sound = (residual <= EQUILIBRIUM_RESIDUAL_PER_WEIGHT * robot.weight) & (
+        gap <= EQUILIBRIUM_CLOSURE_MAX * buffers.length_scale
+    )
     converged = (status == 1) & sound
     return Equilibrium(
         position=buffers.get("position"),

@@ -24,8 +24,8 @@ from carosac_toolkit.physics.cable.catenary_kernels import vec6d
 from carosac_toolkit.physics.rest import hold_kernels, margin_kernels
 from carosac_toolkit.physics.rest.tension_problem import TensionProblem, prepare
 
-ROUNDING = 1e-9  # of the largest limit: how well a margin must be proved
-CHUNK = 16384  # problems at a time: what bounds the memory; rows do not know of each other
+PROOF_GAP_MAX = 1e-9  # of the largest limit: how well a margin must be proved
+CHUNK_PROBLEMS = 16384  # problems at a time: what bounds the memory; rows do not know of each other
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,7 +78,10 @@ def solve(
     """
     asked = prepare(structure_matrix, wrench, tension_min, tension_max, arm)
     count, n, _ = asked.columns.shape
-    parts = [_launch(asked, slice(k, k + CHUNK), device) for k in range(0, count, CHUNK)]
+    parts = [
+        _launch(asked, slice(k, k + CHUNK_PROBLEMS), device)
+        for k in range(0, count, CHUNK_PROBLEMS)
+    ]
     margin, gap, status, tension, weight = (np.concatenate(x) for x in zip(*parts, strict=True))
     size = np.abs(asked.upper).max(axis=1)
     scaled = np.where(np.isfinite(margin), np.abs(margin), 0.0)
@@ -89,7 +92,7 @@ def solve(
         low=np.where(unbalanced[:, None], 0.0, weight[:, :n]),
         high=np.where(unbalanced[:, None], 0.0, weight[:, n : 2 * n]),
         gap=np.where(unbalanced, 0.0, gap),
-        solved=unbalanced | ((status == 1) & (gap <= ROUNDING * (size + scaled))),
+        solved=unbalanced | ((status == 1) & (gap <= PROOF_GAP_MAX * (size + scaled))),
     )
 
 
