@@ -57,7 +57,7 @@ class QuasiStaticPlant:
         if not rest.converged.all():
             row = int(np.argmin(rest.converged))
             where = "start_position" if self.size == 1 else f"start_position[{row}]"
-            reason = statics.REASONS[rest.status[row]]
+            reason = statics.STATUS_REASONS[rest.status[row]]
             raise InvalidField(where, position[row], f"a position of rest ({reason})")
         self._winches = Winches(self.robot, rest.unstrained_length, self._winch)
         self._rest = rest

@@ -15,7 +15,7 @@ from carosac_toolkit.drivers.sensors import DelayLine, SensorSettings, check_sui
 from carosac_toolkit.loop.values import Imu, Measurement, Pose, Stamped, State
 
 # Random streams in a fixed order: a new one comes last, so that the others keep their draws.
-STREAMS = ("encoder_bias", "encoders", "pose", "imu_bias", "imu", "tension_bias", "tension")
+RANDOM_STREAMS = ("encoder_bias", "encoders", "pose", "imu_bias", "imu", "tension_bias", "tension")
 
 
 class SensorSuite:
@@ -33,7 +33,7 @@ class SensorSuite:
         """Draw the biases; nothing is sampled yet.
 
         Args:
-            suite: One of `SUITES`.
+            suite: One of `SENSOR_SUITES`.
             settings: Their numbers.
             plant: At rest where it starts, at time 0.
             seed: Of biases and noise: one for all robots together, or one for each, which then has
@@ -218,10 +218,12 @@ def _streams(seed: int | Sequence[int], size: int) -> dict[str, list[np.random.G
     seeds = [seed] if isinstance(seed, int | np.integer) else list(seed)
     if len(seeds) not in (1, size):
         raise InvalidField("seed", f"{len(seeds)} seeds", f"one, or {size}: one for each robot")
-    streams = zip(*(np.random.SeedSequence(one).spawn(len(STREAMS)) for one in seeds), strict=True)
+    streams = zip(
+        *(np.random.SeedSequence(one).spawn(len(RANDOM_STREAMS)) for one in seeds), strict=True
+    )
     return {
         name: [np.random.default_rng(part) for part in parts]
-        for name, parts in zip(STREAMS, streams, strict=True)
+        for name, parts in zip(RANDOM_STREAMS, streams, strict=True)
     }
 
 

@@ -13,7 +13,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields
 
-SUITES = ("lengths", "lengths+imu", "lengths+pose", "lengths+imu+pose")
+SENSOR_SUITES = ("lengths", "lengths+imu", "lengths+pose", "lengths+imu+pose")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,13 +68,13 @@ class SensorSettings:
         """Refuse negative numbers and rates of zero."""
         if not isinstance(self.tension, bool):
             raise InvalidField("tension", repr(self.tension), "True or False")
-        others = [name for name in vars(self) if name not in (*_RATES, "tension")]
-        check_fields(self, positive=_RATES, not_negative=others)
+        others = [name for name in vars(self) if name not in (*_RATE_FIELDS, "tension")]
+        check_fields(self, positive=_RATE_FIELDS, not_negative=others)
 
 
-_RATES = ("encoder_rate", "pose_rate", "imu_rate", "tension_rate")
+_RATE_FIELDS = ("encoder_rate", "pose_rate", "imu_rate", "tension_rate")
 
-PERFECT = SensorSettings(
+PERFECT_SENSORS = SensorSettings(
     encoder_noise=0.0,
     encoder_resolution=0.0,
     encoder_bias=0.0,
@@ -151,7 +151,7 @@ def check_suite(suite: str, *, inertial: bool) -> None:
     Raises:
         InvalidField: Names ``suite``.
     """
-    allowed = [name for name in SUITES if inertial or "imu" not in name]
+    allowed = [name for name in SENSOR_SUITES if inertial or "imu" not in name]
     if suite not in allowed:
         why = "" if inertial else ": no inertia here"
         raise InvalidField("suite", repr(suite), f"one of {allowed}{why}")

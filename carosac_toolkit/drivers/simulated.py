@@ -33,7 +33,7 @@ class SimulatedSettings:
     """Settings that all simulated drivers share.
 
     Attributes:
-        suite: One of `carosac_toolkit.drivers.sensors.SUITES`; an IMU needs inertia.
+        suite: One of `carosac_toolkit.drivers.sensors.SENSOR_SUITES`; an IMU needs inertia.
         sensors: Their numbers.
         limits: Of the commands.
         winch: How the drives control the winches; for the plant.

@@ -61,12 +61,12 @@ class Fault(StrEnum):
     @property
     def meaning(self) -> str:
         """What happened, in one sentence."""
-        return _TEXTS[self][0]
+        return _FAULT_TEXTS[self][0]
 
     @property
     def remedy(self) -> str:
         """What to do about it, in one sentence."""
-        return _TEXTS[self][1]
+        return _FAULT_TEXTS[self][1]
 
 
 def state_of(number: int) -> DriveState:
@@ -81,7 +81,7 @@ def fault_of(number: int) -> Fault:
     return faults[number] if 0 <= number < len(faults) else Fault.UNKNOWN
 
 
-_TEXTS: dict[Fault, tuple[str, str]] = {
+_FAULT_TEXTS: dict[Fault, tuple[str, str]] = {
     Fault.NONE: ("No fault.", "Nothing to do."),
     Fault.DRIVE_TRIP: (
         "The drive of a winch switched itself off.",

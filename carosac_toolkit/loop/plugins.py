@@ -19,7 +19,7 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
 Kind = Literal["controllers", "estimators", "drivers", "commands", "figures"]
 
 OUR_PACKAGES = ("baselines", "learned", "sim_warp", "calibration")
-_MARKER = "__carosac__"
+_PACKAGE_MARKER = "__carosac__"
 
 
 def names(kind: Kind) -> list[str]:
@@ -79,7 +79,7 @@ def check_package(package: str) -> None:
         )
     cause: ImportError | None = None
     try:
-        if getattr(import_module(package), _MARKER, False) is True:
+        if getattr(import_module(package), _PACKAGE_MARKER, False) is True:
             return
     except ImportError as error:  # ours imports nothing
         cause = error

@@ -30,10 +30,10 @@ from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
 
-SCHEMA = "carosac-run/1"
-SUFFIX = ".jsonl"
-SYNC = 1.0  # [s] between two calls of fsync
-PATIENCE = 5.0  # [s] for the disk at the end
+RUN_SCHEMA = "carosac-run/1"
+RUN_SUFFIX = ".jsonl"
+SYNC_INTERVAL_S = 1.0  # [s] between two calls of fsync
+CLOSE_TIMEOUT_S = 5.0  # [s] for the disk at the end
 
 
 class CutRecording(UserWarning):
@@ -64,8 +64,8 @@ class CrashSafeRecorder:
         """
         self.path = Path(path)
         self.rows = self.samples = 0
-        if self.path.suffix != SUFFIX:
-            raise InvalidField("recording", f"'{path}'", f"a file name ending in {SUFFIX}")
+        if self.path.suffix != RUN_SUFFIX:
+            raise InvalidField("recording", f"'{path}'", f"a file name ending in {RUN_SUFFIX}")
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | getattr(os, "O_CLOEXEC", 0)
         try:
             self._file = os.open(self.path, flags, 0o644)
@@ -78,7 +78,7 @@ class CrashSafeRecorder:
         metadata = RecordingMetadata(
             robot=robot, description=description, created_by=f"carosac-toolkit {__version__}"
         )
-        self._row({"schema": SCHEMA, "metadata": metadata.to_dict()})
+        self._row({"schema": RUN_SCHEMA, "metadata": metadata.to_dict()})
         self._sync = threading.Thread(target=self._sync_often, name="recording", daemon=True)
         self._sync.start()
 
@@ -136,7 +136,7 @@ class CrashSafeRecorder:
         """A change of state, a fault, a stop."""
         self._row({"row": "event", "time": time, "name": name, "text": text})
 
-    def close(self, patience: float = PATIENCE) -> bool:
+    def close(self, patience: float = CLOSE_TIMEOUT_S) -> bool:
         """Bring everything to the disk; safe to call twice.
 
         Args:
@@ -173,7 +173,7 @@ class CrashSafeRecorder:
     def _sync_often(self) -> None:
         """Until closed, and once more then; a disk that is slow in this must not hold up rows."""
         try:
-            while not self._closing.wait(SYNC):
+            while not self._closing.wait(SYNC_INTERVAL_S):
                 os.fsync(self._file)
             os.fsync(self._file)
         except OSError as error:
@@ -217,8 +217,10 @@ def read_run(path: str | Path) -> RecordedRun:
     file = Path(path)
     rows, cut = _rows(file)
     head = rows[0] if rows else {}
-    if not isinstance(head, dict) or head.get("schema") != SCHEMA:
-        raise InvalidFile(file, [f"line 1: this is no recorded run; allowed: schema {SCHEMA!r}"])
+    if not isinstance(head, dict) or head.get("schema") != RUN_SCHEMA:
+        raise InvalidFile(
+            file, [f"line 1: this is no recorded run; allowed: schema {RUN_SCHEMA!r}"]
+        )
     try:
         return _run(head, _by_kind(rows[1:]), cut)
     except (KeyError, TypeError, ValueError, IndexError, InvalidField) as error:

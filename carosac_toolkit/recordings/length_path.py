@@ -7,7 +7,7 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.recordings.recording import Recording
 
-FEWEST = 5  # readings from which on noise can be told from motion
+READINGS_MIN = 5  # readings from which on noise can be told from motion
 
 
 class LengthPath:
@@ -27,7 +27,7 @@ class LengthPath:
 
         self.first, self._last = float(recording.time[0]), float(recording.time[-1])
         columns = recording.unstrained_length.T
-        smooth = len(recording.time) >= FEWEST
+        smooth = len(recording.time) >= READINGS_MIN
         make = make_smoothing_spline if smooth else lambda t, y: make_interp_spline(t, y, k=1)
         self._splines = [make(recording.time, column) for column in columns]
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, fields
 from carosac_toolkit.base.errors import InvalidField, did_you_mean
 
 LENGTH_KINDS = ("unstrained", "relative")
-FRAMES = (
+FRAMES_TEXT = (
     "positions are of the platform frame's origin, in world frame W (z up); "
     "quaternions rotate from platform frame P to W; IMU channels are in the sensor's own frame"
 )
@@ -37,7 +37,7 @@ class RecordingMetadata:
     licence: str = ""
     citation: str = ""
     created_by: str = ""
-    frames: str = FRAMES
+    frames: str = FRAMES_TEXT
     quaternion_order: str = "wxyz"
     length_kind: str = "unstrained"
 

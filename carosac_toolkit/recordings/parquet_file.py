@@ -13,7 +13,7 @@ from carosac_toolkit.recordings.conversion import from_table, to_document, to_ta
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.table import Table
 
-KEY = b"carosac"
+METADATA_KEY = b"carosac"
 
 
 def write_parquet(recording: Recording, path: Path) -> None:
@@ -27,7 +27,9 @@ def write_parquet(recording: Recording, path: Path) -> None:
         for name, column in table.columns.items()
     ]
     document = json.dumps(to_document(recording, table.rows)).encode()
-    schema = pa.schema([(name, pa.float64()) for name in table.columns], metadata={KEY: document})
+    schema = pa.schema(
+        [(name, pa.float64()) for name in table.columns], metadata={METADATA_KEY: document}
+    )
     pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path)
 
 
@@ -65,7 +67,7 @@ def read_parquet(path: Path) -> Recording:
             fault = f"column {name!r}: {str(error).splitlines()[0]}"
             raise InvalidFile(path, [fault]) from error
         columns[name] = np.array(values, dtype=np.float64)
-    document = _document((stored.schema.metadata or {}).get(KEY), path)
+    document = _document((stored.schema.metadata or {}).get(METADATA_KEY), path)
     return from_table(Table(columns=columns, empty=empty), document, path)
 
 

@@ -12,7 +12,7 @@ from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.file import list_robots, load_robot
 from carosac_toolkit.robot.robot import Robot
 
-NEAR = 0.01  # [m]: exit points nearer than this are those of the robot
+EXIT_MATCH_MAX_M = 0.01  # [m]: exit points nearer than this are those of the robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,5 +82,5 @@ def _nearest(recording: Recording) -> list[Robot]:
         for robot in robots
         if robot.exit_points.shape == points.shape
     }
-    near = [robot for robot in robots if away.get(robot.name, np.inf) < NEAR]
+    near = [robot for robot in robots if away.get(robot.name, np.inf) < EXIT_MATCH_MAX_M]
     return sorted(near, key=lambda robot: away[robot.name])

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 Fault = tuple[FieldPath, str]
 
-_REFERENCES: dict[str, FieldPath] = {
+_REFERENCED_SECTIONS: dict[str, FieldPath] = {
     "exit_point": ("frame", "exit_points"),
     "anchor_point": ("platform", "anchor_points"),
     "cable": ("cable_types",),
     "winch": ("winches",),
 }
-_PHYSICAL = (
+_PHYSICAL_SECTIONS = (
     "gravity", "frame", "platform", "cable_types", "winches", "chains", "tension_limits",
     "workspace", "home", "sensors", "calibration",
 )  # fmt: skip
@@ -56,7 +56,9 @@ def unused_parts(file: RobotFile) -> list[str]:
     found = []
     for key, known in parts.items():
         used = {getattr(chain, key) for chain in file.chains}
-        found += [format_path((*_REFERENCES[key], name)) for name in known if name not in used]
+        found += [
+            format_path((*_REFERENCED_SECTIONS[key], name)) for name in known if name not in used
+        ]
     return found
 
 
@@ -72,7 +74,7 @@ def _chain_faults(data: dict[str, Any]) -> Iterator[Fault]:
     for i, chain in enumerate(chains):
         if not isinstance(chain, dict):
             continue
-        for key, where in _REFERENCES.items():
+        for key, where in _REFERENCED_SECTIONS.items():
             yield from _reference(data, ("chains", i, key), chain.get(key), where)
         name = chain.get("name")
         if isinstance(name, str) and names.setdefault(name, i) != i:
@@ -197,11 +199,11 @@ def _provenance_faults(data: dict[str, Any]) -> Iterator[Fault]:
     sources = data.get("provenance")
     if not isinstance(sources, dict):
         return
-    for name in _PHYSICAL:
+    for name in _PHYSICAL_SECTIONS:
         for path in _uncovered((name,), data.get(name), list(sources)) or ():
             allowed = "an entry in provenance for it, or for the start of its path"
             yield path, f"no provenance; allowed: {allowed}"
-    known = [format_path(path) for path in _paths((), {k: data.get(k) for k in _PHYSICAL})]
+    known = [format_path(path) for path in _paths((), {k: data.get(k) for k in _PHYSICAL_SECTIONS})]
     for source in sources:
         if source not in known:
             allowed = "the path of a field of this file, or the start of one"

@@ -12,7 +12,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.hardware import Hardware
 from carosac_toolkit.robot.robot import Robot
 
-SAME = 1e-9  # relative difference that rounding to 12 digits leaves
+SAME_VALUE_TOLERANCE = 1e-9  # relative difference that rounding to 12 digits leaves
 
 
 def differing(a: Robot, b: Robot) -> list[str]:
@@ -35,7 +35,7 @@ def same(a: Any, b: Any) -> bool:
     if first.shape != second.shape:
         return False
     size = max(float(np.abs(first).max(initial=0.0)), float(np.abs(second).max(initial=0.0)))
-    return bool(np.abs(first - second).max(initial=0.0) <= SAME * size)
+    return bool(np.abs(first - second).max(initial=0.0) <= SAME_VALUE_TOLERANCE * size)
 
 
 def _same_covariance(a: Array | None, b: Array | None) -> bool:
@@ -44,4 +44,4 @@ def _same_covariance(a: Array | None, b: Array | None) -> bool:
         return a is b
     largest = np.maximum(*(np.diagonal(x, axis1=-2, axis2=-1) for x in (a, b)))
     size = np.sqrt(largest[..., :, None] * largest[..., None, :])
-    return bool((np.abs(a - b) <= SAME * size).all())
+    return bool((np.abs(a - b) <= SAME_VALUE_TOLERANCE * size).all())

@@ -22,12 +22,12 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.robot.schema import Reads, RobotFile
 from carosac_toolkit.yaml_lines import FieldPath, did_you_mean, format_path, nearest, read_yaml
 
-_SUFFIXES = (".yaml", ".yml")
-_LONGEST = 80
-_INSTEAD: dict[FieldPath, tuple[str, ...]] = {  # of the ways to give a section, the usual one
+_ROBOT_SUFFIXES = (".yaml", ".yml")
+_VALUE_LENGTH_SHOWN = 80
+_USUAL_FIELDS: dict[FieldPath, tuple[str, ...]] = {  # of the ways to give a section, the usual one
     ("workspace",): ("min", "max"), ("home",): ("position", "rpy_deg"),
 }  # fmt: skip
-_SECTIONS = (
+_SECTION_ORDER = (
     "frame", "platform", "cable_types", "winches", "chains", "tension_limits", "workspace", "home",
     "sensors", "hardware",
 )  # fmt: skip
@@ -139,7 +139,7 @@ def fields_to_give(path: FieldPath) -> list[tuple[FieldPath, str]]:
     required = [
         field.alias or name for name, field in model.model_fields.items() if field.is_required()
     ]
-    names = _INSTEAD.get(path, ()) or required or list(model.model_fields)
+    names = _USUAL_FIELDS.get(path, ()) or required or list(model.model_fields)
     return [leaf for name in names for leaf in fields_to_give((*path, name))]
 
 
@@ -153,7 +153,7 @@ def _check(data: dict[str, Any]) -> tuple[RobotFile | None, list[tuple[FieldPath
 
 def _looks_like_path(text: str) -> bool:
     """Tell a path from a bundled name."""
-    return text.endswith(_SUFFIXES) or "/" in text or "\\" in text
+    return text.endswith(_ROBOT_SUFFIXES) or "/" in text or "\\" in text
 
 
 def _sorted(faults: list[tuple[int, str]]) -> list[str]:
@@ -172,12 +172,12 @@ def _validate(
     """
     try:
         model = RobotFile.model_validate(data)
-        return model, SimpleNamespace(**{name: getattr(model, name) for name in _SECTIONS}), []
+        return model, SimpleNamespace(**{name: getattr(model, name) for name in _SECTION_ORDER}), []
     except ValidationError as error:
         errors = error.errors(include_url=False)
     faulty = {details["loc"][0] for details in errors if details["loc"]}
-    parts: dict[str, Any] = dict.fromkeys(_SECTIONS)
-    for name in _SECTIONS:
+    parts: dict[str, Any] = dict.fromkeys(_SECTION_ORDER)
+    for name in _SECTION_ORDER:
         if name in data and name not in faulty:
             adapter: TypeAdapter[Any] = TypeAdapter(_annotation_at(RobotFile, (name,)))
             parts[name] = adapter.validate_python(data[name])
@@ -253,7 +253,7 @@ def _shown(value: object) -> str:
         text = "[" + ", ".join(_shown(entry) for entry in value) + "]"
     else:
         text = repr(value)
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+    return text if len(text) <= _VALUE_LENGTH_SHOWN else text[: _VALUE_LENGTH_SHOWN - 3] + "..."
 
 
 def _keys(annotation: Any, path: FieldPath) -> list[str]:

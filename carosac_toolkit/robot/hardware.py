@@ -14,10 +14,10 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_positive, check_whole
 
-NET_ID = re.compile(r"(\d{1,3}\.){5}\d{1,3}")
-LAST_PORT = 65535
-LOOPBACK = "127.0.0.1"
-TCP_PORT = 48898  # of ADS, on every machine
+NET_ID_PATTERN = re.compile(r"(\d{1,3}\.){5}\d{1,3}")
+PORT_MAX = 65535
+LOOPBACK_ADDRESS = "127.0.0.1"
+ADS_TCP_PORT = 48898  # of ADS, on every machine
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,7 @@ class AdsAddress:
     """
 
     net_id: str = "127.0.0.1.1.1"
-    ip: str = LOOPBACK
+    ip: str = LOOPBACK_ADDRESS
     port: int = 851
     timeout: float = 0.05
     from_host: str = "CaRoSaC.from_host"
@@ -42,11 +42,15 @@ class AdsAddress:
 
     def __post_init__(self) -> None:
         """Refuse what is no address."""
-        numbers = [int(x) for x in self.net_id.split(".")] if NET_ID.fullmatch(self.net_id) else []
+        numbers = (
+            [int(x) for x in self.net_id.split(".")]
+            if NET_ID_PATTERN.fullmatch(self.net_id)
+            else []
+        )
         if not numbers or max(numbers) > 255:
             allowed = "six numbers of 0 to 255 with dots, such as 192.168.0.10.1.1"
             raise InvalidField("hardware.ads.net_id", repr(self.net_id), allowed)
-        check_whole("hardware.ads.port", self.port, 1, LAST_PORT)
+        check_whole("hardware.ads.port", self.port, 1, PORT_MAX)
         check_positive("hardware.ads.timeout", self.timeout, "s")
         for name in ("ip", "from_host", "to_host"):
             if not str(getattr(self, name)).strip():
@@ -64,14 +68,14 @@ class ImuSource:
     """
 
     source: str = "udp"
-    ip: str = LOOPBACK
+    ip: str = LOOPBACK_ADDRESS
     port: int = 5005
 
     def __post_init__(self) -> None:
         """Refuse another protocol."""
         if self.source != "udp":
             raise InvalidField("hardware.imu.source", repr(self.source), "'udp'")
-        check_whole("hardware.imu.port", self.port, 1, LAST_PORT)
+        check_whole("hardware.imu.port", self.port, 1, PORT_MAX)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -34,19 +34,24 @@ from carosac_toolkit.base.errors import InvalidField
 if TYPE_CHECKING:
     from carosac_toolkit.robot.robot import Robot
 
-_UNITS = {
+_FIELD_UNITS = {
     "exit_points": "m", "anchor_points": "m", "length_offset": "m", "length_scale": "1",
     "drum_radius": "m", "drum_buildup": "m", "axial_stiffness": "N", "linear_density": "kg/m",
     "axial_damping": "N*s", "run_length": "m", "length_delay": "s", "pose_tilt": "rad",
     "mass": "kg", "drag": "N*s/m", "angular_drag": "N*m*s/rad", "center_of_mass": "m",
     "inertia": "kg*m^2",
 }  # fmt: skip
-_POINTS = ("exit_points", "anchor_points")  # of each cable
-_CABLES = ("length_offset", "length_scale", "drum_radius", "drum_buildup")  # a number of each
-_SHARED = ("axial_stiffness", "linear_density", "axial_damping", "run_length")  # of each, or of all
-_NUMBERS = ("length_delay", "mass", "drag", "angular_drag")
-_UNCALIBRATED = {"length_offset": 0.0, "length_scale": 1.0, "length_delay": 0.0}
-_NAME = re.compile(r"(?P<field>\w+)(?:\[(?P<cable>.+)\])?(?:\.(?P<axis>[xyz]{1,2}))?")
+_POINT_FIELDS = ("exit_points", "anchor_points")  # of each cable
+_CABLE_FIELDS = ("length_offset", "length_scale", "drum_radius", "drum_buildup")  # a number of each
+_SHARED_FIELDS = (
+    "axial_stiffness",
+    "linear_density",
+    "axial_damping",
+    "run_length",
+)  # of each, or of all
+_SCALAR_FIELDS = ("length_delay", "mass", "drag", "angular_drag")
+_UNCALIBRATED_VALUES = {"length_offset": 0.0, "length_scale": 1.0, "length_delay": 0.0}
+_PARAMETER_PATTERN = re.compile(r"(?P<field>\w+)(?:\[(?P<cable>.+)\])?(?:\.(?P<axis>[xyz]{1,2}))?")
 
 
 def unit_of(name: str) -> str:
@@ -55,7 +60,7 @@ def unit_of(name: str) -> str:
     Raises:
         InvalidField: The name is of no parameter.
     """
-    return _UNITS[_field(name)["field"]]
+    return _FIELD_UNITS[_field(name)["field"]]
 
 
 def field_of(name: str) -> str:
@@ -117,10 +122,10 @@ def with_values(robot: Robot, names: Sequence[str], values: Array) -> Robot:
     if "pose_tilt" in changed:
         about_z = _turned(_tilt(robot)).T @ _pose_rotation(robot)
         changed["pose_rotation"] = _turned(changed.pop("pose_tilt")) @ about_z
-    if changed.keys() & _UNCALIBRATED.keys():  # all of the length sensors, or nothing
-        for field, usual in _UNCALIBRATED.items():
+    if changed.keys() & _UNCALIBRATED_VALUES.keys():  # all of the length sensors, or nothing
+        for field, usual in _UNCALIBRATED_VALUES.items():
             known = getattr(robot, field)
-            each = usual if field in _NUMBERS else np.full(robot.n, usual)
+            each = usual if field in _SCALAR_FIELDS else np.full(robot.n, usual)
             changed.setdefault(field, each if known is None else known)
     return replace(robot, **changed, calibrated=None, calibration_covariance=None)
 
@@ -134,13 +139,13 @@ def _split(cable_names: tuple[str, ...], name: str) -> tuple[str, tuple[Any, ...
         raise InvalidField("parameter", repr(name), f"a cable of {list(cable_names)}")
     number = None if cable is None else list(cable_names).index(cable)
     index: tuple[Any, ...] | None = None
-    if field in _POINTS and number is not None and axis in ("x", "y", "z"):
+    if field in _POINT_FIELDS and number is not None and axis in ("x", "y", "z"):
         index = (number, "xyz".index(axis))
-    elif field in _CABLES + _SHARED and number is not None and axis is None:
+    elif field in _CABLE_FIELDS + _SHARED_FIELDS and number is not None and axis is None:
         index = (number,)
-    elif field in _SHARED and number is None and axis is None:
+    elif field in _SHARED_FIELDS and number is None and axis is None:
         index = (slice(None),)
-    elif field in _NUMBERS and number is None and axis is None:
+    elif field in _SCALAR_FIELDS and number is None and axis is None:
         index = ()
     elif field in ("pose_tilt", "center_of_mass") and number is None and axis in ("x", "y", "z"):
         index = ("xyz".index(axis),)
@@ -155,9 +160,9 @@ def _split(cable_names: tuple[str, ...], name: str) -> tuple[str, tuple[Any, ...
 
 def _field(name: str) -> re.Match[str]:
     """A name in its parts."""
-    match = _NAME.fullmatch(name)
-    if match is None or match["field"] not in _UNITS:
-        raise InvalidField("parameter", repr(name), f"a name such as {', '.join(_UNITS)}")
+    match = _PARAMETER_PATTERN.fullmatch(name)
+    if match is None or match["field"] not in _FIELD_UNITS:
+        raise InvalidField("parameter", repr(name), f"a name such as {', '.join(_FIELD_UNITS)}")
     return match
 
 
@@ -168,7 +173,7 @@ def _get(robot: Robot, name: str) -> float:
         return float(_tilt(robot)[where])
     if not where:
         value = getattr(robot, field)
-        return float(_UNCALIBRATED[field] if value is None else value)
+        return float(_UNCALIBRATED_VALUES[field] if value is None else value)
     found = np.atleast_1d(_array(robot, field)[where])
     if np.ptp(found) > 1e-12 * np.abs(found).max():
         allowed = f"a name of each cable, {field}[{robot.cable_names[0]}]: they differ"
@@ -181,9 +186,9 @@ def _array(robot: Robot, field: str) -> Array:
     value: Array | None = getattr(robot, field)
     if value is not None:
         return value
-    if field not in _UNCALIBRATED:
+    if field not in _UNCALIBRATED_VALUES:
         raise InvalidField("parameter", f"'{field}'", f"one that robot {robot.name!r} has")
-    return np.full(robot.n, _UNCALIBRATED[field])
+    return np.full(robot.n, _UNCALIBRATED_VALUES[field])
 
 
 def _pose_rotation(robot: Robot) -> Array:

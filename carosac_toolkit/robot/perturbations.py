@@ -47,7 +47,7 @@ class Condition:
     wind_time: float = 2.0
 
 
-CONDITIONS = {
+CONDITIONS_BY_NAME = {
     "none": Condition(),
     "nominal-1": Condition(
         mass=0.03,
@@ -70,9 +70,9 @@ def find_condition(name: str) -> Condition:
     Raises:
         InvalidField: There is none of that name.
     """
-    if name not in CONDITIONS:
-        raise InvalidField("perturbation", repr(name), f"one of {sorted(CONDITIONS)}")
-    return CONDITIONS[name]
+    if name not in CONDITIONS_BY_NAME:
+        raise InvalidField("perturbation", repr(name), f"one of {sorted(CONDITIONS_BY_NAME)}")
+    return CONDITIONS_BY_NAME[name]
 
 
 def draw_plant(robot: Robot, condition: Condition, rng: np.random.Generator) -> Robot:

@@ -90,8 +90,8 @@ class Robot:
         length_scale: What they read more per unstrained length, shape (n,); None: 1.
         length_delay: By how much their readings lead poses measured at the same time [s]; None: 0.
         pose_rotation: Rotation from the frame of measured poses to W, (3, 3); None: the same frame.
-        calibrated: Parameters that a calibration estimated (`carosac_toolkit.robot.parameters`),
-            k of them; None: not calibrated.
+        calibrated: Parameters that a calibration estimated (`carosac_toolkit.robot.parameters`), k of
+            them; None: not calibrated.
         calibration_covariance: Their joint covariance, shape (k, k).
         hardware: How the real robot is reached; None: not described.
         description: One line for people.
@@ -147,13 +147,13 @@ class Robot:
         """Freeze every array and check every number that physics relies on."""
         self._check_names()
         n = self.n
-        for name in _SCALARS:
+        for name in _SCALAR_FIELDS:
             object.__setattr__(self, name, _scalar(name, getattr(self, name)))
         set_frozen(self, {name: (n, 3) for name in ("exit_points", "anchor_points", "swivel_axis")})
-        set_frozen(self, {name: (n,) for name in _PER_CABLE})
-        set_frozen(self, {name: (3,) for name in _VECTORS})
+        set_frozen(self, {name: (n,) for name in _CABLE_FIELDS})
+        set_frozen(self, {name: (3,) for name in _VECTOR_FIELDS})
         set_frozen(self, {"inertia": (3, 3), "home_rotation": (3, 3)})
-        for name, shape in _OPTIONAL.items():
+        for name, shape in _OPTIONAL_SHAPES.items():
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, frozen_array(name, value, (n, *shape)))
@@ -216,12 +216,12 @@ class Robot:
 
     def _check_signs(self) -> None:
         """Refuse numbers that must be positive, or not negative."""
-        for name in _POSITIVE + _NOT_NEGATIVE:
+        for name in _POSITIVE_FIELDS + _NOT_NEGATIVE_FIELDS:
             value = getattr(self, name)
             if value is None:
                 continue
             entries = np.atleast_1d(np.asarray(value, dtype=np.float64))
-            strict = name in _POSITIVE
+            strict = name in _POSITIVE_FIELDS
             bad = ~((entries > 0.0) if strict else (entries >= 0.0)) | ~np.isfinite(entries)
             if bad.any():
                 index = int(np.argmax(bad))
@@ -230,7 +230,7 @@ class Robot:
 
     def _check_order(self) -> None:
         """Refuse limits whose lower end is not below the upper one."""
-        for low, high in _RANGES:
+        for low, high in _ORDERED_FIELDS:
             lower, upper = getattr(self, low), getattr(self, high)
             if (lower >= upper).any():
                 index = int(np.argmax(lower >= upper))
@@ -296,14 +296,14 @@ def _scalar(name: str, value: object) -> float:
     return float(value)
 
 
-_SCALARS = ("mass", "drag", "angular_drag", "gravity")
-_PER_CABLE = (
+_SCALAR_FIELDS = ("mass", "drag", "angular_drag", "gravity")
+_CABLE_FIELDS = (
     "pulley_radius", "run_length", "linear_density", "axial_stiffness", "axial_damping",
     "cable_diameter", "tension_min", "tension_max", "speed_max", "acceleration_max", "winch_lag",
     "length_min", "length_max",
 )  # fmt: skip
-_VECTORS = ("center_of_mass", "workspace_min", "workspace_max", "home_position")
-_OPTIONAL: dict[str, tuple[int, ...]] = {
+_VECTOR_FIELDS = ("center_of_mass", "workspace_min", "workspace_max", "home_position")
+_OPTIONAL_SHAPES: dict[str, tuple[int, ...]] = {
     "exit_covariance": (3, 3),
     "drum_radius": (),
     "drum_buildup": (),
@@ -312,15 +312,15 @@ _OPTIONAL: dict[str, tuple[int, ...]] = {
     "length_offset": (),
     "length_scale": (),
 }
-_POSITIVE = (
+_POSITIVE_FIELDS = (
     "mass", "gravity", "linear_density", "axial_stiffness", "cable_diameter", "speed_max",
     "acceleration_max", "drum_radius", "drum_gear", "drum_advantage", "length_scale",
 )  # fmt: skip
-_NOT_NEGATIVE = (
+_NOT_NEGATIVE_FIELDS = (
     "pulley_radius", "run_length", "axial_damping", "tension_min", "winch_lag", "length_min",
     "drum_buildup", "drag", "angular_drag",
 )  # fmt: skip
-_RANGES = (
+_ORDERED_FIELDS = (
     ("tension_min", "tension_max"),
     ("length_min", "length_max"),
     ("workspace_min", "workspace_max"),

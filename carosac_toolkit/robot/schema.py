@@ -20,7 +20,7 @@ from carosac_toolkit.robot.fields import (
     unit_length_reader,
 )
 
-SCHEMA = "carosac-robot/1"
+ROBOT_SCHEMA = "carosac-robot/1"
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,11 @@ Degrees = Annotated[float, _reads("1")]
 Angles = Annotated[
     tuple[Degrees, Degrees, Degrees], Reads(*list_reader("1", 3, "roll, pitch, yaw in degrees"))
 ]
-Spread = Annotated[list[float], Reads(fields.read_spread, fields.SPREAD)]
-Covariance = Annotated[list[list[float]], Reads(fields.read_covariance, fields.COVARIANCE)]
-Inertia = Annotated[list[list[float]], Reads(fields.read_inertia, fields.INERTIA)]
-Port = Annotated[int, Reads(fields.read_port, fields.PORT)]
-Sign = Annotated[float, Reads(fields.read_sign, fields.SIGN)]
+Spread = Annotated[list[float], Reads(fields.read_spread, fields.SPREAD_TEXT)]
+Covariance = Annotated[list[list[float]], Reads(fields.read_covariance, fields.COVARIANCE_TEXT)]
+Inertia = Annotated[list[list[float]], Reads(fields.read_inertia, fields.INERTIA_TEXT)]
+Port = Annotated[int, Reads(fields.read_port, fields.PORT_TEXT)]
+Sign = Annotated[float, Reads(fields.read_sign, fields.SIGN_TEXT)]
 NetId = Annotated[str, Reads(fields.read_net_id, fields.NET_ID_TEXT)]
 Mass = Annotated[float, _reads("kg", "> 0")]
 Force = Annotated[float, _reads("N", "> 0")]

@@ -18,24 +18,25 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.rotations import from_matrix
-from carosac_toolkit.robot.differences import SAME, differing, same
+from carosac_toolkit.robot.differences import SAME_VALUE_TOLERANCE, differing, same
 from carosac_toolkit.robot.file import parse_file, parse_robot
 from carosac_toolkit.robot.parameters import unit_of
 from carosac_toolkit.robot.robot import RigidBody, Robot, combine_bodies
 from carosac_toolkit.robot.schema import RobotFile
 
-_DIGITS = 12  # significant ones of what is written
-_IN_CABLE = ("linear_density", "axial_stiffness", "axial_damping")
-_IN_DRUM = {"drum_radius": "radius", "drum_buildup": "buildup"}
+_SIGNIFICANT_DIGITS = 12  # significant ones of what is written
+_CABLE_TYPE_FIELDS = ("linear_density", "axial_stiffness", "axial_damping")
+_DRUM_KEYS = {"drum_radius": "radius", "drum_buildup": "buildup"}
 _SENSOR_PATHS = {
     "length_offset": "sensors.lengths.cables", "length_scale": "sensors.lengths.cables",
     "length_delay": "sensors.lengths.delay",
 }  # fmt: skip
-_TEXTS = ("name", "description", "licence")
-_WRITABLE = (
-    *_TEXTS, *_IN_CABLE, *_IN_DRUM, "exit_points", "exit_covariance", "anchor_points", "run_length",
-    "mass", "center_of_mass", "inertia", "drag", "angular_drag", "length_offset", "length_scale",
-    "length_delay", "pose_rotation", "calibrated", "calibration_covariance", "provenance",
+_TEXT_FIELDS = ("name", "description", "licence")
+_WRITABLE_FIELDS = (
+    *_TEXT_FIELDS, *_CABLE_TYPE_FIELDS, *_DRUM_KEYS, "exit_points", "exit_covariance",
+    "anchor_points", "run_length", "mass", "center_of_mass", "inertia", "drag", "angular_drag",
+    "length_offset", "length_scale", "length_delay", "pose_rotation", "calibrated",
+    "calibration_covariance", "provenance",
 )  # fmt: skip
 
 
@@ -57,7 +58,7 @@ def robot_document(text: str, robot: Robot, *, provenance: str) -> str:
     old, file = parse_file(text)
     changed = differing(old, robot)
     for name in changed:
-        if name not in _WRITABLE:
+        if name not in _WRITABLE_FIELDS:
             raise InvalidField(name, "another value", "the value of the old robot file")
     yaml = YAML()
     yaml.width = 4096
@@ -92,15 +93,15 @@ class _Writer:
         kinds = self._file.cable_types.values()
         if "linear_density" in changed and any(kind.material_density for kind in kinds):
             changed |= {"axial_stiffness"}  # the old file has it from the density
-        for name in changed.intersection(_TEXTS):
+        for name in changed.intersection(_TEXT_FIELDS):
             self.document[name] = getattr(robot, name)
         if changed & {"exit_points", "exit_covariance"}:
             self._exit_points()
         if "anchor_points" in changed:
             self._anchor_points()
-        for name in changed.intersection(_IN_CABLE):
+        for name in changed.intersection(_CABLE_TYPE_FIELDS):
             self._in_parts("cable", "cable_types", name, (name,), getattr(robot, name))
-        for name, key in _IN_DRUM.items():
+        for name, key in _DRUM_KEYS.items():
             if name in changed:
                 self._in_parts("winch", "winches", name, ("drum", key), getattr(robot, name))
         if "run_length" in changed:
@@ -228,7 +229,7 @@ class _Writer:
         """
         parts = self.document[section]
         for name, rows in self._users(key).items():
-            if np.ptp(values[rows]) <= SAME * np.abs(values[rows]).max():
+            if np.ptp(values[rows]) <= SAME_VALUE_TOLERANCE * np.abs(values[rows]).max():
                 self._set(section, _key(parts, name), field, path, values[rows[0]])
                 continue
             part = parts.pop(_key(parts, name))
@@ -350,16 +351,16 @@ def _bare(robot: Robot, file: RobotFile) -> RigidBody:
 
 
 def _number(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")
+    return float(f"{value:.{_SIGNIFICANT_DIGITS}g}")
 
 
 def _quantity(field: str, value: float) -> str | float:
     """A number with its unit, as in the bundled files."""
     unit = unit_of(field)
-    return _number(value) if unit == "1" else f"{value:.{_DIGITS}g} {unit}"
+    return _number(value) if unit == "1" else f"{value:.{_SIGNIFICANT_DIGITS}g} {unit}"
 
 
-def _flow(values: Sequence[float] | Array, digits: int = _DIGITS) -> CommentedSeq:
+def _flow(values: Sequence[float] | Array, digits: int = _SIGNIFICANT_DIGITS) -> CommentedSeq:
     """A list on one line."""
     found = CommentedSeq([float(f"{value:.{digits}g}") for value in values])
     found.fa.set_flow_style()

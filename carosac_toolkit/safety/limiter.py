@@ -38,7 +38,7 @@ from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Command, LimitHit
 from carosac_toolkit.physics.cable.straight_line import forward_kinematics
-from carosac_toolkit.physics.motion.braking import BOX_SLACK, Brakes, Motion, Slack
+from carosac_toolkit.physics.motion.braking import BOX_SLACK_M, Brakes, Motion, Slack
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.limits_report import limit_hits, rate_hits
 
@@ -237,7 +237,7 @@ def _check_lengths(robot: Robot, length: Array) -> None:
 def _check_box(robot: Robot, length: Array) -> Array:
     """The straight-line positions [m], (B, 3); refuse any outside the workspace box."""
     fit = forward_kinematics(robot, length)
-    low, high = robot.workspace_min - BOX_SLACK, robot.workspace_max + BOX_SLACK
+    low, high = robot.workspace_min - BOX_SLACK_M, robot.workspace_max + BOX_SLACK_M
     inside = ((fit.position >= low) & (fit.position <= high)).all(axis=1)
     bad = ~(inside & fit.converged)
     if bad.any():

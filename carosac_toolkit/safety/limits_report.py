@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import LimitHit
-from carosac_toolkit.physics.motion.braking import BOX_SLACK, Brakes, Extremes, Motion
+from carosac_toolkit.physics.motion.braking import BOX_SLACK_M, Brakes, Extremes, Motion
 from carosac_toolkit.robot.robot import Robot
 
 
@@ -66,7 +66,7 @@ def limit_hits(
             checks.append(_Check("jump", (far > jump_max) | (kept > jump_max), far, kept))
     alone = changed & ~np.any([c.broken for c in checks], axis=0)
     checks.append(_Check("coordination", alone, asked_length, sent.length))
-    outside = rows & (ahead.outside > BOX_SLACK)
+    outside = rows & (ahead.outside > BOX_SLACK_M)
     return _listed(checks, outside, ahead.outside, behind.outside)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array, frozen_array
 from carosac_toolkit.base.errors import InvalidField
 
-ORDERS = 4  # position, velocity, acceleration, jerk
+DERIVATIVE_ORDERS = 4  # position, velocity, acceleration, jerk
 
 
 class Curve(Protocol):
@@ -57,7 +57,7 @@ class PiecewisePolynomial:
 
     def derivatives(self, time: Array) -> Array:
         """Evaluate position and three derivatives, shape (K, 4, 3); see `Curve`."""
-        return self.evaluate(time, orders=ORDERS)
+        return self.evaluate(time, orders=DERIVATIVE_ORDERS)
 
     def evaluate(self, time: Array, *, orders: int) -> Array:
         """Evaluate the polynomials and their first derivatives.

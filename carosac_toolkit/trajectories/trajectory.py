@@ -15,7 +15,7 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories.curves import Curve
 from carosac_toolkit.trajectories.peaks import highest
 
-BOX_MARGIN = 1e-9  # [m], rounding of positions
+BOX_MARGIN_M = 1e-9  # [m], rounding of positions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,8 +128,8 @@ class Trajectory:
         low, high = robot.workspace_min, robot.workspace_max
         for axis, name in enumerate("xyz"):
             for (value, when), out in (
-                (lower[axis], lower[axis][0] < low[axis] - BOX_MARGIN),
-                (upper[axis], upper[axis][0] > high[axis] + BOX_MARGIN),
+                (lower[axis], lower[axis][0] < low[axis] - BOX_MARGIN_M),
+                (upper[axis], upper[axis][0] > high[axis] + BOX_MARGIN_M),
             ):
                 if out:
                     where = f"{self.name}: {name} at {when * self.time_scale:.3f} s"

@@ -9,7 +9,7 @@ import pytest
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.drivers.quasi_static import QuasiStaticPlant
 from carosac_toolkit.drivers.sensor_suite import SensorSuite
-from carosac_toolkit.drivers.sensors import PERFECT, SUITES, SensorSettings
+from carosac_toolkit.drivers.sensors import PERFECT_SENSORS, SENSOR_SUITES, SensorSettings
 from tests.plants import TurningPlant
 
 ALL = "lengths+imu+pose"
@@ -39,8 +39,8 @@ def inertial(found, channel):
 
 
 def test_a_suite_has_its_sensors_and_no_others():
-    for suite in SUITES:
-        found = measured(suite, PERFECT, count=2)[-1]
+    for suite in SENSOR_SUITES:
+        found = measured(suite, PERFECT_SENSORS, count=2)[-1]
         assert (found.imu is not None) == ("imu" in suite)
         assert (found.pose is not None) == ("pose" in suite)
         assert found.tension is None
@@ -48,7 +48,9 @@ def test_a_suite_has_its_sensors_and_no_others():
 
 
 def test_an_imu_at_rest_feels_its_own_weight_upwards():
-    found = measured("lengths+imu", PERFECT, plant=TurningPlant(speed=0.0, spin=0.0), count=3)
+    found = measured(
+        "lengths+imu", PERFECT_SENSORS, plant=TurningPlant(speed=0.0, spin=0.0), count=3
+    )
     force = inertial(found, "specific_force")
     assert force == pytest.approx(np.tile([0.0, 0.0, 9.81], (1, force.shape[1], 1)), abs=1e-12)
     assert not inertial(found, "angular_rate").any()
@@ -56,7 +58,7 @@ def test_an_imu_at_rest_feels_its_own_weight_upwards():
 
 def test_an_imu_is_the_second_derivative_of_the_pose():
     plant = TurningPlant(size=2)
-    found = measured("lengths+imu", PERFECT, plant=plant)
+    found = measured("lengths+imu", PERFECT_SENSORS, plant=plant)
     time, force, rate = (
         inertial(found, name) for name in ("time", "specific_force", "angular_rate")
     )
@@ -76,7 +78,10 @@ def test_an_imu_is_the_second_derivative_of_the_pose():
 @pytest.mark.parametrize("delay", [0.0, 0.012])
 def test_every_inertial_sample_is_measured_once_and_when_it_has_arrived(delay):
     found = measured(
-        "lengths+imu", replace(PERFECT, imu_delay=delay), plant=TurningPlant(size=2), period=0.013
+        "lengths+imu",
+        replace(PERFECT_SENSORS, imu_delay=delay),
+        plant=TurningPlant(size=2),
+        period=0.013,
     )
     stamps = inertial(found, "time")
     assert stamps[0] == pytest.approx(np.arange(stamps.shape[1]) / 200.0)
@@ -90,7 +95,7 @@ def test_every_inertial_sample_is_measured_once_and_when_it_has_arrived(delay):
 
 
 def test_without_a_new_inertial_sample_there_is_none():
-    found = measured("lengths+imu", PERFECT, period=0.002, count=20)
+    found = measured("lengths+imu", PERFECT_SENSORS, period=0.002, count=20)
     assert [m.imu is None for m in found[:6]] == [False, True, True, False, True, False]
 
 
@@ -120,13 +125,13 @@ def test_inertial_noise_and_bias_have_their_standard_deviations():
 
 def test_tensions_have_noise_bias_rate_and_delay():
     plant = TurningPlant(size=200)
-    exact = replace(PERFECT, tension=True, tension_rate=50.0, tension_delay=0.03)
+    exact = replace(PERFECT_SENSORS, tension=True, tension_rate=50.0, tension_delay=0.03)
     for m in measured("lengths", exact, plant=plant)[3:]:
         taken = m.tension.time
         assert m.time[0] - 0.05 < taken[0] <= m.time[0] - 0.03 + 1e-9
         truth = 100.0 + 10.0 * plant.length_at(taken + 0.1 * np.arange(200))
         assert m.tension.value == pytest.approx(truth, abs=1e-9)
-    settings = replace(PERFECT, tension=True, tension_noise=2.0, tension_bias=4.0)
+    settings = replace(PERFECT_SENSORS, tension=True, tension_noise=2.0, tension_bias=4.0)
     found = measured("lengths", settings, plant=plant)
     truth = np.stack(
         [100.0 + 10.0 * plant.length_at(m.tension.time + 0.1 * np.arange(200)) for m in found]
@@ -171,9 +176,9 @@ def test_robots_of_a_batch_have_errors_of_their_own():
 
 def test_a_plant_without_inertia_has_no_imu():
     with pytest.raises(InvalidField, match=r"suite: got .*'lengths\+pose'\]: no inertia here"):
-        SensorSuite("lengths+imu", PERFECT, QuasiStaticPlant(TurningPlant().robot), 0)
+        SensorSuite("lengths+imu", PERFECT_SENSORS, QuasiStaticPlant(TurningPlant().robot), 0)
     with pytest.raises(InvalidField, match=r"suite: got 'pose'; allowed: one of \['lengths', "):
-        SensorSuite("pose", PERFECT, TurningPlant(), 0)
+        SensorSuite("pose", PERFECT_SENSORS, TurningPlant(), 0)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from carosac_toolkit.drivers.quasi_static import (
     QuasiStaticPlant,
     QuasiStaticSettings,
 )
-from carosac_toolkit.drivers.sensors import PERFECT, SensorSettings
+from carosac_toolkit.drivers.sensors import PERFECT_SENSORS, SensorSettings
 from carosac_toolkit.drivers.simulated import SimulatedDriver, SimulatedSettings
 from carosac_toolkit.loop.values import Command
 from carosac_toolkit.physics.motion.winch import WinchSettings
@@ -76,11 +76,11 @@ def test_a_batch_is_the_same_as_a_loop():
     rng = np.random.default_rng(1)
     changes = 0.05 * rng.standard_normal((15, 3, 4))
     together = play(
-        statics_of(3, sensors=PERFECT, suite="lengths+pose", start_position=STARTS), changes
+        statics_of(3, sensors=PERFECT_SENSORS, suite="lengths+pose", start_position=STARTS), changes
     )
     for b in range(3):
         alone = play(
-            statics_of(1, sensors=PERFECT, suite="lengths+pose", start_position=STARTS[b]),
+            statics_of(1, sensors=PERFECT_SENSORS, suite="lengths+pose", start_position=STARTS[b]),
             changes[:, b : b + 1],
         )
         for (many, state), (one, truth) in zip(together, alone, strict=True):
@@ -117,7 +117,7 @@ def test_starts_that_cannot_be_are_refused(start, message):
 
 
 def test_the_plant_is_advanced_from_sample_to_sample():
-    sensors = replace(PERFECT, encoder_rate=100.0, imu_rate=200.0)
+    sensors = replace(PERFECT_SENSORS, encoder_rate=100.0, imu_rate=200.0)
     driver, plant = turning(size=2, suite="lengths+imu", sensors=sensors)
     driver.wait(PERIOD)
     assert [h for _, h in plant.commands] == pytest.approx([0.005] * 4)
@@ -126,7 +126,7 @@ def test_the_plant_is_advanced_from_sample_to_sample():
 
 
 def test_winches_are_asked_for_what_their_own_encoders_say():
-    sensors = replace(PERFECT, encoder_bias=5e-3)
+    sensors = replace(PERFECT_SENSORS, encoder_bias=5e-3)
     driver, plant = turning(size=2, sensors=sensors)
     start = driver.measure().unstrained_length
     assert np.abs(start - plant.length_at(plant.clocks())).max() > 1e-3
@@ -137,7 +137,7 @@ def test_winches_are_asked_for_what_their_own_encoders_say():
 def test_a_misjudged_drum_is_seen_in_truth_and_not_by_the_encoders():
     robot = simple_robot(drum_radius=[0.075] * 4, drum_buildup=[7e-5] * 4)
     settings = QuasiStaticSettings(
-        sensors=PERFECT, winch=WinchSettings(believed_drum_buildup=6.5e-5)
+        sensors=PERFECT_SENSORS, winch=WinchSettings(believed_drum_buildup=6.5e-5)
     )
     driver = QuasiStaticDriver.build(robot, settings)
     driver.connect()
@@ -161,7 +161,7 @@ def test_an_unknown_suite_is_refused_and_each_driver_says_what_it_has():
 
 
 def test_real_time_waits_for_the_ticks_of_a_schedule_that_does_not_drift(clock):
-    driver, _ = turning(sensors=PERFECT, real_time=True)
+    driver, _ = turning(sensors=PERFECT_SENSORS, real_time=True)
     rng = np.random.default_rng(0)
     for k in range(1, 200):
         clock.now += 0.9 * PERIOD * rng.random()  # what the cycle takes
@@ -171,7 +171,7 @@ def test_real_time_waits_for_the_ticks_of_a_schedule_that_does_not_drift(clock):
 
 
 def test_missed_ticks_are_counted_and_not_made_up_by_a_burst(clock):
-    driver, _ = turning(sensors=PERFECT, real_time=True)
+    driver, _ = turning(sensors=PERFECT_SENSORS, real_time=True)
     driver.wait(PERIOD)
     clock.now += 2.4 * PERIOD  # the ticks 2 and 3 pass
     driver.wait(PERIOD)
@@ -187,7 +187,7 @@ def test_missed_ticks_are_counted_and_not_made_up_by_a_burst(clock):
 
 
 def test_without_real_time_nobody_sleeps(clock):
-    driver, _ = turning(sensors=PERFECT)
+    driver, _ = turning(sensors=PERFECT_SENSORS)
     for _ in range(3):
         driver.wait(PERIOD)
     assert clock.slept == []
@@ -196,7 +196,7 @@ def test_without_real_time_nobody_sleeps(clock):
 def test_real_time_is_real():
     import time
 
-    driver, _ = turning(sensors=PERFECT, real_time=True)
+    driver, _ = turning(sensors=PERFECT_SENSORS, real_time=True)
     began = time.monotonic()
     for _ in range(5):
         driver.wait(PERIOD)

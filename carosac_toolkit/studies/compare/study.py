@@ -41,8 +41,8 @@ class Study:
         controllers: Names, or ``module:Class``.
         estimators: Names, or ``module:Class``; ``truth`` is what a simulated driver knows.
         suites: Sensor suites that the driver has.
-        trajectories: Of the catalogue, `carosac_toolkit.trajectories.NAMES`; on the driver
-            `replay` all of these are ``recorded`` instead, the path of the recording.
+        trajectories: Of the catalogue, `carosac_toolkit.trajectories.TRAJECTORY_NAMES`; on the
+            driver `replay` all of these are ``recorded`` instead, the path of the recording.
         perturbations: Conditions that the plants are drawn from.
         seeds: How many draws, 0, 1, 2 and so on; or which.
         driver: Name, or ``module:Class``.
@@ -89,7 +89,7 @@ class Study:
                 if isinstance(value, str) or not isinstance(value, Sequence):
                     raise InvalidField(item.name, repr(value), "a list")
                 object.__setattr__(self, item.name, tuple(value))
-        known = self.trajectories and set(self.trajectories) <= set(trajectories.NAMES)
+        known = self.trajectories and set(self.trajectories) <= set(trajectories.TRAJECTORY_NAMES)
         if self.driver == "replay" and known:  # `check` refuses all others
             object.__setattr__(self, "trajectories", (RECORDED,))
         if isinstance(self.seeds, int) and (isinstance(self.seeds, bool) or self.seeds < 1):

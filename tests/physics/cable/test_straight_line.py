@@ -283,4 +283,4 @@ def test_many_batch_sizes_keep_few_buffers():
     robot = simple_robot()
     for size in range(1, 30):
         inverse_kinematics(robot, np.tile(robot.home_position, (size, 1)))
-    assert len(device._buffers[robot]) <= device.KEPT
+    assert len(device._buffers[robot]) <= device.BUFFER_SETS_MAX

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.motion.winch import (
-    STEP,
+    INNER_STEP_MAX_S,
     Encoders,
     Winches,
     WinchSettings,
@@ -36,7 +36,7 @@ def quick(**changes):
     return with_drums(**changes, **free)
 
 
-def follow(found, commands, period=STEP):
+def follow(found, commands, period=INNER_STEP_MAX_S):
     """Lengths and rates after each command, shapes (K, n)."""
     lengths, rates = [], []
     for command in commands:
@@ -60,7 +60,9 @@ def test_a_small_step_is_followed_with_the_lag_of_the_winch():
     missing = (START + 0.01 - found.length[0]) / 0.01
     # (1 - h / lag)^(t / h) of the inner steps is below the exponential by h t / (2 lag^2) of it
     exact = np.exp([-2.0, -1.0, -0.5, -np.inf])
-    assert missing == pytest.approx(exact, abs=1.2 * STEP * 0.1 / 2.0 / 0.05**2 * exact[0])
+    assert missing == pytest.approx(
+        exact, abs=1.2 * INNER_STEP_MAX_S * 0.1 / 2.0 / 0.05**2 * exact[0]
+    )
     assert missing[3] == pytest.approx(0.0, abs=1e-9)
 
 
@@ -72,8 +74,10 @@ def test_an_integral_answers_a_small_step_as_linear_control_says():
     system = np.array([[-1.0 / lag, 1.0 / (lag * integral_time)], [-1.0, 0.0]])  # of (x, integral)
     drive = np.array([1.0 / lag, 1.0])
     for k in (50, 200, 1000):
-        now = np.linalg.solve(system, (expm(system * STEP * k) - np.eye(2)) @ drive)
-        assert (lengths[k - 1] - START) / 0.01 == pytest.approx(now[0], abs=2.0 * STEP / lag)
+        now = np.linalg.solve(system, (expm(system * INNER_STEP_MAX_S * k) - np.eye(2)) @ drive)
+        assert (lengths[k - 1] - START) / 0.01 == pytest.approx(
+            now[0], abs=2.0 * INNER_STEP_MAX_S / lag
+        )
     assert lengths[-1] == pytest.approx(START + 0.01, abs=1e-4)
 
 
@@ -84,9 +88,9 @@ def test_a_moving_command_is_trailed_without_an_integral_and_not_with_one():
     # A command that is held is half a period old on the average; a step of the drive is as exact.
     half = 0.5 * speed * period
     plain, _ = follow(winches(**drive), asked, period)
-    assert asked[-1] - plain[-1] == pytest.approx(speed * lag - half, abs=speed * STEP)
+    assert asked[-1] - plain[-1] == pytest.approx(speed * lag - half, abs=speed * INNER_STEP_MAX_S)
     better, _ = follow(winches(WinchSettings(integral_time=0.3), **drive), asked, period)
-    assert asked[-1] - better[-1] == pytest.approx(-half, abs=speed * STEP)
+    assert asked[-1] - better[-1] == pytest.approx(-half, abs=speed * INNER_STEP_MAX_S)
 
 
 def test_a_derivative_acts_as_a_longer_lag_while_a_command_is_held():
@@ -104,8 +108,8 @@ def test_winches_keep_their_speed_and_acceleration(settings):
     found = winches(settings, speed_max=speed_max, acceleration_max=acceleration_max)
     jumps = np.repeat([[10.0, 6.0, 10.0, 6.0], [6.0, 10.0, 8.0, 20.0]], 400, axis=0)
     lengths, rates = follow(found, jumps)
-    speed = np.abs(np.diff(lengths, axis=0)).max(axis=0) / STEP
-    acceleration = np.abs(np.diff(rates, axis=0)).max(axis=0) / STEP
+    speed = np.abs(np.diff(lengths, axis=0)).max(axis=0) / INNER_STEP_MAX_S
+    acceleration = np.abs(np.diff(rates, axis=0)).max(axis=0) / INNER_STEP_MAX_S
     assert (speed <= np.array(speed_max) * (1 + 1e-9)).all()
     assert (acceleration <= np.array(acceleration_max) * (1 + 1e-9)).all()
     assert speed[:2] == pytest.approx(speed_max[:2])  # and they reach it
@@ -144,7 +148,7 @@ def test_a_drum_pays_out_what_the_build_up_law_says():
     believed = 2e-5
     found = quick(settings=WinchSettings(believed_drum_buildup=believed))
     for asked in (12.0, 0.5, 39.0):
-        found.advance(np.full((1, 4), asked), STEP)
+        found.advance(np.full((1, 4), asked), INNER_STEP_MAX_S)
         for i in range(4):
             # the drive turns by its belief ...
             left = np.sqrt(RADIUS[i] ** 2 - believed * asked)
@@ -159,7 +163,7 @@ def test_a_drum_pays_out_what_the_build_up_law_says():
 @pytest.mark.parametrize("length", [1e-6, 0.3, 17.0, 40.0])
 def test_a_drum_that_is_known_changes_nothing(buildup, length):
     found = quick(length=1.0, buildup=np.full(4, buildup))
-    found.advance(np.full((1, 4), length), STEP)
+    found.advance(np.full((1, 4), length), INNER_STEP_MAX_S)
     assert found.length == pytest.approx(length, rel=4e-16 * 8)
     assert found.read() == pytest.approx(length, rel=4e-16 * 8)
 
@@ -169,7 +173,7 @@ def test_an_encoder_on_a_misjudged_drum_inverts_what_the_drive_does():
         found = quick(settings=WinchSettings(believed_drum_buildup=belief))
         start = found.read()
         assert np.abs(start - START)[0, [0, 1, 3]].min() > 1e-3 or belief == 5e-5
-        found.advance(start, STEP)  # asked for what is read, nothing moves
+        found.advance(start, INNER_STEP_MAX_S)  # asked for what is read, nothing moves
         assert found.length == pytest.approx(START, abs=1e-12)
 
 

@@ -85,7 +85,7 @@ def test_neighbours_chunks_and_batches_change_nothing(name, monkeypatch):
     alone = hold.hold(robot, batch)
     assert along.margin == pytest.approx(alone.margin, abs=1e-5, nan_ok=True)
     assert (along.rest.stable == alone.rest.stable).all()
-    monkeypatch.setattr(hold, "CHUNK", 7)
+    monkeypatch.setattr(hold, "CHUNK_POSES", 7)
     chunked = hold.hold(robot, batch, lines=[0, 30])
     assert np.array_equal(chunked.margin, along.margin, equal_nan=True)
     one = hold.hold(robot, batch[11:12])

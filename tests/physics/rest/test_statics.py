@@ -294,12 +294,12 @@ def test_infeasible_is_reported_and_nothing_is_clipped():
     beyond = np.array([[9.0, -1.8, 3.0], [0.4, -1.8, 8.3]])
     found = statics.inverse_kinematics(robot, beyond)
     assert not found.converged.any()
-    assert [statics.REASONS[s] for s in found.status] == [statics.REASONS[2]] * 2
+    assert [statics.STATUS_REASONS[s] for s in found.status] == [statics.STATUS_REASONS[2]] * 2
     assert (found.position == beyond).all()
     assert not found.stable[0]
     weak = replace(eight_cable_robot(), tension_max=np.full(8, 12.0), tension_min=np.full(8, 10.0))
     held = statics.inverse_kinematics(weak, weak.home_position[None])
-    assert statics.REASONS[held.status[0]] == "no tensions within the limits found"
+    assert statics.STATUS_REASONS[held.status[0]] == "no tensions within the limits found"
 
 
 def test_home_of_a_symmetric_robot_is_its_centre():

@@ -86,7 +86,7 @@ def test_a_pose_guess_at_a_rest_pose_stays_there():
 
 def test_large_batches_keep_no_buffers():
     robot = simple_robot()
-    where = np.tile(robot.home_position, (device.KEPT_SIZE + 1, 1))
+    where = np.tile(robot.home_position, (device.KEPT_BATCH_MAX + 1, 1))
     statics.inverse_kinematics(robot, where)
     assert len(device._buffers.get(robot, {})) == 0
 
