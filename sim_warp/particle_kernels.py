@@ -26,9 +26,9 @@ from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.motion.body_kernels import (
     FAST_MOTION_SHARE,
     FAST_MOTION_SHARE_ROUGH,
+    BodyMotion,
+    DynamicBody,
     Gusts,
-    Motion,
-    RigidBody,
     Scheme,
     System,
     attach,
@@ -106,7 +106,7 @@ class Lane:
 class Flight:
     """One world in the course of a call, the same in all of its threads."""
 
-    motion: Motion
+    motion: BodyMotion
     gusts: Gusts
     last: wp.float64  # size of the last step [s]
     slack: wp.float64  # stands for which segments are slack
@@ -387,7 +387,7 @@ def sweep_up(chains: Chains, b: int, s: int, i: int, scheme: Scheme,
 
 @wp.func
 def load_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, row: int,
-                body: RigidBody, trial: Motion, system: System, scheme: Scheme, lane: Lane,
+                body: DynamicBody, trial: BodyMotion, system: System, scheme: Scheme, lane: Lane,
                 ) -> System:  # fmt: skip
     """Add what all chains do to the platform."""
     total = System()
@@ -417,8 +417,8 @@ def load_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, 
 
 
 @wp.func
-def move_chains(plants: Plants, chains: Chains, b: int, s: int, row: int, body: RigidBody,
-                trial: Motion, scheme: Scheme, move: wp.vec3d, turn: wp.vec3d, lane: Lane,
+def move_chains(plants: Plants, chains: Chains, b: int, s: int, row: int, body: DynamicBody,
+                trial: BodyMotion, scheme: Scheme, move: wp.vec3d, turn: wp.vec3d, lane: Lane,
                 ) -> int:  # fmt: skip
     """Move all nodes after the platform; return in how many threads one moved far."""
     most = wp.float64(0.0)
@@ -442,7 +442,7 @@ def begin_chains(chains: Chains, b: int, s: int, n: int, h: wp.float64, lane: La
 
 @wp.func
 def keep_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, row: int,
-                body: RigidBody, motion: Motion, scheme: Scheme,
+                body: DynamicBody, motion: BodyMotion, scheme: Scheme,
                 lane: Lane) -> wp.float64:  # fmt: skip
     """Accept the trial as the end of a time step; say which segments are slack, by a number."""
     slack = wp.float64(0.0)

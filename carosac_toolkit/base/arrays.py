@@ -99,5 +99,5 @@ def set_frozen(instance: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
 
 
 def evenly(count: int, most: int) -> NDArray[np.int64]:
-    """At most so many of `count` indices, evenly spread, first and last among them."""
+    """Return at most so many of `count` indices, evenly spread, first and last among them."""
     return np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)

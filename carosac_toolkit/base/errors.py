@@ -55,7 +55,7 @@ class MissingFile(CarosacError):
 
 
 def did_you_mean(name: object, names: Sequence[str]) -> str:
-    """The most similar of some names as a question, to be put after what is allowed; or nothing."""
+    """Return the most similar of some names as a question to append to a message; or nothing."""
     close = get_close_matches(str(name), names, n=1)
     return f"; did you mean '{close[0]}'?" if close else ""
 
@@ -63,7 +63,7 @@ def did_you_mean(name: object, names: Sequence[str]) -> str:
 def _restored(
     kind: type[CarosacError], args: tuple[Any, ...], attributes: dict[str, Any]
 ) -> CarosacError:
-    """An error as it was pickled."""
+    """Rebuild a pickled error."""
     error = kind.__new__(kind, *args)
     error.__dict__.update(attributes)
     return error

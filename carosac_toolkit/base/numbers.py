@@ -52,10 +52,10 @@ def check_fields(
 
 
 def is_number(value: object) -> bool:
-    """Whether something is one number; True and False are none."""
+    """Return True for a single number; True and False are none."""
     return isinstance(value, int | float | np.number) and not isinstance(value, bool)
 
 
 def _said(value: object, unit: str) -> str:
-    """A value for a message."""
+    """Format a value for a message."""
     return f"{value} {unit}".rstrip() if is_number(value) else repr(value)

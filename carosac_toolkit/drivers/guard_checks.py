@@ -13,7 +13,7 @@ from carosac_toolkit.drivers.guard_settings import STALE, GuardSettings
 from carosac_toolkit.loop.drive_state import Fault
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.physics.cable import straight_line
-from carosac_toolkit.physics.motion.braking import Motion
+from carosac_toolkit.physics.motion.braking import WinchMotion
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 
@@ -84,7 +84,7 @@ class Checks:
         self._speed = np.zeros(self._robot.n)
         self._count.clear()
 
-    def sent(self, motion: Motion) -> None:
+    def sent(self, motion: WinchMotion) -> None:
         """One period passes with this command: where the winches should be after it."""
         if self._expected is None:
             return

@@ -10,7 +10,7 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.loop.values import Command, LimitHit
-from carosac_toolkit.physics.motion.braking import Motion
+from carosac_toolkit.physics.motion.braking import WinchMotion
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.limiter import Limiter
 from carosac_toolkit.safety.stop import CoordinatedStop
@@ -41,7 +41,7 @@ class Commander:
         self.sent = False
 
     @property
-    def motion(self) -> Motion:
+    def motion(self) -> WinchMotion:
         """What was last sent, without the offsets of homing."""
         return self._limiter.motion
 

@@ -1,4 +1,4 @@
-"""What a simulated driver needs of a simulation: the robot behind winches and sensors."""
+"""Contract between a simulated driver and its simulation: the robot behind winches and sensors."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ class Plant(Protocol):
         ...
 
     def truth(self) -> State:
-        """The state now; its `time` is ignored."""
+        """Return the current state; its `time` is ignored."""
         ...
 
     def acceleration(self) -> Array:
-        """Acceleration of the platform now; only asked of what is `inertial`.
+        """Return the current acceleration of the platform; called only if `inertial`.
 
         Returns:
             Linear [m/s^2], then angular [rad/s^2], in W at the platform origin, shape (B, 6).
@@ -55,7 +55,7 @@ class Plant(Protocol):
         ...
 
     def read_lengths(self) -> Array:
-        """What perfect encoders say, by the drums that the drives believe in [m], (B, n)."""
+        """Return readings of perfect encoders on the drums as the drives know them [m], (B, n)."""
         ...
 
 
@@ -64,7 +64,7 @@ class Shaped(Protocol):
     """A plant that knows more of the shapes of its cables than their lengths and the pose say."""
 
     def cable_points(self) -> Array:
-        """Where the cables are now.
+        """Return points along the cables.
 
         Returns:
             Points in W [m], shape (B, n, samples, 3), from tangent point to anchor point.

@@ -109,11 +109,11 @@ class DelayLine:
 
     @property
     def next_due(self) -> float:
-        """When the next sample is to be taken [s]."""
+        """Time at which the next sample is due [s]."""
         return self._count * self._period
 
     def due(self, now: float) -> bool:
-        """Whether a sample is to be taken at this time."""
+        """Return True if a sample is due at this time."""
         return now >= self.next_due - 1e-9
 
     def put(self, now: float, sample: Array) -> None:
@@ -129,7 +129,7 @@ class DelayLine:
             kept[rows] = sample[rows]
 
     def newest(self, now: float) -> tuple[float, Array]:
-        """Newest sample that has arrived: when it was taken [s], and what it says.
+        """Return the newest sample that has arrived: when it was taken [s], and its values.
 
         Before the first one arrives, the first one: the robot has been at rest before time 0.
         """
@@ -139,10 +139,10 @@ class DelayLine:
 
     def arrived(self, now: float) -> list[tuple[float, Array]]:
         """Take out all samples that have arrived, the oldest first."""
-        found = []
+        samples = []
         while self._samples and self._samples[0][0] + self._delay <= now + 1e-9:
-            found.append(self._samples.popleft())
-        return found
+            samples.append(self._samples.popleft())
+        return samples
 
 
 def check_suite(suite: str, *, inertial: bool) -> None:

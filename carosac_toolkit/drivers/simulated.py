@@ -1,4 +1,4 @@
-"""What all simulated drivers share: clock, sensors, command limits and the controlled stop.
+"""Base of all simulated drivers: clock, sensors, command limits and the controlled stop.
 
 A `Plant` is the simulation behind them. Time passes in `wait` alone; the plant is advanced from
 one sample of a sensor to the next.
@@ -108,7 +108,7 @@ class SimulatedDriver:
         self._ticks = TickSchedule(settings.period)
 
     def measure(self) -> Measurement:
-        """Newest samples that have arrived; the same again at the same time."""
+        """Return the newest samples that have arrived; at the same time the same ones again."""
         self._check_connected()
         return self._sensors.measure(self._time)
 
@@ -161,16 +161,16 @@ class SimulatedDriver:
 
     @property
     def plant(self) -> Plant:
-        """What is behind winches and sensors."""
+        """Robot behind winches and sensors."""
         return self._plant
 
     def truth(self) -> State:
-        """The state of the plant now."""
+        """Return the current state of the plant."""
         self._check_connected()
         return replace(self._plant.truth(), time=np.full(self._plant.size, self._time))
 
     def _start(self) -> Array:
-        """Where the platforms start in W [m], shape (B, 3)."""
+        """Return the initial positions of the platforms in W [m], shape (B, 3)."""
         plant, asked = self._plant, self._settings.start_position
         if asked is None:
             return np.tile(plant.robot.home_position, (plant.size, 1))

@@ -32,7 +32,7 @@ class TickSchedule:
         return time.monotonic() - self.origin
 
     def since(self, moment: float) -> float:
-        """When something was, from the start on [s]; `moment` is by `time.monotonic` [s]."""
+        """Return the time from the start to `moment` [s], which is by `time.monotonic` [s]."""
         return moment - self.origin
 
     def wait(self) -> None:

@@ -1,4 +1,4 @@
-"""Why a robot cannot work at home, and what in its file looks like a mistake, in words."""
+"""Reasons why a robot cannot work at home, and suspected mistakes in its file, in words."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def problems(report: RobotReport) -> list[str]:
     Args:
         report: The robot and how it hangs at home.
     """
-    found = [*_inside_pulley(report)]
+    findings = [*_inside_pulley(report)]
     home = report.equilibrium
     if not home.converged[0]:
-        found += _no_equilibrium(report)
+        findings += _no_equilibrium(report)
     elif not home.stable[0]:
-        found.append(_unstable(report))
-    return [*found, *_tension_limits(report, home), *_winch_range(report)]
+        findings.append(_unstable(report))
+    return [*findings, *_tension_limits(report, home), *_winch_range(report)]
 
 
 def warnings(report: RobotReport) -> list[str]:
@@ -48,17 +48,19 @@ def warnings(report: RobotReport) -> list[str]:
     Args:
         report: The robot and how it hangs at home.
     """
-    found = [*_far_points(report), *_low_rank(report), *_deep_sag(report), *_long_wrap(report)]
+    findings = [*_far_points(report), *_low_rank(report), *_deep_sag(report), *_long_wrap(report)]
     tilt = float(np.degrees(report.tilt))
     if report.equilibrium.converged[0] and tilt > HOME_TILT_MAX_DEG:
-        found.append(f"the platform tilts by {tilt:.0f} degrees at home: is center_of_mass right?")
+        findings.append(
+            f"the platform tilts by {tilt:.0f} degrees at home: is center_of_mass right?"
+        )
     if report.file is not None:
-        found += [f"{name} is used by no chain" for name in unused_parts(report.file)]
-    return found
+        findings += [f"{name} is used by no chain" for name in unused_parts(report.file)]
+    return findings
 
 
 def _unstable(report: RobotReport) -> str:
-    """What it means that an equilibrium is not stable."""
+    """Explain an equilibrium that is not stable."""
     growing = [f"{value:.3g} Hz" for value in report.frequencies if value < -FREQUENCY_MIN_HZ]
     if growing:
         return (
@@ -69,7 +71,7 @@ def _unstable(report: RobotReport) -> str:
 
 
 def _inside_pulley(report: RobotReport) -> Iterator[str]:
-    """Anchor points where no cable can go."""
+    """Find anchor points inside their pulley."""
     for i in np.flatnonzero(~report.straight.valid[0]):
         radius = report.robot.pulley_radius[i]
         name = report.robot.cable_names[i]
@@ -77,7 +79,7 @@ def _inside_pulley(report: RobotReport) -> Iterator[str]:
 
 
 def _no_equilibrium(report: RobotReport) -> Iterator[str]:
-    """Why nothing balances at home."""
+    """Explain why nothing balances at home."""
     from carosac_toolkit.physics.rest.statics import STATUS_REASONS
 
     yield STATUS_REASONS[report.equilibrium.status[0]]
@@ -90,7 +92,7 @@ def _no_equilibrium(report: RobotReport) -> Iterator[str]:
 
 
 def _without_limits(report: RobotReport) -> Equilibrium | None:
-    """Equilibrium at home with as few tension limits lifted as possible, upper ones first."""
+    """Solve for rest at home with as few tension limits lifted as possible, upper ones first."""
     from carosac_toolkit.physics.rest import statics
 
     robot = report.robot
@@ -110,7 +112,7 @@ def _without_limits(report: RobotReport) -> Equilibrium | None:
 
 
 def _tension_limits(report: RobotReport, home: Equilibrium) -> Iterator[str]:
-    """Tensions that the robot does not allow."""
+    """Find tensions beyond the limits of the robot."""
     if not home.converged[0]:
         return
     robot = report.robot
@@ -123,7 +125,7 @@ def _tension_limits(report: RobotReport, home: Equilibrium) -> Iterator[str]:
 
 
 def _winch_range(report: RobotReport) -> Iterator[str]:
-    """Lengths at home that the winches cannot wind."""
+    """Find lengths at home beyond the range of the winches."""
     robot, known = report.robot, report.equilibrium.converged[0]
     lengths = report.equilibrium.unstrained_length[0] if known else report.straight.length[0]
     for i in np.flatnonzero((lengths < robot.length_min) | (lengths > robot.length_max)):
@@ -136,7 +138,7 @@ def _winch_range(report: RobotReport) -> Iterator[str]:
 
 
 def _outside(report: RobotReport) -> Iterator[str]:
-    """Homes that no cable pulls to."""
+    """Find a home that no cable pulls to."""
     from scipy.spatial import ConvexHull, QhullError
 
     robot = report.robot
@@ -157,7 +159,7 @@ def _outside(report: RobotReport) -> Iterator[str]:
 
 
 def _far_points(report: RobotReport) -> Iterator[str]:
-    """Points in another unit than the rest."""
+    """Find points given in another unit than the rest."""
     robot = report.robot
     for kind, points, middle in (
         ("exit point", robot.exit_points, robot.home_position),
@@ -174,7 +176,7 @@ def _far_points(report: RobotReport) -> Iterator[str]:
 
 
 def _low_rank(report: RobotReport) -> Iterator[str]:
-    """Cables that leave the platform free to move although there are enough of them."""
+    """Find cables that leave the platform free to move although there are enough of them."""
     from carosac_toolkit.physics.rest.structure import structure_matrix
 
     robot = report.robot
@@ -193,7 +195,7 @@ def _low_rank(report: RobotReport) -> Iterator[str]:
 
 
 def _cause(anchors: Array) -> str:
-    """What makes cables dependent."""
+    """Explain why cables are dependent."""
     spread = np.linalg.svd(anchors - anchors.mean(axis=0), compute_uv=False)
     if spread[0] < 1e-9:
         return "anchor points coincide"
@@ -203,7 +205,7 @@ def _cause(anchors: Array) -> str:
 
 
 def _deep_sag(report: RobotReport) -> Iterator[str]:
-    """Cables that hang through."""
+    """Find cables that sag deeply."""
     lengths = report.equilibrium.unstrained_length[0]
     for i in np.flatnonzero(report.sag > DEEP_SAG_RATIO * lengths):
         yield (
@@ -213,7 +215,7 @@ def _deep_sag(report: RobotReport) -> Iterator[str]:
 
 
 def _long_wrap(report: RobotReport) -> Iterator[str]:
-    """Cables that go round their pulley the wrong way."""
+    """Find cables that wrap their pulley the wrong way."""
     robot = report.robot
     for i in np.flatnonzero(report.wrap > np.pi):
         yield (

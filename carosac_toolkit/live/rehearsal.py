@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.drivers.guard_inner import homing_lengths
-from carosac_toolkit.loop.loop import Path
+from carosac_toolkit.loop.loop import ReferenceSource
 from carosac_toolkit.loop.protocols import Controller, Estimator
 from carosac_toolkit.loop.values import Command, Imu, Measurement, Stamped, State
 from carosac_toolkit.robot.robot import Robot
@@ -17,7 +17,7 @@ INERTIAL = 0.005  # [s] between two inertial samples
 
 
 def rehearse(
-    robot: Robot, estimator: Estimator, controller: Controller, path: Path, *, suite: str
+    robot: Robot, estimator: Estimator, controller: Controller, path: ReferenceSource, *, suite: str
 ) -> None:
     """Have estimator and controller work on a robot at rest at home; nothing is sent anywhere.
 

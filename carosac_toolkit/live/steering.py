@@ -13,13 +13,13 @@ from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.keyboard import listening
 from carosac_toolkit.live.messages import say
-from carosac_toolkit.loop.loop import Path
+from carosac_toolkit.loop.loop import ReferenceSource
 
 LOOK = 0.05  # [s] between two looks whether the target is reached, after the end of the input
 
 
 @contextlib.contextmanager
-def steered(path: Path, guard: GuardedDriver) -> Iterator[None]:
+def steered(path: ReferenceSource, guard: GuardedDriver) -> Iterator[None]:
     """Hear what is typed until the block ends, where a hand target is what is followed.
 
     Where the input ends the run goes on to the target, and ends.

@@ -9,7 +9,7 @@ from enum import StrEnum
 
 
 class DriveState(StrEnum):
-    """Where the drive system stands; only `FOLLOWING` moves on command."""
+    """State of the drive system; only `FOLLOWING` moves on command."""
 
     DISCONNECTED = "disconnected"  # nothing is known
     CONNECTED = "connected"  # measures; no length is known to belong to a pose
@@ -22,17 +22,17 @@ class DriveState(StrEnum):
 
     @property
     def number(self) -> int:
-        """What the PLC sends."""
+        """Number that the PLC sends."""
         return list(DriveState).index(self)
 
     @property
     def moves(self) -> bool:
-        """Whether the winches may turn."""
+        """True if the winches may turn."""
         return self in (DriveState.FOLLOWING, DriveState.STOPPING)
 
 
 class Fault(StrEnum):
-    """Why the winches were stopped."""
+    """Reason why the winches were stopped."""
 
     NONE = "none"
     DRIVE_TRIP = "drive_trip"
@@ -55,28 +55,28 @@ class Fault(StrEnum):
 
     @property
     def number(self) -> int:
-        """What the PLC sends."""
+        """Number that the PLC sends."""
         return list(Fault).index(self)
 
     @property
     def meaning(self) -> str:
-        """What happened, in one sentence."""
+        """Cause, in one sentence."""
         return _FAULT_TEXTS[self][0]
 
     @property
     def remedy(self) -> str:
-        """What to do about it, in one sentence."""
+        """Remedy, in one sentence."""
         return _FAULT_TEXTS[self][1]
 
 
 def state_of(number: int) -> DriveState:
-    """The state that a PLC means; `FAULT` for a number that has no name."""
+    """Return the state for a number of the PLC; `FAULT` for a number that has no name."""
     states = list(DriveState)
     return states[number] if 0 <= number < len(states) else DriveState.FAULT
 
 
 def fault_of(number: int) -> Fault:
-    """The fault that a PLC means; `UNKNOWN` for a number that has no name."""
+    """Return the fault for a number of the PLC; `UNKNOWN` for a number that has no name."""
     faults = list(Fault)
     return faults[number] if 0 <= number < len(faults) else Fault.UNKNOWN
 

@@ -23,8 +23,8 @@ class BadPlugin(CarosacError):
     """A controller or estimator that returned something the loop cannot use."""
 
 
-class Path(Protocol):
-    """What a run follows: a `carosac_toolkit.trajectories.Trajectory`, or what somebody steers."""
+class ReferenceSource(Protocol):
+    """Source of references of a run: a `Trajectory`, or a target moved by hand."""
 
     @property
     def duration(self) -> float:
@@ -32,7 +32,7 @@ class Path(Protocol):
         ...
 
     def window(self, time: float, horizon: float, period: float) -> Reference:
-        """What to follow from `time` [s] after the start on; times do not go back."""
+        """Return the reference from `time` [s] after the start on; times never decrease."""
         ...
 
 
@@ -61,7 +61,7 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Log:
-    """What happened in T cycles of B worlds with n cables.
+    """Record of T cycles of B worlds with n cables.
 
     Attributes:
         time: By the driver's clock, from the first measurement [s], shape (T,).
@@ -103,7 +103,7 @@ class Log:
     innovations: Innovations | None = None
 
     def world(self, row: int, cycles: int) -> Log:
-        """The first cycles of one of the B worlds, as a log of its own.
+        """Return the first cycles of one of the B worlds, as a log of its own.
 
         The latencies stay those of the whole batch.
         """
@@ -121,7 +121,7 @@ class Log:
 
 
 def run(
-    driver: Driver, estimator: Estimator, controller: Controller, trajectory: Path, *,
+    driver: Driver, estimator: Estimator, controller: Controller, trajectory: ReferenceSource, *,
     duration: float | None = None, watch: Callable[[Step], None] | None = None,
     keep: int | None = None, by_clock: bool = False,
 ) -> Log:  # fmt: skip
@@ -172,7 +172,7 @@ def run(
 
 
 def _cycles(
-    driver: Driver, estimator: Estimator, controller: Controller, trajectory: Path,
+    driver: Driver, estimator: Estimator, controller: Controller, trajectory: ReferenceSource,
     over: Callable[[int, float], bool], steps: MutableSequence[Step],
     watch: Callable[[Step], None] | None,
 ) -> bool:  # fmt: skip
@@ -190,12 +190,12 @@ def _cycles(
         began = time.perf_counter()
         first = belief is None
         with _blamed(driver, "estimator"):
-            found = (
+            estimate = (
                 estimator.reset(measurement)
                 if belief is None
                 else estimator.update(belief, applied, measurement)
             )
-            belief = checked_belief(found, measurement)
+            belief = checked_belief(estimate, measurement)
         if isinstance(driver, Supervisor):
             driver.believe(belief)
         with _blamed(driver, "controller"):
@@ -219,7 +219,7 @@ def _cycles(
 
 @dataclass(frozen=True)
 class _Over:
-    """Whether a cycle is the last: the `cycles`-th, or the first at `time` [s] or after it."""
+    """End of a run: the `cycles`-th cycle, or the first at `time` [s] or after it."""
 
     cycles: int
     time: float | None
@@ -246,8 +246,10 @@ def _kept(keep: int) -> int:
     return keep
 
 
-def _reference(trajectory: Path, controller: Controller, now: float, start: float) -> Reference:
-    """Window of the trajectory `now` seconds after its start, by the driver's clock."""
+def _reference(
+    trajectory: ReferenceSource, controller: Controller, now: float, start: float
+) -> Reference:
+    """Return the window of references `now` seconds after the start, by the driver's clock."""
     window = trajectory.window(now, controller.horizon, controller.period)
     return window if start == 0.0 else replace(window, time=window.time + start)
 
@@ -313,7 +315,7 @@ def _log(steps: list[Step], completed: bool) -> Log:
 
 
 def _truth(truths: list[State | None]) -> dict[str, Array | None]:
-    """The truth over all cycles; None where it is not known in each of them."""
+    """Return the truth over all cycles; None unless it is known in each of them."""
     known = [truth for truth in truths if truth is not None]
     names = ("position", "rotation", "twist", "tension")
     if len(known) < len(truths):
@@ -322,15 +324,15 @@ def _truth(truths: list[State | None]) -> dict[str, Array | None]:
 
 
 def _stacked(values: list[Array | None]) -> Array | None:
-    """Values of all cycles, shape (T, ...), or None where some have none."""
+    """Stack the values of all cycles, shape (T, ...); None if any is missing."""
     known = [value for value in values if value is not None]
     return np.stack(known) if len(known) == len(values) else None
 
 
 def _innovations(beliefs: list[Belief]) -> Innovations | None:
-    """Innovations of all cycles, where the memory of any belief has some; none count as 0."""
-    found = [getattr(belief.memory, "innovations", None) for belief in beliefs]
-    if not any(isinstance(one, Innovations) for one in found):
+    """Stack the innovations of all cycles if any belief has some; none count as 0."""
+    innovations = [getattr(belief.memory, "innovations", None) for belief in beliefs]
+    if not any(isinstance(one, Innovations) for one in innovations):
         return None
     size = len(beliefs[0].position)
     names = ("squares", "dof", "rejected")
@@ -338,7 +340,7 @@ def _innovations(beliefs: list[Belief]) -> Innovations | None:
         name: np.stack(
             [
                 np.broadcast_to(np.asarray(getattr(one, name, 0.0), dtype=float), (size,))
-                for one in found
+                for one in innovations
             ]
         )
         for name in names

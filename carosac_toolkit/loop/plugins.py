@@ -23,7 +23,7 @@ _PACKAGE_MARKER = "__carosac__"
 
 
 def names(kind: Kind) -> list[str]:
-    """Installed plug-ins of a kind, sorted; imports none of them."""
+    """Return the names of installed plug-ins of a kind, sorted, without importing them."""
     return sorted(_installed(kind))
 
 
@@ -49,18 +49,18 @@ def load(kind: Kind, name: str) -> Any:
     installed = _installed(kind)
     if name not in installed:
         raise InvalidField(kind[:-1], repr(name), _allowed(name, sorted(installed)))
-    found = installed[name]
-    if len(found) > 1:
-        claims = ", ".join(sorted(f"{_owner(point)} ({point.value})" for point in found))
+    entries = installed[name]
+    if len(entries) > 1:
+        claims = ", ".join(sorted(f"{_owner(point)} ({point.value})" for point in entries))
         raise CarosacError(
             f"{kind[:-1]} '{name}' is claimed by several installed distributions: {claims}; "
             "uninstall one, or name yours as 'module:Class'"
         )
-    return _resolve(kind, name, found[0])
+    return _resolve(kind, name, entries[0])
 
 
 def entry_points_of(group: str) -> EntryPoints:
-    """Entry points of a group, read again only where something was installed meanwhile."""
+    """Return the entry points of a group, read again only after an installation."""
     return _read(group, tuple((folder, _changed(folder)) for folder in sys.path))
 
 
@@ -92,24 +92,24 @@ def check_package(package: str) -> None:
 
 
 def _group(kind: Kind) -> str:
-    """Entry-point group of a kind."""
+    """Return the entry-point group of a kind."""
     if kind not in get_args(Kind):
         raise InvalidField("kind", repr(kind), f"one of {list(get_args(Kind))}")
     return f"carosac.{kind}"
 
 
 def _installed(kind: Kind) -> dict[str, list[EntryPoint]]:
-    """Entry points of a kind by name; more than one where distributions clash."""
-    found: dict[str, list[EntryPoint]] = {}
+    """Return entry points of a kind by name; more than one where distributions clash."""
+    entries: dict[str, list[EntryPoint]] = {}
     for point in entry_points_of(_group(kind)):
-        claims = found.setdefault(point.name, [])
+        claims = entries.setdefault(point.name, [])
         if all(point.value != other.value for other in claims):
             claims.append(point)
-    return found
+    return entries
 
 
 def _changed(folder: str) -> int:
-    """When entries of a folder of the Python path last came or went [ns]; 0: it is not there."""
+    """Return when entries of a folder of the Python path last changed [ns]; 0: absent."""
     try:
         return os.stat(folder or ".").st_mtime_ns
     except OSError:
@@ -118,7 +118,7 @@ def _changed(folder: str) -> int:
 
 @lru_cache(maxsize=16)
 def _read(group: str, state: tuple[tuple[str, int], ...]) -> EntryPoints:
-    """Entry points of a group, for a state of the Python path."""
+    """Read the entry points of a group, for a state of the Python path."""
     return entry_points(group=group)
 
 
@@ -130,12 +130,12 @@ def _look_in_working_folder() -> None:
 
 
 def _owner(point: EntryPoint) -> str:
-    """Distribution that an entry point belongs to."""
+    """Return the distribution of an entry point."""
     return point.dist.name if point.dist is not None else "unknown distribution"
 
 
 def _allowed(name: str, installed: list[str]) -> str:
-    """What could have been written instead."""
+    """Describe the allowed names."""
     text = f"one of {installed}, or 'module:Class'"
     return text + did_you_mean(name, installed)
 

@@ -1,4 +1,4 @@
-"""What the loop calls: the contracts between the toolkit and everything that plugs into it.
+"""Contracts between the loop and everything that plugs into it.
 
 Each plug-in is a class found through an entry-point group (``carosac.controllers``,
 ``carosac.estimators``, ``carosac.drivers``) or as ``module:Class``, and is made by its classmethod
@@ -52,16 +52,16 @@ class Controller(Protocol):
     horizon: float
 
     def reset(self, belief: Belief) -> None:
-        """Forget everything; the platform is where the belief says."""
+        """Forget everything; start from the pose of the belief."""
         ...
 
     def command(self, belief: Belief, reference: Reference) -> Command:
-        """Decide what the winches are asked for until the next call."""
+        """Decide the lengths that the winches are asked for until the next call."""
         ...
 
 
 class Driver(Protocol):
-    """What can be measured and commanded: simulated, recorded or real. It moves data, no more.
+    """Source of measurements and sink of commands: simulated, recorded or real. It moves data only.
 
     A driver on which commands change nothing has a class attribute ``replays = True``. One that
     simulates several plants at once has a classmethod ``build_batch(robots, settings, *, seeds)``.
@@ -72,7 +72,7 @@ class Driver(Protocol):
         ...
 
     def measure(self) -> Measurement:
-        """What the sensors say now, by the driver's clock."""
+        """Return the current measurement, by the driver's clock."""
         ...
 
     def command(self, command: Command) -> Command:
@@ -119,7 +119,7 @@ class MotionDriver(Driver, Protocol):
         ...
 
     def status(self) -> str:
-        """State of the drive system in one word."""
+        """Return the state of the drive system in one word."""
         ...
 
 
@@ -128,11 +128,11 @@ class Supervisor(Protocol):
     """A driver that watches those who command it; the loop tells it what they do."""
 
     def believe(self, belief: Belief) -> None:
-        """What the estimator says now, before the controller sees it."""
+        """Receive the belief of the estimator, before the controller does."""
         ...
 
     def fail(self, part: str, error: BaseException) -> None:
-        """The ``"estimator"``, ``"controller"`` or ``"program"`` around them raised an error.
+        """Receive an error raised by the ``"estimator"``, ``"controller"`` or ``"program"``.
 
         `stop` follows. The program comes last: it repeats what one of the two has raised.
         """
@@ -140,7 +140,7 @@ class Supervisor(Protocol):
 
 
 def replays(driver: object) -> bool:
-    """Whether commands change nothing, so that tracking says nothing about the controller."""
+    """Return True if commands change nothing, so that tracking cannot be scored."""
     return bool(getattr(driver, "replays", False))
 
 
@@ -149,5 +149,5 @@ class TruthSource(Protocol):
     """A driver that knows the truth. Only the loop's logger and the scoring ask."""
 
     def truth(self) -> State | None:
-        """The state now, or None where it is not known at this instant."""
+        """Return the current state, or None if it is not known at this instant."""
         ...

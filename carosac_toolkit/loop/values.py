@@ -81,7 +81,7 @@ class Imu:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Measurement:
-    """What the sensors said.
+    """Measurement of the sensors at one time.
 
     Attributes:
         time: Time of this cycle, by the driver's clock [s], shape (B,).
@@ -107,7 +107,7 @@ class Measurement:
         _freeze(self, time=shape[:1], unstrained_length=shape)
 
     def lengths_of(self, size: int, n: int) -> Array:
-        """The unstrained lengths, once they are those of so many robots and cables [m], (B, n).
+        """Return unstrained lengths [m], (B, n); refuse those of other robots or cables.
 
         Raises:
             InvalidField: Another shape, or a length that is not positive.
@@ -142,7 +142,7 @@ class LimitHit:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Command:
-    """What the winches are asked for.
+    """Lengths that the winches are asked for.
 
     Attributes:
         time: [s], shape (B,).
@@ -164,7 +164,7 @@ class Command:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Belief:
-    """What an estimator believes about the platform.
+    """Estimate of the platform state.
 
     Attributes:
         time: [s], shape (B,).

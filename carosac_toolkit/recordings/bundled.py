@@ -47,5 +47,5 @@ def find_recording(name_or_path: str | Path) -> Path:
 
 
 def _folder() -> Path:
-    """Where they lie."""
+    """Return the folder of the bundled recordings."""
     return Path(str(files("carosac_toolkit") / "recordings" / "data"))

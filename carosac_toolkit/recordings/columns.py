@@ -103,11 +103,11 @@ def name_faults(written: Iterable[str]) -> list[str]:
     names = [canonical(name) for name in written]
     n = max(cables(names), 1)
     known = known_columns(n)
-    meant = (*known, *(f"cable_length_{i + 1}_m" for i in range(n)))
+    candidates = (*known, *(f"cable_length_{i + 1}_m" for i in range(n)))
     faults = []
     for name in dict.fromkeys(names):
         if name not in known:
-            close = get_close_matches(name[:_NAME_LENGTH_SHOWN], meant, n=1, cutoff=0.7)
+            close = get_close_matches(name[:_NAME_LENGTH_SHOWN], candidates, n=1, cutoff=0.7)
             hint = _hint(close) or " and refused, as every extra column is: remove or rename it"
             faults.append(f"column {_shown(name)} is unknown{hint}")
         elif names.count(name) > 1:
@@ -142,7 +142,7 @@ def _near(names: list[str], unknown: list[str]) -> list[str]:
 
 
 def _kind(match: re.Match[str]) -> tuple[str, str]:
-    """What a numbered column holds, whatever it is called."""
+    """Return the channel of a numbered column under its canonical name."""
     return _COLUMN_ALIASES.get(match[1], match[1]), match[3]
 
 

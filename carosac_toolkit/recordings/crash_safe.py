@@ -83,7 +83,7 @@ class CrashSafeRecorder:
         self._sync.start()
 
     def measured(self, measurement: Measurement) -> None:
-        """What the sensors said; a batch of one."""
+        """Record a measurement; a batch of one."""
         rate, tension, pose, imu = (
             measurement.length_rate, measurement.tension, measurement.pose, measurement.imu
         )  # fmt: skip
@@ -108,7 +108,7 @@ class CrashSafeRecorder:
         self.samples += 1
 
     def sent(self, asked: Command | None, sent: Command, *, really: bool) -> None:
-        """What was asked, None in a stop, and what was sent, or would have been."""
+        """Record the command asked for, None in a stop, and the one sent, or held back if dry."""
         row: dict[str, Any] = {
             "row": "sent" if really else "would_send",
             "time": float(sent.time[0]),
@@ -121,7 +121,7 @@ class CrashSafeRecorder:
         self._row(row)
 
     def believed(self, belief: Belief) -> None:
-        """What the estimator said."""
+        """Record the belief of the estimator."""
         row: dict[str, Any] = {
             "row": "believed",
             "time": float(belief.time[0]),
@@ -133,7 +133,7 @@ class CrashSafeRecorder:
         self._row(row)
 
     def event(self, time: float, name: str, text: str) -> None:
-        """A change of state, a fault, a stop."""
+        """Record a change of state, a fault or a stop."""
         self._row({"row": "event", "time": time, "name": name, "text": text})
 
     def close(self, patience: float = CLOSE_TIMEOUT_S) -> bool:
@@ -171,7 +171,7 @@ class CrashSafeRecorder:
             self.rows += 1
 
     def _sync_often(self) -> None:
-        """Until closed, and once more then; a disk that is slow in this must not hold up rows."""
+        """Sync until closed, and once more then; in a thread, so that a slow disk delays no row."""
         try:
             while not self._closing.wait(SYNC_INTERVAL_S):
                 os.fsync(self._file)
@@ -185,7 +185,7 @@ class CrashSafeRecorder:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedRun:
-    """What `CrashSafeRecorder` wrote.
+    """Contents of a file that `CrashSafeRecorder` wrote.
 
     Attributes:
         recording: Measurements and what was really sent.
@@ -228,7 +228,7 @@ def read_run(path: str | Path) -> RecordedRun:
 
 
 def read_crash_safe(path: Path) -> Recording:
-    """The recording in a run; warns where the last row was cut."""
+    """Return the recording in a run; warn if the last row was cut."""
     run = read_run(path)
     if run.cut is not None:
         text = f"{path}: row {run.cut} was cut and is dropped; all before it is there"
@@ -237,7 +237,7 @@ def read_crash_safe(path: Path) -> Recording:
 
 
 def _rows(file: Path) -> tuple[list[dict[str, Any]], int | None]:
-    """All whole rows, and the number of the last one where it was cut."""
+    """Return all complete rows, and the number of the last one if it was cut."""
     lines = file.read_bytes().split(b"\n")
     cut = len(lines) if lines[-1] else None  # a whole row ends with its line
     rows: list[dict[str, Any]] = []
@@ -250,15 +250,15 @@ def _rows(file: Path) -> tuple[list[dict[str, Any]], int | None]:
 
 
 def _by_kind(rows: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
-    """Rows by kind; measurements before the last homing have other offsets and are left out."""
-    found: dict[str, list[dict[str, Any]]] = {}
+    """Group rows by kind; drop measurements before the last homing: their offsets differ."""
+    groups: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
-        found.setdefault(str(row["row"]), []).append(row)
+        groups.setdefault(str(row["row"]), []).append(row)
         if row.get("name") == "home":
-            found["before"] = found.pop("measured", [])
-    if not found.get("measured"):
-        found["measured"] = found.get("before", [])
-    return found
+            groups["before"] = groups.pop("measured", [])
+    if not groups.get("measured"):
+        groups["measured"] = groups.get("before", [])
+    return groups
 
 
 def _run(
@@ -301,29 +301,33 @@ def _run(
 
 
 def _sampled(row: Mapping[str, Any]) -> float:
-    """When the lengths of a row were measured [s]."""
+    """Return the time at which the lengths of a row were measured [s]."""
     return float(row["length_rate"][0] if "length_rate" in row else row["time"])
 
 
 def _stamped(pairs: Sequence[Any]) -> Stamped | None:
-    """Samples in order of their times; of those of one time the last counts."""
-    found = dict(sorted((float(time), value) for time, value in pairs))
-    if not found:
+    """Return samples in order of their times; of several at one time the last counts."""
+    samples = dict(sorted((float(time), value) for time, value in pairs))
+    if not samples:
         return None
-    return Stamped(time=np.array(list(found)), value=np.array(list(found.values()), dtype=float))
+    return Stamped(
+        time=np.array(list(samples)), value=np.array(list(samples.values()), dtype=float)
+    )
 
 
 def _poses(samples: Sequence[Sequence[Any]]) -> PoseSamples | None:
-    """Poses of times, positions and quaternions."""
-    found = _stamped([(time, [*position, *quaternion]) for time, position, quaternion in samples])
-    if found is None:
+    """Return poses from times, positions and quaternions."""
+    stamped = _stamped([(time, [*position, *quaternion]) for time, position, quaternion in samples])
+    if stamped is None:
         return None
-    return PoseSamples(time=found.time, position=found.value[:, :3], quaternion=found.value[:, 3:])
+    return PoseSamples(
+        time=stamped.time, position=stamped.value[:, :3], quaternion=stamped.value[:, 3:]
+    )
 
 
 def _imu(measured: Sequence[Mapping[str, Any]]) -> Imu | None:
-    """All inertial samples."""
-    found = _stamped(
+    """Return all inertial samples."""
+    stamped = _stamped(
         [
             (time, rate + force)
             for row in measured
@@ -331,11 +335,13 @@ def _imu(measured: Sequence[Mapping[str, Any]]) -> Imu | None:
             for time, rate, force in zip(*row["imu"], strict=True)
         ]
     )
-    if found is None:
+    if stamped is None:
         return None
-    return Imu(time=found.time, angular_rate=found.value[:, :3], specific_force=found.value[:, 3:])
+    return Imu(
+        time=stamped.time, angular_rate=stamped.value[:, :3], specific_force=stamped.value[:, 3:]
+    )
 
 
 def _quaternion(rotation: Array) -> list[float]:
-    """Of the first rotation, order w x y z."""
+    """Return the quaternion of the first rotation, order w x y z."""
     return [float(x) for x in from_matrix(rotation[:1])[0]]

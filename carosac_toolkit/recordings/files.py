@@ -18,7 +18,7 @@ from carosac_toolkit.recordings.scampi_mat import read_scampi_mat
 
 
 def _read_run(path: Path) -> Recording:
-    """A run that was recorded as it happened."""
+    """Read a run that was recorded live."""
     from carosac_toolkit.recordings.crash_safe import read_crash_safe
 
     return read_crash_safe(path)
@@ -52,11 +52,11 @@ def load(path: str | Path) -> Recording:
         start = stream.read(8)
     if not start:
         raise InvalidFile(file, ["the file is empty"])
-    found = next(
+    content = next(
         (kind for magic, kind in _SUFFIX_BY_MAGIC.items() if start.startswith(magic)), suffix
     )
-    if found != suffix:
-        raise InvalidFile(file, [f"the content is that of a {found} file; rename it"])
+    if content != suffix:
+        raise InvalidFile(file, [f"the content is that of a {content} file; rename it"])
     return READERS_BY_SUFFIX[suffix](file)
 
 

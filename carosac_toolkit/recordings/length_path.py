@@ -32,6 +32,6 @@ class LengthPath:
         self._splines = [make(recording.time, column) for column in columns]
 
     def at(self, time: Array) -> Array:
-        """Readings [m], shape (..., n), at times [s] of shape (...)."""
+        """Return readings [m], shape (..., n), at times [s] of shape (...)."""
         inside = np.clip(time, self.first, self._last)
         return np.stack([spline(inside) for spline in self._splines], axis=-1)

@@ -1,4 +1,4 @@
-"""What a recording says about itself."""
+"""Metadata of a recording."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ class Recording:
         return float(self.time[-1] - self.time[0])
 
     def measurement(self, index: int) -> Measurement:
-        """What a driver would have measured at length sample `index`; poses are withheld.
+        """Return the measurement of a driver at length sample `index`; poses are withheld.
 
         The optional channels hold only what is new since the previous length sample: the latest
         length rate and tension, and all inertial samples.
@@ -120,7 +120,7 @@ class Recording:
         )
 
     def pose_at(self, time: ArrayLike, *, gap_max: float = 0.5) -> PoseInterpolation:
-        """Measured poses at other times: positions linear, rotations along the great arc.
+        """Interpolate measured poses: positions linearly, rotations along the great arc.
 
         Args:
             time: When [s], shape (B,).
@@ -134,7 +134,7 @@ class Recording:
         return self.poses.at(time, gap_max=gap_max)
 
     def slice(self, start: int = 0, stop: int | None = None) -> Recording:
-        """Cut out length samples start <= i < stop, and of the others what lies in that time.
+        """Cut out length samples start <= i < stop, and all other samples of that time.
 
         Args:
             start: First length sample.

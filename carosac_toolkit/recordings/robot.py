@@ -61,9 +61,9 @@ def find_robot(recording: Recording, path: Path, asked: str | None = None) -> Fo
 def _named(name: str, path: Path) -> FoundRobot:
     """Load the robot that a recording names."""
     beside = path.parent / name
-    found = str(beside) if name not in list_robots() and beside.is_file() else name
+    named = str(beside) if name not in list_robots() and beside.is_file() else name
     try:
-        return FoundRobot(robot=load_robot(found), name=found, source="recording")
+        return FoundRobot(robot=load_robot(named), name=named, source="recording")
     except CarosacError as error:
         raise CarosacError(
             f"{error}\n  (the recording {str(path)!r} names {name!r} as its robot; a path is "
@@ -72,7 +72,7 @@ def _named(name: str, path: Path) -> FoundRobot:
 
 
 def _nearest(recording: Recording) -> list[Robot]:
-    """Bundled robots with the exit points that were measured in a run, the nearest first."""
+    """List bundled robots by distance to the exit points measured in a run, nearest first."""
     points = recording.exit_points
     if points is None:
         return []

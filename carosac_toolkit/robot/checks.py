@@ -1,4 +1,4 @@
-"""What several fields of a robot file say together: references, limits, geometry, provenance.
+"""Consistency of several fields of a robot file: references, limits, geometry, provenance.
 
 Every check works on what is right so far, so that one fault does not hide another.
 """
@@ -53,17 +53,17 @@ def unused_parts(file: RobotFile) -> list[str]:
         "cable": file.cable_types,
         "winch": file.winches,
     }
-    found = []
+    unused = []
     for key, known in parts.items():
         used = {getattr(chain, key) for chain in file.chains}
-        found += [
+        unused += [
             format_path((*_REFERENCED_SECTIONS[key], name)) for name in known if name not in used
         ]
-    return found
+    return unused
 
 
 def _chain_faults(data: dict[str, Any]) -> Iterator[Fault]:
-    """References to parts that do not exist, and cables that exist twice."""
+    """Find references to parts that do not exist, and duplicate cables."""
     chains = data.get("chains")
     if not isinstance(chains, list):
         return
@@ -107,7 +107,7 @@ def _reference(
 
 
 def _limit_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:
-    """Chains without tension limits."""
+    """Find chains without tension limits."""
     if parts.chains is None or data.get("tension_limits") is not None:
         return
     for i, chain in enumerate(parts.chains):
@@ -117,7 +117,7 @@ def _limit_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:
 
 
 def _all_or_none(parts: Any) -> Iterator[Fault]:
-    """What every cable must have as soon as one has it."""
+    """Find fields that some cables have and others lack."""
     if parts.frame is not None:
         points = parts.frame.exit_points
         known = [p.sigma is not None or p.covariance is not None for p in points.values()]
@@ -147,12 +147,12 @@ def _all_or_none(parts: Any) -> Iterator[Fault]:
 
 
 def _any_gear(winches: Any) -> bool:
-    """Whether any drum has a gear."""
+    """Return True if any drum has a gear."""
     return any(w.drum is not None and w.drum.gear is not None for w in winches.values())
 
 
 def _home_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:
-    """A home pose that the robot cannot have."""
+    """Find a home pose that the robot cannot have."""
     home, chains = parts.home, data.get("chains")
     if home is None:
         return
@@ -173,7 +173,7 @@ def _home_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:
 
 
 def _sensor_faults(parts: Any) -> Iterator[Fault]:
-    """Length sensors, or numbers of a PLC, of cables that do not exist or of some cables only."""
+    """Find sensors or PLC numbers of unknown cables, or of some cables only."""
     if parts.chains is None:
         return
     chains = [chain.name for chain in parts.chains]
@@ -185,7 +185,7 @@ def _sensor_faults(parts: Any) -> Iterator[Fault]:
 
 
 def _all_chains(path: FieldPath, known: Iterable[str], chains: list[str]) -> Iterator[Fault]:
-    """Entries that are not one for each chain."""
+    """Find entries that are not one for each chain."""
     for name in known:
         if name not in chains:
             yield (*path, name), f"no such chain; allowed: {', '.join(chains)}"
@@ -195,7 +195,7 @@ def _all_chains(path: FieldPath, known: Iterable[str], chains: list[str]) -> Ite
 
 
 def _provenance_faults(data: dict[str, Any]) -> Iterator[Fault]:
-    """Numbers without a source, and sources of nothing."""
+    """Find numbers without a source, and sources of nothing."""
     sources = data.get("provenance")
     if not isinstance(sources, dict):
         return
@@ -229,11 +229,11 @@ def _uncovered(path: FieldPath, value: Any, sources: list[str]) -> list[FieldPat
         return [path] if any(is_quantity(entry) for entry in value) else None
     else:
         return [path] if is_quantity(value) else None
-    found = [child for child in children if child is not None]
-    if not found:
+    covered = [child for child in children if child is not None]
+    if not covered:
         return None
     nothing_covered = not any(format_path(path) == s[: len(format_path(path))] for s in sources)
-    return [path] if nothing_covered and all(found) else [p for child in found for p in child]
+    return [path] if nothing_covered and all(covered) else [p for child in covered for p in child]
 
 
 def _paths(path: FieldPath, value: Any) -> Iterator[FieldPath]:

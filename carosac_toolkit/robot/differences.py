@@ -16,7 +16,7 @@ SAME_VALUE_TOLERANCE = 1e-9  # relative difference that rounding to 12 digits le
 
 
 def differing(a: Robot, b: Robot) -> list[str]:
-    """Fields in which two robots differ by more than rounding."""
+    """Return the fields in which two robots differ by more than rounding."""
     values = {f.name: (getattr(a, f.name), getattr(b, f.name)) for f in fields(Robot)}
     return [
         name
@@ -26,7 +26,7 @@ def differing(a: Robot, b: Robot) -> list[str]:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Whether two fields are the same but for rounding."""
+    """Return True if two fields are equal but for rounding."""
     if a is None or b is None:
         return a is b
     if isinstance(a, str | Mapping | Hardware) or (isinstance(a, tuple) and isinstance(b, tuple)):
@@ -39,7 +39,7 @@ def same(a: Any, b: Any) -> bool:
 
 
 def _same_covariance(a: Array | None, b: Array | None) -> bool:
-    """Whether two covariances are the same but for rounding, each entry by its own units."""
+    """Return True if two covariances are equal but for rounding, each entry by its own units."""
     if a is None or b is None or a.shape != b.shape:
         return a is b
     largest = np.maximum(*(np.diagonal(x, axis1=-2, axis2=-1) for x in (a, b)))

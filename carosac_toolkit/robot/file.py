@@ -73,7 +73,7 @@ def robot_text(name_or_path: str | Path) -> str:
 
 
 def robot_path(name_or_path: str | Path) -> Path:
-    """Where the file of a robot is, or would be; arguments as `load_robot`.
+    """Return the path of a robot file, also of one that does not exist; arguments as `load_robot`.
 
     Raises:
         InvalidField: No bundled robot has this name.
@@ -124,7 +124,7 @@ def parse_file(text: str, *, source: str = "robot") -> tuple[Robot, RobotFile]:
 
 
 def document_faults(data: dict[str, Any]) -> list[tuple[FieldPath, str]]:
-    """What is wrong with a robot file that is plain data: paths, and what is wrong there.
+    """Find the faults of a robot file given as plain data: paths and messages.
 
     What is said of a field that is not there starts with ``missing``.
     """
@@ -132,7 +132,7 @@ def document_faults(data: dict[str, Any]) -> list[tuple[FieldPath, str]]:
 
 
 def fields_to_give(path: FieldPath) -> list[tuple[FieldPath, str]]:
-    """The single fields that are required at a path, each with what it allows."""
+    """List the single fields that are required at a path, each with its allowed values."""
     model = _model_of(_annotation_at(RobotFile, path))
     if model is None:
         return [(path, _allowed(RobotFile, path))]
@@ -147,8 +147,8 @@ def _check(data: dict[str, Any]) -> tuple[RobotFile | None, list[tuple[FieldPath
     """Check plain data, field by field and against each other."""
     model, parts, errors = _validate(data)
     unknown = _unknown_keys(errors)
-    found = _schema_faults(errors, unknown) + cross_faults(_repaired(data, unknown), parts)
-    return model, found
+    faults = _schema_faults(errors, unknown) + cross_faults(_repaired(data, unknown), parts)
+    return model, faults
 
 
 def _looks_like_path(text: str) -> bool:
@@ -185,7 +185,7 @@ def _validate(
 
 
 def _unknown_keys(errors: list[ErrorDetails]) -> dict[FieldPath, str | None]:
-    """Paths of keys that the schema does not know, with the key that was meant, if one is near."""
+    """List paths of keys that the schema does not know, each with a similar known key, if any."""
     return {
         details["loc"]: nearest(str(details["loc"][-1]), _keys(RobotFile, details["loc"][:-1]))
         for details in errors
@@ -202,9 +202,9 @@ def _repaired(value: Any, unknown: dict[FieldPath, str | None], path: FieldPath 
     result = {}
     for key, entry in value.items():
         here = (*path, key)
-        meant = unknown.get(here, key)
-        if meant is not None and (meant == key or meant not in value):
-            result[meant] = _repaired(entry, unknown, here)
+        correction = unknown.get(here, key)
+        if correction is not None and (correction == key or correction not in value):
+            result[correction] = _repaired(entry, unknown, here)
     return result
 
 
@@ -216,13 +216,13 @@ def _schema_faults(
     missing = {
         details["loc"][-1]: details["loc"] for details in errors if details["type"] == "missing"
     }
-    for path, meant in unknown.items():
+    for path, correction in unknown.items():
         keys = ", ".join(_keys(RobotFile, path[:-1]))
-        hint = f"; did you mean '{meant}'" if meant else ""
+        hint = f"; did you mean '{correction}'" if correction else ""
         if path[-1] in missing:
             hint = f"; {format_path(missing[path[-1]])} is missing: is the indentation right"
         faults.append((path, f"unknown key; allowed: {keys}{hint}"))
-    misspelt = {(*path[:-1], meant) for path, meant in unknown.items()}
+    misspelt = {(*path[:-1], correction) for path, correction in unknown.items()}
     for details in errors:
         path = details["loc"]
         cause = details.get("ctx", {}).get("error")
@@ -257,7 +257,7 @@ def _shown(value: object) -> str:
 
 
 def _keys(annotation: Any, path: FieldPath) -> list[str]:
-    """Keys that the model at a path knows."""
+    """Return the keys that the model at a path knows."""
     model = _model_of(_annotation_at(annotation, path))
     if model is None:
         return []
@@ -281,8 +281,8 @@ def _annotation_at(annotation: Any, path: FieldPath) -> Any:
             return annotation
         for name, field in model.model_fields.items():
             if part == (field.alias or name):
-                found = [item for item in field.metadata if isinstance(item, Reads)]
-                annotation = found[0] if found else field.annotation
+                readers = [item for item in field.metadata if isinstance(item, Reads)]
+                annotation = readers[0] if readers else field.annotation
     return annotation
 
 
@@ -293,7 +293,7 @@ def _plain(annotation: Any) -> Any:
 
 
 def _model_of(annotation: Any) -> type[BaseModel] | None:
-    """The model of an annotation, where it is one."""
+    """Return the model of an annotation, if it is one."""
     annotation = _plain(annotation)
     is_model = isinstance(annotation, type) and issubclass(annotation, BaseModel)
     return annotation if is_model else None
@@ -304,9 +304,9 @@ def _describe(annotation: Any) -> str:
     annotation = _plain(annotation)
     if isinstance(annotation, Reads):
         return annotation.allowed
-    found = [item for item in getattr(annotation, "__metadata__", ()) if isinstance(item, Reads)]
-    if found:
-        return found[0].allowed
+    readers = [item for item in getattr(annotation, "__metadata__", ()) if isinstance(item, Reads)]
+    if readers:
+        return readers[0].allowed
     model = _model_of(annotation)
     if model is not None:
         keys = ", ".join(field.alias or name for name, field in model.model_fields.items())

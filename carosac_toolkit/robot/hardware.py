@@ -1,4 +1,4 @@
-"""How a robot is reached: the section ``hardware`` of a robot file."""
+"""Connection to the real robot: the section ``hardware`` of a robot file."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class Hardware:
 
     @classmethod
     def loopback(cls, n: int) -> Hardware:
-        """A PLC on this machine that speaks of unstrained lengths in metres."""
+        """Return a PLC on this machine that counts unstrained lengths in metres."""
         return cls(sign=(1.0,) * n, scale=(1.0,) * n, offset=(0.0,) * n)
 
     @classmethod
@@ -137,16 +137,16 @@ class Hardware:
     @property
     def unit(self) -> Array:
         """Change of unstrained length per unit of the PLC, signed [m], shape (n,)."""
-        found: Array = np.array(self.sign) * np.array(self.scale)
-        return found
+        metres: Array = np.array(self.sign) * np.array(self.scale)
+        return metres
 
     def length(self, number: Iterable[float]) -> Array:
-        """Unstrained lengths [m], shape (n,), from the numbers of the PLC."""
-        found: Array = self.unit * np.asarray(number, dtype=np.float64) + np.array(self.offset)
-        return found
+        """Convert numbers of the PLC to unstrained lengths [m], shape (n,)."""
+        lengths: Array = self.unit * np.asarray(number, dtype=np.float64) + np.array(self.offset)
+        return lengths
 
     def number(self, length: Iterable[float]) -> Array:
-        """Numbers of the PLC, shape (n,), from unstrained lengths [m]."""
-        given = np.asarray(length, dtype=np.float64)
-        found: Array = (given - np.array(self.offset)) / self.unit
-        return found
+        """Convert unstrained lengths [m] to numbers of the PLC, shape (n,)."""
+        lengths = np.asarray(length, dtype=np.float64)
+        numbers: Array = (lengths - np.array(self.offset)) / self.unit
+        return numbers

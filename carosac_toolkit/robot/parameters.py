@@ -55,7 +55,7 @@ _PARAMETER_PATTERN = re.compile(r"(?P<field>\w+)(?:\[(?P<cable>.+)\])?(?:\.(?P<a
 
 
 def unit_of(name: str) -> str:
-    """SI unit of a parameter, as in robot files.
+    """Return the SI unit of a parameter, as in robot files.
 
     Raises:
         InvalidField: The name is of no parameter.
@@ -64,12 +64,12 @@ def unit_of(name: str) -> str:
 
 
 def field_of(name: str) -> str:
-    """Field that a parameter belongs to: ``exit_points`` for ``exit_points[C].x``."""
+    """Return the field of a parameter: ``exit_points`` for ``exit_points[C].x``."""
     return name.split("[")[0].split(".")[0]
 
 
 def point_names(field: str, cables: Sequence[str]) -> list[str]:
-    """Names of the coordinates of a point of each cable, x, y, z of the first one first."""
+    """Return the coordinate names of a point of each cable, x, y, z of the first one first."""
     return [f"{field}[{cable}].{axis}" for cable in cables for axis in "xyz"]
 
 
@@ -86,7 +86,7 @@ def check_names(cable_names: Sequence[str], names: Sequence[str]) -> None:
 
 
 def values_of(robot: Robot, names: Sequence[str]) -> Array:
-    """Values of parameters, shape (k,); readings of a robot without calibration are true ones.
+    """Return values of parameters, shape (k,); an uncalibrated robot reads true lengths.
 
     Raises:
         InvalidField: A name that the robot does not have.
@@ -95,7 +95,7 @@ def values_of(robot: Robot, names: Sequence[str]) -> Array:
 
 
 def with_values(robot: Robot, names: Sequence[str], values: Array) -> Robot:
-    """A robot with other values of some parameters; what is known of the values is dropped.
+    """Return a robot with other values of some parameters; their covariance is dropped.
 
     Args:
         robot: The robot.
@@ -132,7 +132,7 @@ def with_values(robot: Robot, names: Sequence[str], values: Array) -> Robot:
 
 @lru_cache(maxsize=1024)  # identification asks for the same names over and over
 def _split(cable_names: tuple[str, ...], name: str) -> tuple[str, tuple[Any, ...]]:
-    """Field of a parameter, and its index in that field (empty for a single number)."""
+    """Return the field of a parameter, and its index there (empty for a single number)."""
     match = _field(name)
     field, cable, axis = match["field"], match["cable"], match["axis"]
     if cable is not None and cable not in cable_names:
@@ -159,7 +159,7 @@ def _split(cable_names: tuple[str, ...], name: str) -> tuple[str, tuple[Any, ...
 
 
 def _field(name: str) -> re.Match[str]:
-    """A name in its parts."""
+    """Split a name into its parts."""
     match = _PARAMETER_PATTERN.fullmatch(name)
     if match is None or match["field"] not in _FIELD_UNITS:
         raise InvalidField("parameter", repr(name), f"a name such as {', '.join(_FIELD_UNITS)}")
@@ -167,22 +167,22 @@ def _field(name: str) -> re.Match[str]:
 
 
 def _get(robot: Robot, name: str) -> float:
-    """Value of one parameter."""
+    """Return the value of one parameter."""
     field, where = _split(robot.cable_names, name)
     if field == "pose_tilt":
         return float(_tilt(robot)[where])
     if not where:
         value = getattr(robot, field)
         return float(_UNCALIBRATED_VALUES[field] if value is None else value)
-    found = np.atleast_1d(_array(robot, field)[where])
-    if np.ptp(found) > 1e-12 * np.abs(found).max():
+    entries = np.atleast_1d(_array(robot, field)[where])
+    if np.ptp(entries) > 1e-12 * np.abs(entries).max():
         allowed = f"a name of each cable, {field}[{robot.cable_names[0]}]: they differ"
         raise InvalidField("parameter", repr(name), allowed)
-    return float(found[0])
+    return float(entries[0])
 
 
 def _array(robot: Robot, field: str) -> Array:
-    """A field as an array; that of a robot without calibration where there is none."""
+    """Return a field as an array; its neutral value if the robot has no calibration."""
     value: Array | None = getattr(robot, field)
     if value is not None:
         return value
@@ -192,24 +192,24 @@ def _array(robot: Robot, field: str) -> Array:
 
 
 def _pose_rotation(robot: Robot) -> Array:
-    """From the frame of measured poses to W, (3, 3)."""
+    """Return the rotation from the frame of measured poses to W, (3, 3)."""
     return np.eye(3) if robot.pose_rotation is None else robot.pose_rotation
 
 
 def _tilt(robot: Robot) -> Array:
-    """Rotation vector in W that tilts the z axis of the frame of measured poses: (2,) [rad].
+    """Return the rotation vector in W that tilts the z axis of the pose frame, (2,) [rad].
 
     The rotation of the frame is a turn about z followed by this tilt.
     """
     up = _pose_rotation(robot)[:, 2]
     sine = float(np.hypot(up[0], up[1]))
     angle = float(np.arctan2(sine, up[2]))
-    found: Array = np.array([-up[1], up[0]]) * (angle / sine if sine > 0.0 else 1.0)
-    return found
+    tilt: Array = np.array([-up[1], up[0]]) * (angle / sine if sine > 0.0 else 1.0)
+    return tilt
 
 
 def _turned(tilt: Array) -> Array:
-    """Rotation of a tilt about x and y."""
+    """Return the rotation of a tilt about x and y."""
     angle = float(np.hypot(tilt[0], tilt[1]))
     cross = np.array([[0.0, 0.0, tilt[1]], [0.0, 0.0, -tilt[0]], [-tilt[1], tilt[0], 0.0]])
     first = np.sinc(angle / np.pi)

@@ -65,7 +65,7 @@ CONDITIONS_BY_NAME = {
 
 
 def find_condition(name: str) -> Condition:
-    """A condition by its name.
+    """Return a condition by its name.
 
     Raises:
         InvalidField: There is none of that name.
@@ -76,7 +76,7 @@ def find_condition(name: str) -> Condition:
 
 
 def draw_plant(robot: Robot, condition: Condition, rng: np.random.Generator) -> Robot:
-    """A robot that differs from the nominal one by one draw of a condition.
+    """Draw a robot that differs from the nominal one by a condition.
 
     The order of the draws is fixed, so that one seed is one plant whatever else is compared.
 

@@ -290,7 +290,7 @@ class Robot:
 
 
 def _scalar(name: str, value: object) -> float:
-    """One number, or an error that names the field."""
+    """Convert to one number, or raise an error that names the field."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
         raise InvalidField(name, repr(value), "a number")
     return float(value)

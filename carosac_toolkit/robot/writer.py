@@ -41,7 +41,7 @@ _WRITABLE_FIELDS = (
 
 
 def robot_document(text: str, robot: Robot, *, provenance: str) -> str:
-    """The text of a robot file with the numbers of another robot.
+    """Return the text of a robot file with the numbers of another robot.
 
     Args:
         text: The file that the robot was made from, unchanged parts of which are kept.
@@ -126,13 +126,13 @@ class _Writer:
         sources.update({other: source for other, source in kept.items() if source is not None})
 
     def _source_of(self, path: str) -> str | None:
-        """Where a number of the old file comes from; None where that is said of its parts."""
+        """Return the source of a number of the old file; None if it is given for its parts."""
         sources = self.document["provenance"]
         covering = [p for p in sources if _covers(p, path)]
         return str(sources[max(covering, key=len)]) if covering else None
 
     def _exit_points(self) -> None:
-        """Positions and covariances."""
+        """Write positions and covariances."""
         robot, points = self._robot, self.document["frame"]["exit_points"]
         known = [robot.exit_points]
         if robot.exit_covariance is not None:
@@ -155,7 +155,7 @@ class _Writer:
         self._from(path, but=[*spare, *kept, *pulleys])
 
     def _moved(self, i: int) -> bool:
-        """Whether anything is new about an exit point."""
+        """Return True if anything about an exit point has changed."""
         old, new = self._old, self._robot
         if not same(old.exit_points[i], new.exit_points[i]):
             return True
@@ -196,21 +196,21 @@ class _Writer:
                 self.document["chains"][i][key] = own
 
     def _users(self, key: str) -> dict[str, list[int]]:
-        """Chains by the part that they name."""
+        """Group chains by the part that they name."""
         users: dict[str, list[int]] = {}
         for i, chain in enumerate(self.document["chains"]):
             users.setdefault(str(chain[key]), []).append(i)
         return users
 
     def _own_name(self, section: CommentedMap, name: str, row: int) -> str:
-        """A new name for the part of one chain."""
+        """Return a new name for the part of one chain."""
         own = f"{name}_{self._file.chains[row].name}"
         while own in section:
             own += "_"
         return own
 
     def _run_length(self) -> None:
-        """Of each chain."""
+        """Write the run length of each chain."""
         for i, value in enumerate(self._robot.run_length):
             self.document["chains"][i]["run_length"] = _quantity("run_length", value)
             self._from(f"chains[{i}].run_length")
@@ -218,7 +218,7 @@ class _Writer:
     def _in_parts(
         self, key: str, section: str, field: str, path: tuple[str, ...], values: Array
     ) -> None:
-        """A number of each cable that stands in a part, which several chains may share.
+        """Write a number of each cable that stands in a part, which several chains may share.
 
         Args:
             key: Under which a chain names the part.
@@ -264,7 +264,7 @@ class _Writer:
             del sources[known]
 
     def _body(self, changed: set[str]) -> None:
-        """Mass, centre and inertia of the platform without its payloads, and its drag."""
+        """Write mass, centre and inertia of the platform without its payloads, and its drag."""
         platform, robot = self.document["platform"], self._robot
         if changed & {"mass", "center_of_mass", "inertia"}:
             body, old = _bare(robot, self._file), self._file.platform
@@ -283,7 +283,7 @@ class _Writer:
                 self._from(f"platform.air_drag.{key}")
 
     def _sensors(self, changed: set[str]) -> None:
-        """What the sensors read."""
+        """Write the sensor parameters."""
         robot = self._robot
         lengths = changed & {"length_offset", "length_scale", "length_delay"}
         if not lengths and "pose_rotation" not in changed:
@@ -310,7 +310,7 @@ class _Writer:
             self._from("sensors.poses")
 
     def _calibration(self) -> None:
-        """What is known of all that was estimated."""
+        """Write the covariance of all that was estimated."""
         robot = self._robot
         if robot.calibrated is None or robot.calibration_covariance is None:
             self.document.pop("calibration", None)
@@ -324,17 +324,17 @@ class _Writer:
 
 
 def _covers(path: str, other: str) -> bool:
-    """Whether one path is another, or the start of it."""
+    """Return True if one path is another, or the start of it."""
     return other == path or other.startswith((f"{path}.", f"{path}["))
 
 
 def _key(mapping: CommentedMap, name: object) -> Any:
-    """Key of a mapping by its text; a name may look like a number."""
+    """Return the key of a mapping by its text; a name may look like a number."""
     return next(key for key in mapping if str(key) == str(name))
 
 
 def _bare(robot: Robot, file: RobotFile) -> RigidBody:
-    """The platform without the payloads of the file."""
+    """Return the platform without the payloads of the file."""
     whole = RigidBody(robot.mass, robot.center_of_mass, robot.inertia)
     payloads = [
         RigidBody(p.mass, np.array(p.center_of_mass), np.array(p.inertia))
@@ -355,20 +355,20 @@ def _number(value: float) -> float:
 
 
 def _quantity(field: str, value: float) -> str | float:
-    """A number with its unit, as in the bundled files."""
+    """Format a number with its unit, as in the bundled files."""
     unit = unit_of(field)
     return _number(value) if unit == "1" else f"{value:.{_SIGNIFICANT_DIGITS}g} {unit}"
 
 
 def _flow(values: Sequence[float] | Array, digits: int = _SIGNIFICANT_DIGITS) -> CommentedSeq:
-    """A list on one line."""
-    found = CommentedSeq([float(f"{value:.{digits}g}") for value in values])
-    found.fa.set_flow_style()
-    return found
+    """Format a list on one line."""
+    sequence = CommentedSeq([float(f"{value:.{digits}g}") for value in values])
+    sequence.fa.set_flow_style()
+    return sequence
 
 
 def _matrix(rows: Array) -> CommentedSeq:
-    """A matrix on one line."""
-    found = CommentedSeq([_flow(row) for row in rows])
-    found.fa.set_flow_style()
-    return found
+    """Format a matrix on one line."""
+    sequence = CommentedSeq([_flow(row) for row in rows])
+    sequence.fa.set_flow_style()
+    return sequence

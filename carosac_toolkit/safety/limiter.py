@@ -38,14 +38,14 @@ from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Command, LimitHit
 from carosac_toolkit.physics.cable.straight_line import forward_kinematics
-from carosac_toolkit.physics.motion.braking import BOX_SLACK_M, Brakes, Motion, Slack
+from carosac_toolkit.physics.motion.braking import BOX_SLACK_M, Brakes, Slack, WinchMotion
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.limits_report import limit_hits, rate_hits
 
 
 @dataclass(frozen=True, kw_only=True)
 class LimitSettings:
-    """What the robot file does not say about limits.
+    """Limits that are not in the robot file.
 
     Attributes:
         jerk_max: Largest change of acceleration of a cable [m/s^3]. The default takes winches of
@@ -105,14 +105,14 @@ class Limiter:
 
     @property
     def stopped(self) -> bool:
-        """Whether all cables are at rest: no speed and no acceleration."""
+        """True if all cables are at rest: no speed and no acceleration."""
         motion = self._now()[1]
         return not (motion.speed.any() or motion.acceleration.any())
 
     @property
-    def motion(self) -> Motion:
+    def motion(self) -> WinchMotion:
         """Length, speed and acceleration of what was last sent, as copies."""
-        return Motion(*(part.copy() for part in self._now()[1]))
+        return WinchMotion(*(part.copy() for part in self._now()[1]))
 
     def reset(self, unstrained_length: ArrayLike, *, time: ArrayLike | None = None) -> None:
         """Start at rest.
@@ -140,12 +140,12 @@ class Limiter:
             )  # fmt: skip
             self._size = size
         rest = np.zeros_like(length)
-        self._motion = Motion(length, rest, rest, position)
+        self._motion = WinchMotion(length, rest, rest, position)
         self._asked = length
         self._time = start
 
     def apply(self, command: Command, actual: ArrayLike | None = None) -> Command:
-        """What may be sent of a command, for the next period.
+        """Limit a command to what may be sent for the next period.
 
         Args:
             command: What a controller asks for; a `length_rate` is kept within the speed limits,
@@ -194,7 +194,7 @@ class Limiter:
         )
 
     def brake(self) -> Command:
-        """The next command of the controlled stop, one period after the last one.
+        """Return the next command of the controlled stop, one period after the last one.
 
         Call it until `stopped`; after that it holds the lengths.
         """
@@ -204,8 +204,8 @@ class Limiter:
         self._time = self._time + self.period
         return Command(time=self._time, unstrained_length=self._motion.length)
 
-    def _now(self) -> tuple[Brakes, Motion]:
-        """The brakes and the motion, once there are any."""
+    def _now(self) -> tuple[Brakes, WinchMotion]:
+        """Return the brakes and the motion; refuse before `reset`."""
         if self._brakes is None:
             raise InvalidField("limiter", "no lengths to start from", "a call of reset() first")
         return self._brakes, self._motion
@@ -219,7 +219,7 @@ class Limiter:
         return array
 
     def _pace(self, asked: Array) -> Array:
-        """Speed at which what is asked moves [m/s]; 0 where it jumps faster than a winch can."""
+        """Return the speed of the asked lengths [m/s]; 0 where they jump beyond winch speed."""
         with np.errstate(over="ignore"):  # a jump beyond all numbers is a jump
             pace = (asked - self._asked) / self.period
         return np.where(np.abs(pace) <= self.robot.speed_max, pace, 0.0)
@@ -235,7 +235,7 @@ def _check_lengths(robot: Robot, length: Array) -> None:
 
 
 def _check_box(robot: Robot, length: Array) -> Array:
-    """The straight-line positions [m], (B, 3); refuse any outside the workspace box."""
+    """Return the straight-line positions [m], (B, 3); refuse any outside the workspace box."""
     fit = forward_kinematics(robot, length)
     low, high = robot.workspace_min - BOX_SLACK_M, robot.workspace_max + BOX_SLACK_M
     inside = ((fit.position >= low) & (fit.position <= high)).all(axis=1)

@@ -62,7 +62,7 @@ class CoordinatedStop:
         self._alone = not start.speed.any()
 
     def step(self, time: Array) -> Command:
-        """The next command of the stop.
+        """Return the next command of the stop.
 
         Args:
             time: Of the command [s], shape (1,).
@@ -84,7 +84,7 @@ class CoordinatedStop:
         return sent
 
     def _path(self, sigma: Array) -> Array:
-        """Lengths along the path [m], shape (K, n), for sigma of shape (K,)."""
+        """Return lengths along the path [m], shape (K, n), for sigma of shape (K,)."""
         length, speed, acceleration = self._start
         s = sigma[:, None]
         slow, fast = (
@@ -95,7 +95,7 @@ class CoordinatedStop:
         )
 
     def _next_change(self) -> float | None:
-        """The change of the factor [1/s] that slows down most within the limits, or None."""
+        """Return the change of the factor [1/s] that slows down most within the limits, or None."""
         if self._factor <= CREEP_FACTOR_MAX:
             return None
         limiter, h = self._limiter, self._limiter.period

@@ -18,7 +18,7 @@ class Curve(Protocol):
 
     @property
     def breaks(self) -> Array:
-        """Where its smooth pieces meet, from 0 to the nominal duration [s], shape (S + 1,)."""
+        """Times at which smooth pieces meet, from 0 to the nominal duration [s], shape (S + 1,)."""
         ...
 
     def derivatives(self, time: Array) -> Array:

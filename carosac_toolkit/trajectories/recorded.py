@@ -69,16 +69,16 @@ def from_recording(
 
 
 def _at_rest(recording: Recording, robot: Robot, knot_spacing: float) -> tuple[Array, Array]:
-    """Times [s] and positions [m] at rest, ten a knot, on the lengths sent, or measured."""
+    """Return times [s] and positions [m] at rest, ten a knot, on the lengths sent, or measured."""
     channel = recording.command
     times, lengths = recording.time, recording.unstrained_length
     if channel is not None and len(channel.time):
         times, lengths = channel.time, channel.value
     ticks = np.floor((times - times[0]) / (0.1 * knot_spacing))
     chosen = np.unique(ticks, return_index=True)[1]
-    found = statics.forward_kinematics(robot, lengths[chosen])
-    good = found.converged
-    times, position = times[chosen][good], found.position[good]
+    rest = statics.forward_kinematics(robot, lengths[chosen])
+    good = rest.converged
+    times, position = times[chosen][good], rest.position[good]
     if len(times) and times[0] > recording.time[0]:  # before the first command it stood there
         times, position = np.append(recording.time[0], times), np.vstack([position[:1], position])
     return times, position

@@ -1,4 +1,4 @@
-"""How fast a curve may be run through: limits, durations and passing times."""
+"""Timing of curves: limits, durations and passing times."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ class Trajectory:
         )  # fmt: skip
 
     def window(self, time: float, horizon: float, period: float) -> Reference:
-        """What to follow from now on.
+        """Return the reference from now on.
 
         Args:
             time: Now [s]; row 0 is there.

@@ -165,7 +165,7 @@ def test_wind_moves_the_platform_the_same_way_for_the_same_seed():
 
 
 def test_drums_that_the_drives_misjudge_say_other_lengths_than_are_wound():
-    from carosac_toolkit.physics.motion.winch import Winches, WinchSettings
+    from carosac_toolkit.physics.motion.winch import WinchBatch, WinchSettings
 
     robot = simple_robot(drum_radius=[0.05] * 4, drum_buildup=[3e-5] * 4)
     winch = WinchSettings(believed_drum_buildup=4e-5)
@@ -175,7 +175,7 @@ def test_drums_that_the_drives_misjudge_say_other_lengths_than_are_wound():
         driver.wait(PERIOD)
     wound, said = driver.truth().unstrained_length, driver.measure().unstrained_length
     assert np.abs(said - wound).min() > 1e-3
-    assert said == pytest.approx(Winches(robot, wound, winch).read(), abs=1e-9)
+    assert said == pytest.approx(WinchBatch(robot, wound, winch).read(), abs=1e-9)
 
 
 def test_a_world_that_fails_is_named_with_the_time():

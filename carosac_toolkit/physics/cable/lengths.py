@@ -44,7 +44,7 @@ def length_at_tension(
     *,
     device: str = "cpu",
 ) -> CableLengths:
-    """Length of each cable that reaches a pose and pulls there with a given tension.
+    """Solve for the length of each cable that reaches a pose with a required tension.
 
     Of the two cables that may do so, a taut and a deeply sagging one, the taut one is meant; below
     the least tension with which a cable can hang there, there is none.

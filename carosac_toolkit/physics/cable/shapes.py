@@ -94,7 +94,7 @@ def hanging_cables(
 
 
 def offset_from_chord(points: Array) -> Array:
-    """How far the points of cables lie off the straight line between their ends: the sag.
+    """Return the sag of cables: offsets of their points from the line between their ends.
 
     Args:
         points: Along each cable in W [m], shape (..., samples, 3).

@@ -79,7 +79,7 @@ def straight_length(
     *,
     device: str = "cpu",
 ) -> StraightCables:
-    """Straight cables at given poses, with the gradient of their lengths.
+    """Return straight cables at known poses, with the gradient of their lengths.
 
     Args:
         robot: Robot description, n cables.
@@ -93,7 +93,7 @@ def straight_length(
     points = batch("position", position, (3,))
     turns = _rotations(robot, rotation, len(points))
     outputs = ("length", "wrap", "direction", "valid")
-    found = _launch(
+    solution = _launch(
         robot,
         device,
         len(points),
@@ -104,10 +104,10 @@ def straight_length(
         outputs,
     )
     return StraightCables(
-        length=found["length"],
-        wrap=found["wrap"],
-        direction=found["direction"],
-        valid=found["valid"] != 0,
+        length=solution["length"],
+        wrap=solution["wrap"],
+        direction=solution["direction"],
+        valid=solution["valid"] != 0,
     )
 
 
@@ -118,7 +118,7 @@ def inverse_kinematics(
     *,
     device: str = "cpu",
 ) -> Array:
-    """Straight-line lengths at given poses.
+    """Return straight-line lengths at known poses.
 
     Args:
         robot: Robot description, n cables.
@@ -152,7 +152,7 @@ def forward_kinematics(
     guess: ArrayLike | None = None,
     device: str = "cpu",
 ) -> StraightLineFit:
-    """Positions whose straight-line lengths come closest to the given ones.
+    """Find positions whose straight-line lengths come closest to the target lengths.
 
     The squared error has several minima: where the exit points are near one plane, each solution
     below it has a twin above it. The one found is the one downhill from the guess; the default, the
@@ -176,7 +176,7 @@ def forward_kinematics(
     if guess is not None and len(start) != len(targets):
         raise InvalidField("guess", f"shape {start.shape}", f"shape {(len(targets), 3)}")
     outputs = ("position", "residual", "converged", "iterations")
-    found = _launch(
+    solution = _launch(
         robot,
         device,
         len(targets),
@@ -194,11 +194,11 @@ def forward_kinematics(
         (*outputs, "rotation"),
     )
     return StraightLineFit(
-        position=found["position"],
-        rotation=found["rotation"],
-        residual=found["residual"],
-        converged=found["converged"] != 0,
-        iterations=found["iterations"],
+        position=solution["position"],
+        rotation=solution["rotation"],
+        residual=solution["residual"],
+        converged=solution["converged"] != 0,
+        iterations=solution["iterations"],
     )
 
 
@@ -221,7 +221,7 @@ def _launch(
 
 
 def _shapes(size: int, n: int) -> dict[str, tuple[Any, Any]]:
-    """Shape and type of every buffer."""
+    """Return shape and type of every buffer."""
     return {
         "exit_points": (n, wp.vec3d), "anchor_points": (n, wp.vec3d),
         "pulley_radius": (n, wp.float64), "swivel_axis": (n, wp.vec3d),
@@ -237,7 +237,7 @@ _GEOMETRY_FIELDS = ("exit_points", "anchor_points", "pulley_radius", "swivel_axi
 
 
 def _rotations(robot: Robot, rotation: ArrayLike | None, size: int) -> Array:
-    """Home rotation, or an argument of one rotation matrix per pose."""
+    """Return the home rotation, or an argument of one rotation matrix per pose."""
     if rotation is None:
         return robot.home_rotation
     return rotations("rotation", rotation, size)

@@ -31,7 +31,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @wp.struct
-class RigidBody:
+class DynamicBody:
     """The platform with its payloads."""
 
     mass: wp.float64  # [kg]
@@ -55,8 +55,8 @@ STEP_RATIO_MAX = wp.constant(wp.float64(2.0))  # a larger ratio of two steps is 
 
 
 @wp.struct
-class Motion:
-    """Where the body is and how it moves; all in W."""
+class BodyMotion:
+    """Pose, velocities and rates of the body, all in W."""
 
     center: wp.vec3d  # centre of mass [m]
     rotation: wp.mat33d  # from P to W
@@ -103,7 +103,7 @@ class Newton:
 
 @wp.func
 def scheme_of(h: wp.float64, last: wp.float64, forget: bool, left: wp.float64) -> Scheme:
-    """Coefficients of a step of h [s] after one of `last`, 0 for none.
+    """Return the coefficients of a step of h [s] after one of `last`, 0 for none.
 
     It is an implicit Euler step after a jump in size and to `forget` what was before; of motions
     that are much faster than another step a share `left` is left.
@@ -128,31 +128,31 @@ def scheme_of(h: wp.float64, last: wp.float64, forget: bool, left: wp.float64) -
 
 @wp.func
 def increment(s: Scheme, v: wp.vec3d, a: wp.vec3d, v1: wp.vec3d) -> wp.vec3d:
-    """X' - x for velocity and rate at the start and velocity at the end."""
+    """Return x' - x from velocity and rate at the start and velocity at the end."""
     return (s.h - s.reach) * v + s.coast * a + s.reach * v1
 
 
 @wp.func
 def rate_after(s: Scheme, v: wp.vec3d, a: wp.vec3d, v1: wp.vec3d) -> wp.vec3d:
-    """The algorithmic rate a' at the end."""
+    """Return the algorithmic rate a' at the end."""
     return ((v1 - v) / s.h - (ONE - s.gamma) * a) / s.gamma
 
 
 @wp.func
 def rate_felt(s: Scheme, v: wp.vec3d, a: wp.vec3d, v1: wp.vec3d) -> wp.vec3d:
-    """The rate that balances the forces at the end, (1 - alpha) a' + alpha a."""
+    """Return the rate that balances the forces at the end, (1 - alpha) a' + alpha a."""
     return (ONE - s.alpha) * rate_after(s, v, a, v1) + s.alpha * a
 
 
 @wp.func
-def world_inertia(body: RigidBody, rotation: wp.mat33d) -> wp.mat33d:
-    """Inertia about the centre of mass, axes of W [kg m^2]."""
+def world_inertia(body: DynamicBody, rotation: wp.mat33d) -> wp.mat33d:
+    """Return the inertia about the centre of mass, axes of W [kg m^2]."""
     return rotation * body.inertia * wp.transpose(rotation)
 
 
 @wp.func
-def moved(start: Motion, scheme: Scheme, velocity: wp.vec3d, omega: wp.vec3d) -> Motion:
-    """The motion at the end of a step for given velocities there; the rest as at its start."""
+def moved(start: BodyMotion, scheme: Scheme, velocity: wp.vec3d, omega: wp.vec3d) -> BodyMotion:
+    """Return the motion at the end of a step for trial velocities; rates are those at its start."""
     out = start
     out.velocity = velocity
     out.angular_velocity = omega
@@ -163,9 +163,9 @@ def moved(start: Motion, scheme: Scheme, velocity: wp.vec3d, omega: wp.vec3d) ->
 
 
 @wp.func
-def inertial_system(body: RigidBody, start: Motion, trial: Motion, scheme: Scheme,
+def inertial_system(body: DynamicBody, start: BodyMotion, trial: BodyMotion, scheme: Scheme,
                     wind: wp.vec3d) -> System:  # fmt: skip
-    """Weight, wind, drag and inertia of the body at a trial motion."""
+    """Return weight, wind, drag and inertia of the body at a trial motion."""
     out = System()
     jw = world_inertia(body, trial.rotation)
     v = trial.velocity
@@ -204,7 +204,7 @@ def attach(system: System, arm: wp.vec3d, force: wp.vec3d, k: wp.mat33d) -> Syst
 
 @wp.func
 def solve_system(s: System) -> Newton:
-    """The step that balances force and moment to first order, by blocks."""
+    """Return the step that balances force and moment to first order, by blocks."""
     a = inverse33(s.tt)
     ab = a * s.tr
     schur = s.rr - wp.transpose(s.tr) * ab
@@ -218,7 +218,7 @@ def solve_system(s: System) -> Newton:
 
 
 @wp.func
-def finish(body: RigidBody, start: Motion, trial: Motion, scheme: Scheme) -> Motion:
+def finish(body: DynamicBody, start: BodyMotion, trial: BodyMotion, scheme: Scheme) -> BodyMotion:
     """Accept a trial motion as the end of a step."""
     out = trial
     v = trial.velocity
@@ -237,10 +237,10 @@ def finish(body: RigidBody, start: Motion, trial: Motion, scheme: Scheme) -> Mot
 
 
 @wp.func
-def at_rest(body: RigidBody, position: wp.vec3d, rotation: wp.mat33d, velocity: wp.vec3d,
-            omega: wp.vec3d) -> Motion:  # fmt: skip
-    """A motion without a past, from pose and twist at the platform origin."""
-    out = Motion()
+def at_rest(body: DynamicBody, position: wp.vec3d, rotation: wp.mat33d, velocity: wp.vec3d,
+            omega: wp.vec3d) -> BodyMotion:  # fmt: skip
+    """Return a motion without a past, from pose and twist at the platform origin."""
+    out = BodyMotion()
     lever = rotation * body.center_of_mass
     out.center = position + lever
     out.rotation = rotation
@@ -251,22 +251,22 @@ def at_rest(body: RigidBody, position: wp.vec3d, rotation: wp.mat33d, velocity: 
 
 
 @wp.func
-def origin_of(body: RigidBody, motion: Motion) -> wp.vec3d:
-    """Platform origin in W [m]."""
+def origin_of(body: DynamicBody, motion: BodyMotion) -> wp.vec3d:
+    """Return the platform origin in W [m]."""
     return motion.center - motion.rotation * body.center_of_mass
 
 
 @wp.func
-def origin_velocity(body: RigidBody, motion: Motion) -> wp.vec3d:
-    """Velocity of the platform origin in W [m/s]."""
+def origin_velocity(body: DynamicBody, motion: BodyMotion) -> wp.vec3d:
+    """Return the velocity of the platform origin in W [m/s]."""
     return motion.velocity - wp.cross(
         motion.angular_velocity, motion.rotation * body.center_of_mass
     )
 
 
 @wp.func
-def origin_acceleration(body: RigidBody, motion: Motion) -> wp.vec3d:
-    """Acceleration of the platform origin in W [m/s^2]."""
+def origin_acceleration(body: DynamicBody, motion: BodyMotion) -> wp.vec3d:
+    """Return the acceleration of the platform origin in W [m/s^2]."""
     lever = motion.rotation * body.center_of_mass
     omega = motion.angular_velocity
     return (
@@ -296,7 +296,7 @@ class Gusts:
 
 @wp.func
 def draw_gust(wind: Wind, force: wp.vec3d, keep: wp.float64, seed: int, count: int) -> wp.vec3d:
-    """A force of which a share `keep` is an earlier one; `seed` and `count` name the draw."""
+    """Draw a force that keeps a share `keep` of an earlier one; `seed`, `count` name the draw."""
     state = wp.rand_init(seed, count)
     spread = wind.deviation * wp.sqrt(ONE - keep * keep)
     gx = wp.float64(wp.randn(state))
@@ -306,7 +306,7 @@ def draw_gust(wind: Wind, force: wp.vec3d, keep: wp.float64, seed: int, count: i
 
 @wp.func
 def blow(wind: Wind, gusts: Gusts, time: wp.float64, seed: int) -> Gusts:
-    """The wind at a later time [s]. It is drawn on a grid of its own: steps do not change it."""
+    """Return the wind at a later time [s]; its own grid of draws is independent of the steps."""
     out = gusts
     if wind.deviation > ZERO:
         if out.count == 0:

@@ -38,8 +38,8 @@ _CABLE_BUFFERS = (
 )  # fmt: skip
 
 
-class Motion(NamedTuple):
-    """What the winches were last asked for.
+class WinchMotion(NamedTuple):
+    """Commanded motion of the winches.
 
     Attributes:
         length: Unstrained length [m], shape (B, n).
@@ -56,7 +56,7 @@ class Motion(NamedTuple):
 
 
 class Extremes(NamedTuple):
-    """What a motion comes to when it is followed by the controlled stop.
+    """Extremes of a motion followed by the controlled stop.
 
     Attributes:
         low: Shortest length [m], shape (B, n).
@@ -74,7 +74,7 @@ class Extremes(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Slack:
-    """What rounding of lengths in double precision leaves uncertain, plus 1e-12 of each limit.
+    """Rounding error of lengths in double precision and its derivatives, plus 1e-12 of each limit.
 
     Attributes:
         length: [m].
@@ -90,7 +90,7 @@ class Slack:
 
     @classmethod
     def of(cls, robot: Robot, jerk_max: float, period: float) -> Slack:
-        """The slack of a robot's winches at a period [s]."""
+        """Return the slack of a robot's winches at a period [s]."""
         grain = 4.0 * _MACHINE_EPSILON * float(robot.length_max.max())
         return cls(
             length=grain,
@@ -122,7 +122,7 @@ class Brakes:
         rules.period, rules.jerk_max, rules.jump_max = period, jerk_max, jump_max
         _fill_rules(rules, robot, self.slack)
         rules.steps_max, rules.use_box = most_steps(robot, jerk_max, period), int(box)
-        work = stop_kernels.Work()
+        work = stop_kernels.StopWork()
         arrays = {
             name: wp.zeros((size, robot.n), dtype=wp.float64, device="cpu")
             for name in _CABLE_BUFFERS
@@ -142,8 +142,10 @@ class Brakes:
             )
         }  # fmt: skip
 
-    def limit(self, motion: Motion, asked: Array, pace: Array, actual: Array | None) -> Motion:
-        """The asked step where it is admissible, else one as far towards it as is.
+    def limit(
+        self, motion: WinchMotion, asked: Array, pace: Array, actual: Array | None
+    ) -> WinchMotion:
+        """Return the asked step if it is admissible, else one as far towards it as is.
 
         Args:
             motion: Where the winches are, admissible.
@@ -163,14 +165,14 @@ class Brakes:
         self._launches["limit_step"].launch()
         return self._sent()
 
-    def stop(self, motion: Motion) -> Motion:
-        """The next step of the controlled stop."""
+    def stop(self, motion: WinchMotion) -> WinchMotion:
+        """Return the next step of the controlled stop."""
         self._put(motion)
         self._launches["brake_all"].launch()
         return self._sent()
 
-    def look_ahead(self, motion: Motion) -> Extremes:
-        """What a motion comes to until it is at rest.
+    def look_ahead(self, motion: WinchMotion) -> Extremes:
+        """Return the extremes of a motion until it is at rest.
 
         A row that exceeds a speed or an acceleration now is looked at where it is now only.
         """
@@ -178,18 +180,18 @@ class Brakes:
         self._launches["look_ahead"].launch()
         return Extremes(*(self._views[name].copy() for name in ("low", "high", "peak", "outside")))
 
-    def _put(self, motion: Motion) -> None:
+    def _put(self, motion: WinchMotion) -> None:
         """Copy a motion in."""
         for name, value in zip(_MOTION_FIELDS, motion, strict=True):
             self._views[name][...] = value
 
-    def _sent(self) -> Motion:
+    def _sent(self) -> WinchMotion:
         """Copy the motion after a step out."""
-        return Motion(*(self._views[f"sent_{name}"].copy() for name in _MOTION_FIELDS))
+        return WinchMotion(*(self._views[f"sent_{name}"].copy() for name in _MOTION_FIELDS))
 
 
 def most_steps(robot: Robot, jerk_max: float, period: float) -> int:
-    """A bound on the periods that any controlled stop needs from within the limits."""
+    """Return a bound on the periods that any controlled stop needs from within the limits."""
     jump, a_max = jerk_max * period, robot.acceleration_max
     speed = 2.0 * robot.speed_max + a_max * (a_max / jump + 2.0) * period  # after ramping a down
     ramps = 2.0 * a_max / jump + 2.0 * np.sqrt(2.0 * speed / (jump * period))
@@ -197,7 +199,7 @@ def most_steps(robot: Robot, jerk_max: float, period: float) -> int:
 
 
 def _fill_rules(rules: Any, robot: Robot, slack: Slack) -> None:
-    """Geometry, limits of the robot and slacks, for the kernels."""
+    """Fill in geometry, limits of the robot and slacks, for the kernels."""
     for name in ("exit_points", "anchor_points", "swivel_axis"):
         setattr(rules, name, wp.array(getattr(robot, name), dtype=wp.vec3d, device="cpu"))
     for name in ("pulley_radius", "length_min", "length_max", "speed_max", "acceleration_max"):

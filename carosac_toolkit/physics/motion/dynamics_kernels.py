@@ -20,10 +20,10 @@ from carosac_toolkit.physics.cable.catenary_kernels import (
 from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.motion.body_kernels import (
     FAST_MOTION_SHARE,
+    BodyMotion,
+    DynamicBody,
     Gusts,
-    Motion,
     Newton,
-    RigidBody,
     Scheme,
     System,
     at_rest,
@@ -87,7 +87,7 @@ class Hung:
 
 @wp.struct
 class Pull:
-    """What one cable does to its anchor point."""
+    """Action of one cable on its anchor point."""
 
     force: wp.vec3d  # [N]
     stiffness: wp.mat33d  # -d force / d anchor within a time step, symmetric [N/m]
@@ -100,7 +100,7 @@ class Pull:
 def sagging_pull(cable: Cable, q: wp.vec3d, anchor: wp.vec3d, velocity: wp.vec3d,
                  length: wp.float64, rate: wp.float64, reach: wp.float64,
                  size: wp.float64) -> Pull:  # fmt: skip
-    """An elastic catenary with axial damping: tension grows by damping / EA times its rate."""
+    """Evaluate an elastic catenary with axial damping: damping / EA times the rate of tension."""
     s = settle(q, anchor, length, cable, LOOSE_CLOSURE_MAX * size, MOTION_CABLE_STEPS_MAX)
     rest = s.inverse * s.hanging.closure
     if not wp.length(rest) < FIRST_ORDER_CORRECTION_MAX * wp.length(s.q):
@@ -133,7 +133,7 @@ def sagging_pull(cable: Cable, q: wp.vec3d, anchor: wp.vec3d, velocity: wp.vec3d
 @wp.func
 def straight_pull(cable: Cable, anchor: wp.vec3d, velocity: wp.vec3d, length: wp.float64,
                   rate: wp.float64, reach: wp.float64) -> Pull:  # fmt: skip
-    """A straight massless spring that does not push, with axial damping."""
+    """Evaluate a straight massless spring that does not push, with axial damping."""
     span, _wrap, unit, bend, _valid = straight_cable(
         anchor - cable.exit_point, cable.pulley_radius, cable.swivel_axis
     )
@@ -152,12 +152,12 @@ def straight_pull(cable: Cable, anchor: wp.vec3d, velocity: wp.vec3d, length: wp
 
 @wp.func
 def anchor_mass(cable: Cable, length: wp.float64, gravity: wp.float64) -> wp.float64:
-    """Mass that moves with the anchor point [kg]."""
+    """Return the mass that moves with the anchor point [kg]."""
     return density_of(cable, gravity) * length / wp.float64(3.0)
 
 
 @wp.struct
-class Loaded:
+class MotionLoad:
     """All cables at a trial motion."""
 
     system: System
@@ -166,10 +166,10 @@ class Loaded:
 
 @wp.func
 def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, model: int,
-                 body: RigidBody, trial: Motion, system: System,
-                 scheme: Scheme) -> Loaded:  # fmt: skip
+                 body: DynamicBody, trial: BodyMotion, system: System,
+                 scheme: Scheme) -> MotionLoad:  # fmt: skip
     """Add the pull and the inertia of each cable; correct q to first order."""
-    out = Loaded()
+    out = MotionLoad()
     total = system
     for i in range(worlds.winch.shape[1]):
         cable = plants.cables[row, i]
@@ -211,18 +211,18 @@ def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, m
 
 
 @wp.func
-def carry_cables(plants: Plants, hung: Hung, b: int, row: int, body: RigidBody, trial: Motion,
+def carry_cables(plants: Plants, hung: Hung, b: int, row: int, body: DynamicBody, trial: BodyMotion,
                  move: wp.vec3d, turn: wp.vec3d):  # fmt: skip
-    """Tension vectors after a small motion of the platform, to first order."""
+    """Update tension vectors after a small motion of the platform, to first order."""
     for i in range(hung.q.shape[1]):
         arm = trial.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
         hung.q[b, i] = hung.q[b, i] - hung.inverse[b, i] * (move + wp.cross(turn, arm))
 
 
 @wp.func
-def keep_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, body: RigidBody,
+def keep_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, body: DynamicBody,
                  scheme: Scheme):  # fmt: skip
-    """Anchor velocities and tensions at the end of a time step."""
+    """Store anchor velocities and tensions at the end of a time step."""
     motion = worlds.motion[b]
     snap = wp.float64(0.0)
     for i in range(worlds.winch.shape[1]):
@@ -243,7 +243,7 @@ def keep_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, b
 @wp.func
 def time_step(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, model: int,
               h: wp.float64, ticks: int) -> int:  # fmt: skip
-    """One implicit step; lengths are those at its end already. Returns whether it was taken.
+    """Take one implicit step; lengths are those at its end already. Return 1 if it was taken.
 
     A step without a solution is taken only if it is as short as can be, one of the `ticks`.
     """
@@ -312,7 +312,7 @@ def advance(plants: Plants, worlds: Worlds, hung: Hung, model: int, follow: int,
 
 @wp.struct
 class Freed:
-    """Where worlds are let go: any state, whether it is one of rest or not."""
+    """Initial states of worlds, at rest or not."""
 
     position: wp.array(dtype=wp.vec3d)  # platform origin in W [m]
     rotation: wp.array(dtype=wp.mat33d)
@@ -380,7 +380,7 @@ def release(plants: Plants, worlds: Worlds, hung: Hung, freed: Freed, model: int
 
 @wp.kernel
 def place_hung(which: wp.array(dtype=int), q: wp.array2d(dtype=wp.vec3d), hung: Hung):
-    """Tension vectors of worlds that are put somewhere; one thread a row of `which`."""
+    """Store tension vectors of worlds that are placed; one thread a row of `which`."""
     k = wp.tid()
     for i in range(q.shape[1]):
         hung.q[which[k], i] = q[k, i]
@@ -388,7 +388,7 @@ def place_hung(which: wp.array(dtype=int), q: wp.array2d(dtype=wp.vec3d), hung: 
 
 @wp.kernel
 def straight_points(plants: Plants, worlds: Worlds, points: wp.array3d(dtype=wp.vec3d)):
-    """Points on straight cables from tangent point to anchor point; a thread a world and cable."""
+    """Compute points on straight cables, tangent point to anchor; a thread a world and cable."""
     b, i = wp.tid()
     cable = plants.cables[wp.min(b, plants.bodies.shape[0] - 1), i]
     anchor = worlds.position[b] + worlds.rotation[b] * cable.anchor_point

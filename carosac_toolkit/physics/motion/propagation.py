@@ -110,7 +110,7 @@ class Propagation:
         self._release: Any = None
 
     def load(self, mass: ArrayLike, center_of_mass: ArrayLike) -> None:
-        """Change the platforms; the inertia about the centre of mass stays.
+        """Change the masses of the platforms; the inertia about the centre of mass stays.
 
         Args:
             mass: [kg], shape (B,).
@@ -167,7 +167,7 @@ class Propagation:
 
 
 def _allocate(size: int, n: int, device: str) -> Any:
-    """The `Freed` struct of B worlds of n cables."""
+    """Allocate the `Freed` struct of B worlds of n cables."""
     out = dynamics_kernels.Freed()
     out.position = wp.zeros(size, dtype=wp.vec3d, device=device)
     out.rotation = wp.zeros(size, dtype=wp.mat33d, device=device)

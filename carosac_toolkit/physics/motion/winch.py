@@ -25,7 +25,7 @@ _STATE_BUFFERS = ("length", "rate", "integral")
 
 @dataclass(frozen=True, kw_only=True)
 class WinchSettings:
-    """How the drives control the winches, beyond the lag and limits of the robot.
+    """Control of the winches by their drives, beyond the lag and limits of the robot.
 
     The drive asks for the rate (e + integral(e) / integral_time + derivative_time * de/dt) / lag of
     its cable, e being the length it is asked for minus the one it has. Without integral and
@@ -59,7 +59,7 @@ class WinchSettings:
 
 
 def winch_records(robot: Robot, settings: WinchSettings | None = None) -> NDArray[Any]:
-    """The winches of a robot as an array of `Winch` structs, shape (n,).
+    """Return the winches of a robot as an array of `Winch` structs, shape (n,).
 
     Without drum radius or build-up in the robot, lengths are commanded directly.
 
@@ -95,7 +95,7 @@ def winch_records(robot: Robot, settings: WinchSettings | None = None) -> NDArra
     return records
 
 
-class Winches:
+class WinchBatch:
     """Wound lengths of B robots of the same n winches, which follow what is asked of them."""
 
     def __init__(
@@ -148,7 +148,7 @@ class Winches:
             )  # fmt: skip
 
     def read(self) -> Array:
-        """Lengths that perfect encoders on the drums say [m], shape (B, n)."""
+        """Return lengths read by perfect encoders on the drums [m], shape (B, n)."""
         return self._encoders.read(self.length)
 
 
@@ -179,7 +179,7 @@ class Encoders:
         self._buffers = Buffers("cpu", shapes)
 
     def read(self, unstrained_length: Array) -> Array:
-        """What they say of true lengths [m], shape (B, n)."""
+        """Return readings of true lengths [m], shape (B, n)."""
         with self._buffers.lock:
             self._buffers.put("length", unstrained_length)
             self._buffers.launch(

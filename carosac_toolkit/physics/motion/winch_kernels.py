@@ -44,7 +44,7 @@ class Winch:
 
 @wp.struct
 class WinchState:
-    """What changes of a winch."""
+    """Changing values of a winch."""
 
     length: wp.float64  # true unstrained length [m]
     rate: wp.float64  # of that length [m/s]
@@ -53,20 +53,20 @@ class WinchState:
 
 @wp.func
 def drum_angle(radius: wp.float64, buildup: wp.float64, length: wp.float64) -> wp.float64:
-    """Angle [rad] by which a drum has paid out a length [m]; no cancellation without build-up."""
+    """Return the angle [rad] at which a drum has paid out a length [m]; exact without build-up."""
     left = wp.max(radius * radius - buildup * length, ZERO)
     return f64(2.0) * length / (radius + wp.sqrt(left))
 
 
 @wp.func
 def paid_out(radius: wp.float64, buildup: wp.float64, angle: wp.float64) -> wp.float64:
-    """Length [m] that a drum has paid out after an angle [rad]."""
+    """Return the length [m] that a drum has paid out after an angle [rad]."""
     return angle * (radius - f64(0.25) * buildup * angle)
 
 
 @wp.func
 def wound_length(winch: Winch, command: wp.float64) -> wp.float64:
-    """True length [m] at the angle by which the believed drum pays out what is asked [m]."""
+    """Return the true length [m] at the angle by which the believed drum pays out a command [m]."""
     length = command
     if winch.drum_radius > ZERO:
         angle = drum_angle(winch.believed_radius, winch.believed_buildup, command)
@@ -76,7 +76,7 @@ def wound_length(winch: Winch, command: wp.float64) -> wp.float64:
 
 @wp.func
 def read_length(winch: Winch, length: wp.float64) -> wp.float64:
-    """What a perfect encoder says of a true length [m]; the inverse of `wound_length`."""
+    """Return a perfect encoder's reading of a true length [m]; the inverse of `wound_length`."""
     reading = length
     if winch.drum_radius > ZERO:
         angle = drum_angle(winch.drum_radius, winch.drum_buildup, length)
@@ -153,6 +153,6 @@ def read(
     length: wp.array2d(dtype=wp.float64),
     reading: wp.array2d(dtype=wp.float64),
 ):
-    """What perfect encoders say of true lengths [m]."""
+    """Compute readings of perfect encoders of true lengths [m]."""
     b, i = wp.tid()
     reading[b, i] = read_length(winches[wp.min(b, winches.shape[0] - 1), i], length[b, i])

@@ -1,12 +1,12 @@
-"""What all simulated worlds share, in float64 Warp: plants, state, winches and wind in a step."""
+"""Shared parts of all simulated worlds, in float64 Warp: plants, state, winches, wind."""
 
 import warp as wp
 
 from carosac_toolkit.physics.cable.catenary_kernels import Cable, vec6d
 from carosac_toolkit.physics.motion.body_kernels import (
+    BodyMotion,
+    DynamicBody,
     Gusts,
-    Motion,
-    RigidBody,
     Wind,
     at_rest,
     origin_acceleration,
@@ -34,7 +34,7 @@ class Plants:
     """The robots; with one row it serves all worlds."""
 
     cables: wp.array2d(dtype=Cable)
-    bodies: wp.array(dtype=RigidBody)
+    bodies: wp.array(dtype=DynamicBody)
     winches: wp.array2d(dtype=Winch)
     winds: wp.array(dtype=Wind)
 
@@ -43,7 +43,7 @@ class Plants:
 class Worlds:
     """State of B worlds of n cables, and what the last call says about them."""
 
-    motion: wp.array(dtype=Motion)
+    motion: wp.array(dtype=BodyMotion)
     winch: wp.array2d(dtype=WinchState)
     winch_before: wp.array2d(dtype=WinchState)  # scratch
     anchor_velocity: wp.array2d(dtype=wp.vec3d)  # [m/s]
@@ -70,8 +70,8 @@ class Worlds:
 
 
 @wp.struct
-class Clock:
-    """Where a call stands; its time steps can be halved again and again where one fails."""
+class StepClock:
+    """Progress of a call; its time steps are halved again and again where one fails."""
 
     tick: wp.float64  # the shortest step [s]
     ticks: int  # of the call
@@ -80,9 +80,9 @@ class Clock:
 
 
 @wp.func
-def clock_of(h: wp.float64, count: int) -> Clock:
-    """The start of a call of `count` time steps of h [s]."""
-    out = Clock()
+def clock_of(h: wp.float64, count: int) -> StepClock:
+    """Return the clock at the start of a call of `count` time steps of h [s]."""
+    out = StepClock()
     out.size = int(STEP_PARTS_MAX)
     out.tick = h / wp.float64(out.size)
     out.ticks = count * out.size
@@ -90,8 +90,8 @@ def clock_of(h: wp.float64, count: int) -> Clock:
 
 
 @wp.func
-def clock_after(clock: Clock, taken: int) -> Clock:
-    """After a step, or after one that failed and is to be tried again in half the time."""
+def clock_after(clock: StepClock, taken: int) -> StepClock:
+    """Return the clock after a step, or after a failed one, to be tried again in half the time."""
     out = clock
     if taken == 0:
         out.size = clock.size / 2
@@ -105,7 +105,7 @@ def clock_after(clock: Clock, taken: int) -> Clock:
 
 @wp.func
 def is_nonsense(worlds: Worlds, b: int) -> int:
-    """Whether a command is no length: not finite, or not positive."""
+    """Return 1 if a command is no length: not finite, or not positive."""
     for i in range(worlds.command.shape[1]):
         if not (worlds.command[b, i] > wp.float64(0.0) and wp.isfinite(worlds.command[b, i])):
             return 1
@@ -115,7 +115,7 @@ def is_nonsense(worlds: Worlds, b: int) -> int:
 @wp.func
 def turn_winches(plants: Plants, worlds: Worlds, b: int, row: int, h: wp.float64, left: wp.float64,
                  follow: int, lane: int, lanes: int):  # fmt: skip
-    """Lengths at the end of a time step.
+    """Advance the lengths to the end of a time step.
 
     Args:
         plants: The robots.
@@ -150,7 +150,7 @@ def turn_back(worlds: Worlds, b: int, lane: int, lanes: int):
 
 @wp.func
 def roughness(rough: int, before: wp.float64, now: wp.float64) -> int:
-    """Steps to go until an impact is over, which is where `before` and `now` differ."""
+    """Return the steps until an impact, where `before` and `now` differ, is over."""
     if rough == STEPS_ALIKE:
         return STEPS_ALIKE
     if before != now:
@@ -159,8 +159,8 @@ def roughness(rough: int, before: wp.float64, now: wp.float64) -> int:
 
 
 @wp.func
-def is_lost(motion: Motion, body: RigidBody, home: wp.vec3d) -> bool:
-    """Whether a motion is not finite or far away from everything."""
+def is_lost(motion: BodyMotion, body: DynamicBody, home: wp.vec3d) -> bool:
+    """Return true if a motion is not finite or too far away."""
     return not (
         wp.length(motion.center - home) < LOST_DISTANCE_LENGTHS * body.size
         and wp.length(motion.velocity) < wp.float64(1.0e4)

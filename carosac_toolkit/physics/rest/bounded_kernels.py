@@ -36,7 +36,7 @@ def clipped_tensions(column: wp.array2d(dtype=vec6d), lower: wp.array2d(dtype=wp
                      upper: wp.array2d(dtype=wp.float64), middle: wp.array2d(dtype=wp.float64),
                      b: int, dual: vec6d,
                      tension: wp.array2d(dtype=wp.float64)) -> Clipped:  # fmt: skip
-    """Tensions t(y), their wrench and the slope of the wrench."""
+    """Compute tensions t(y), their wrench and the slope of the wrench."""
     out = Clipped()
     for i in range(column.shape[1]):
         a = column[b, i]
@@ -120,6 +120,6 @@ def distribute(
     tension: wp.array2d(dtype=wp.float64),
     feasible: wp.array(dtype=int),
 ):
-    """One wrench per thread."""
+    """Distribute one wrench per thread."""
     b = wp.tid()
     feasible[b] = bounded_tensions(column, lower, upper, middle, b, target[b], tension)

@@ -9,7 +9,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 @wp.func
 def piece_distance(p: wp.vec3d, u: wp.vec3d, q: wp.vec3d, v: wp.vec3d) -> wp.float64:
-    """Distance of the segments p + s u and q + t v, s and t from 0 to 1.
+    """Return the distance of the segments p + s u and q + t v, s and t from 0 to 1.
 
     References:
         Ericson, *Real-Time Collision Detection*, Morgan Kaufmann, 2005, section 5.1.9.
@@ -40,7 +40,7 @@ def smallest_distances(
     pairs: wp.array2d(dtype=int),
     distance: wp.array2d(dtype=wp.float64),
 ):
-    """One pose and one pair of cables per thread."""
+    """Compute one pose and one pair of cables per thread."""
     b, k = wp.tid()
     i = pairs[k, 0]
     j = pairs[k, 1]

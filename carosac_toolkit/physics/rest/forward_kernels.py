@@ -19,8 +19,8 @@ from carosac_toolkit.physics.cable.catenary_kernels import (
     vec6d,
 )
 from carosac_toolkit.physics.rest.platform_kernels import (
-    Balance,
-    Body,
+    StaticBody,
+    WrenchBalance,
     add_lever,
     anchor_of,
     cable_stiffness,
@@ -47,20 +47,20 @@ START_WARM = wp.constant(2)  # a pose and tension vectors are given
 
 
 @wp.struct
-class Loaded:
+class PoseLoad:
     """All cables at one pose."""
 
-    balance: Balance
+    balance: WrenchBalance
     gap: wp.float64  # largest closure [m]
 
 
 @wp.struct
-class Rest:
-    """Where the Newton iteration ended."""
+class RestSearch:
+    """End of the Newton iteration."""
 
     position: wp.vec3d
     rotation: wp.mat33d
-    balance: Balance
+    balance: WrenchBalance
     residual: wp.float64  # [N]
     gap: wp.float64  # [m]
     pivot_min: wp.float64
@@ -70,14 +70,14 @@ class Rest:
 
 @wp.func
 def load_cables(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64), row: int,
-                b: int, body: Body, p: wp.vec3d, r: wp.mat33d, loose: wp.float64,
+                b: int, body: StaticBody, p: wp.vec3d, r: wp.mat33d, loose: wp.float64,
                 q: wp.array2d(dtype=wp.vec3d), inverse: wp.array2d(dtype=wp.mat33d),
-                tension: wp.array2d(dtype=wp.float64)) -> Loaded:  # fmt: skip
+                tension: wp.array2d(dtype=wp.float64)) -> PoseLoad:  # fmt: skip
     """Close the cables to `loose`, add up wrench and stiffness, correct q to first order.
 
     A closure of the size of rounding is left alone: a stiff cable would turn it into newtons.
     """
-    out = Loaded()
+    out = PoseLoad()
     out.balance = gravity_balance(body, r)
     for i in range(lengths.shape[1]):
         anchor = anchor_of(cables[row, i], p, r)
@@ -97,12 +97,12 @@ def load_cables(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.fl
 
 @wp.func
 def relax(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64), row: int, b: int,
-          body: Body, p0: wp.vec3d, r0: wp.mat33d, q: wp.array2d(dtype=wp.vec3d),
+          body: StaticBody, p0: wp.vec3d, r0: wp.mat33d, q: wp.array2d(dtype=wp.vec3d),
           inverse: wp.array2d(dtype=wp.mat33d), tension: wp.array2d(dtype=wp.float64),
-          limit: int) -> Rest:  # fmt: skip
-    """Newton to rest; a step along which the wrench has turned round and grown is halved."""
+          limit: int) -> RestSearch:  # fmt: skip
+    """Solve for rest by Newton; halve a step along which the wrench has reversed and grown."""
     n = lengths.shape[1]
-    out = Rest()
+    out = RestSearch()
     out.position = p0
     out.rotation = r0
     p = p0
@@ -156,7 +156,7 @@ def relax(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64)
 def start_cables(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64), row: int,
                  b: int, p: wp.vec3d, r: wp.mat33d, q: wp.array2d(dtype=wp.vec3d),
                  tension: wp.array2d(dtype=wp.float64)):  # fmt: skip
-    """Tension vectors after a cold start: from its forces where taut, from geometry where not."""
+    """Guess tension vectors after a cold start: by its forces if taut, else by geometry."""
     for i in range(lengths.shape[1]):
         cable = cables[row, i]
         anchor = anchor_of(cable, p, r)
@@ -171,7 +171,7 @@ def start_cables(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.f
 @wp.func
 def is_near(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64), row: int,
             b: int, p: wp.vec3d, r: wp.mat33d, q: wp.array2d(dtype=wp.vec3d)) -> bool:  # fmt: skip
-    """Whether closing the cables at a guess changes no tension vector by more than twice itself.
+    """Return true if closing the cables at a guess at most triples any tension vector.
 
     Stiff cables on a guess some millimetres away would start from forces that mean nothing. With
     fewer than six cables the platform gives way, and Newton copes.
@@ -189,7 +189,7 @@ def is_near(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float6
 @wp.kernel
 def forward(
     cables: wp.array2d(dtype=Cable),
-    bodies: wp.array(dtype=Body),
+    bodies: wp.array(dtype=StaticBody),
     start: int,
     unstrained_length: wp.array2d(dtype=wp.float64),
     position: wp.array(dtype=wp.vec3d),
@@ -208,7 +208,7 @@ def forward(
     b = wp.tid()
     row = wp.min(b, cables.shape[0] - 1)
     body = bodies[wp.min(b, bodies.shape[0] - 1)]
-    rest = Rest()
+    rest = RestSearch()
     steps = int(0)
     if start == START_AT_POSE:
         for i in range(unstrained_length.shape[1]):

@@ -104,12 +104,12 @@ def hold(
         _solve(robot, where[a:b], turn[a:b], load, begin, device)
         for a, b, begin in _chunks(starts, len(where))
     ]
-    found = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-    return _answer(robot, where, found)
+    solution = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+    return _answer(robot, where, solution)
 
 
 def _starts(lines: ArrayLike, size: int) -> NDArray[np.int64]:
-    """Where lines begin, checked."""
+    """Check the start of each line."""
     starts = np.asarray(lines)
     fits = starts.ndim == 1 and len(starts) > 0 and np.issubdtype(starts.dtype, np.integer)
     if not fits or starts[0] != 0 or (np.diff(starts) <= 0).any() or starts[-1] >= size:
@@ -119,7 +119,7 @@ def _starts(lines: ArrayLike, size: int) -> NDArray[np.int64]:
 
 
 def _chunks(starts: NDArray[np.int64], size: int) -> list[tuple[int, int, NDArray[np.int64]]]:
-    """First and last pose of each chunk of whole lines, and where its lines begin and end."""
+    """Return first and last pose of each chunk of whole lines, with the bounds of its lines."""
     ends = np.append(starts[1:], size)
     out = []
     first = 0
@@ -168,7 +168,7 @@ _ANSWER_FIELDS = (
 
 
 def _shapes(size: int, n: int, count: int) -> dict[str, tuple[Any, Any]]:
-    """Shape and type of each array of `hold_kernels.Poses`."""
+    """Return shape and type of each array of `hold_kernels.Poses`."""
     per_cable, per_unknown = (size, n), (size, count)
     return {
         "position": (size, wp.vec3d), "rotation": (size, wp.mat33d),
@@ -177,46 +177,46 @@ def _shapes(size: int, n: int, count: int) -> dict[str, tuple[Any, Any]]:
         "lower": (per_cable, wp.float64), "upper": (per_cable, wp.float64),
         "low": (per_cable, wp.float64), "high": (per_cable, wp.float64),
         "kept": (per_cable, wp.float64), "column": (per_unknown, vec6d),
-        "found": (per_unknown, wp.float64), "margin": (size, wp.float64),
+        "solution": (per_unknown, wp.float64), "margin": (size, wp.float64),
         "gap": (size, wp.float64), "status": (size, int), "steps": (size, int),
         "stiffness": (size, mat66d), "residual": (size, wp.float64),
         "closure": (size, wp.float64), "stable": (size, int),
     }  # fmt: skip
 
 
-def _answer(robot: Robot, position: Array, found: dict[str, Array]) -> WidestRest:
+def _answer(robot: Robot, position: Array, solution: dict[str, Array]) -> WidestRest:
     """Judge what the kernel found."""
-    status, length = found["status"], found["unstrained_length"]
+    status, length = solution["status"], solution["unstrained_length"]
     size = float(body_record(robot)["size"])
-    margin = np.where(status == 1, found["margin"], np.where(status == 2, -np.inf, np.nan))
+    margin = np.where(status == 1, solution["margin"], np.where(status == 2, -np.inf, np.nan))
     held = margin >= 0.0
-    hung = found["closure"] <= EQUILIBRIUM_CLOSURE_MAX * size
-    sound = (found["residual"] <= EQUILIBRIUM_RESIDUAL_PER_WEIGHT * robot.weight) & hung
+    hung = solution["closure"] <= EQUILIBRIUM_CLOSURE_MAX * size
+    sound = (solution["residual"] <= EQUILIBRIUM_RESIDUAL_PER_WEIGHT * robot.weight) & hung
     failed = (status == 0) | ~hung | (held & ~sound)
     margin = np.where(failed, np.nan, margin)
     rest = Equilibrium(
         position=position,
-        rotation=found["rotation"],
+        rotation=solution["rotation"],
         unstrained_length=length,
-        tension=found["tension"],
-        residual=np.where(held, found["residual"], np.nan),
-        gap=np.where(held, found["closure"], np.nan),
+        tension=solution["tension"],
+        residual=np.where(held, solution["residual"], np.nan),
+        gap=np.where(held, solution["closure"], np.nan),
         converged=held & sound,
-        stable=held & sound & (found["stable"] == 1),
-        slack=found["tension"] < robot.tension_min * (1.0 - 1e-9),
+        stable=held & sound & (solution["stable"] == 1),
+        slack=solution["tension"] < robot.tension_min * (1.0 - 1e-9),
         in_winch_range=(length >= robot.length_min) & (length <= robot.length_max),
-        stiffness=np.where(held[:, None, None], found["stiffness"], np.nan),
-        exit_tension=found["q"],
+        stiffness=np.where(held[:, None, None], solution["stiffness"], np.nan),
+        exit_tension=solution["q"],
         status=np.where(held & sound, 1, np.where(failed, 0, 2)).astype(np.int32),
-        iterations=found["steps"].astype(np.int32),
+        iterations=solution["steps"].astype(np.int32),
     )
     decided = (status == 1)[:, None]
     return WidestRest(
         rest=rest,
         margin=margin,
-        gap=np.where(status == 2, 0.0, found["gap"]),
-        low=np.where(decided, found["low"], 0.0),
-        high=np.where(decided, found["high"], 0.0),
-        lowest=found["lower"],
+        gap=np.where(status == 2, 0.0, solution["gap"]),
+        low=np.where(decided, solution["low"], 0.0),
+        high=np.where(decided, solution["high"], 0.0),
+        lowest=solution["lower"],
         solved=~failed,
     )

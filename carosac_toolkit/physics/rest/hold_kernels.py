@@ -23,12 +23,12 @@ from carosac_toolkit.physics.rest.inverse_kernels import first_tensions, scaled_
 from carosac_toolkit.physics.rest.margin_kernels import (
     MARGIN_SOLVED,
     MARGIN_UNSOLVED,
-    Work,
+    MarginWork,
     largest_margin,
     nearest_balance,
 )
 from carosac_toolkit.physics.rest.platform_kernels import (
-    Body,
+    StaticBody,
     anchor_of,
     cross_matrix,
     factorise,
@@ -69,7 +69,7 @@ class Poses:
     low: wp.array2d(dtype=wp.float64)  # multipliers of the lower limits
     high: wp.array2d(dtype=wp.float64)
     column: wp.array2d(dtype=vec6d)  # (B, unknowns)
-    found: wp.array2d(dtype=wp.float64)  # (B, unknowns)
+    solution: wp.array2d(dtype=wp.float64)  # (B, unknowns), of a linear program
     kept: wp.array2d(dtype=wp.float64)
     margin: wp.array(dtype=wp.float64)
     gap: wp.array(dtype=wp.float64)  # of the margin [N]
@@ -83,7 +83,7 @@ class Poses:
 
 @wp.func
 def scaled_force(force: wp.vec3d, moment: wp.vec3d, arm: wp.float64) -> vec6d:
-    """A wrench with its moment divided by the typical lever arm [N]."""
+    """Return a wrench with its moment divided by the typical lever arm [N]."""
     m = moment / arm
     return vec6d(force[0], force[1], force[2], m[0], m[1], m[2])
 
@@ -113,9 +113,10 @@ def add_turning(total: Turning, arm: wp.vec3d, force: wp.vec3d, k: wp.mat33d) ->
 
 
 @wp.func
-def continued_cables(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: wp.vec3d,
-                     r: wp.mat33d, external: vec6d, poses: Poses) -> vec6d:  # fmt: skip
-    """Wrench, moments divided by the lever arm; cables to first order beyond their limits.
+def continued_cables(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+                     p: wp.vec3d, r: wp.mat33d, external: vec6d,
+                     poses: Poses) -> vec6d:  # fmt: skip
+    """Return the scaled wrench; cables continue to first order beyond their limits.
 
     Sets the columns: of the tensions, then of the rotation in units of 1 / weight; and by how much
     a cable at most misses its anchor point, where it could not be hung.
@@ -150,7 +151,7 @@ def continued_cables(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Bo
 
 @wp.func
 def margin_of(b: int, poses: Poses) -> wp.float64:
-    """Least distance of the tensions to their limits [N]."""
+    """Return the least distance of the tensions to their limits [N]."""
     out = wp.float64(1.0e300)
     for i in range(poses.tension.shape[1]):
         t = poses.tension[b, i]
@@ -159,8 +160,8 @@ def margin_of(b: int, poses: Poses) -> wp.float64:
 
 
 @wp.struct
-class Held:
-    """Where one search ended."""
+class HoldSearch:
+    """End of one search."""
 
     rotation: wp.mat33d
     status: int
@@ -174,18 +175,18 @@ def go(b: int, n: int, free: int, start: wp.mat33d, weight: wp.float64, poses: P
     """Take the step that was found, scaled down where it turns too far; the rotation after it."""
     turn = wp.vec3d()
     for j in range(free):
-        turn[j] = poses.found[b, n + j] / weight
+        turn[j] = poses.solution[b, n + j] / weight
     scale = wp.min(ONE, wp.float64(0.5) / (wp.length(turn) + DIVISION_FLOOR))
     for i in range(n):
         t = poses.tension[b, i]
         poses.kept[b, i] = t
-        poses.tension[b, i] = t + scale * (poses.found[b, i] - t)
+        poses.tension[b, i] = t + scale * (poses.solution[b, i] - t)
     return orthonormal(rotation_of(scale * turn) * start)
 
 
 @wp.func
-def keep_weights(line: int, b: int, n: int, poses: Poses, work: Work):
-    """Multipliers of the tension limits."""
+def keep_weights(line: int, b: int, n: int, poses: Poses, work: MarginWork):
+    """Store the multipliers of the tension limits."""
     for i in range(n):
         poses.low[b, i] = work.weight[line, i]
         poses.high[b, i] = work.weight[line, n + i]
@@ -193,7 +194,7 @@ def keep_weights(line: int, b: int, n: int, poses: Poses, work: Work):
 
 @wp.func
 def angle_between(a: wp.mat33d, b: wp.mat33d) -> wp.float64:
-    """Angle of the rotation from one to the other [rad]."""
+    """Return the angle of the rotation from one to the other [rad]."""
     return TWO * wp.asin(wp.min(ONE, wp.sqrt(wp.ddot(a - b, a - b) / wp.float64(8.0))))
 
 
@@ -202,25 +203,26 @@ def step_back(b: int, n: int, portion: wp.float64, poses: Poses):
     """Take a smaller portion of the step that was found from the tensions that were kept."""
     for i in range(n):
         t = poses.kept[b, i]
-        poses.tension[b, i] = t + portion * (poses.found[b, i] - t)
+        poses.tension[b, i] = t + portion * (poses.solution[b, i] - t)
 
 
 @wp.func
 def aim(b: int, wrench: vec6d, poses: Poses) -> vec6d:
-    """What the columns have to add up to; `found` holds the present tensions and no rotation."""
+    """Return the target for the columns; `solution` gets the present tensions and no rotation."""
     n = poses.tension.shape[1]
     target = -wrench
     for j in range(poses.column.shape[1]):
-        poses.found[b, j] = ZERO
+        poses.solution[b, j] = ZERO
     for i in range(n):
-        poses.found[b, i] = poses.tension[b, i]
+        poses.solution[b, i] = poses.tension[b, i]
         target = target + poses.tension[b, i] * poses.column[b, i]
     return target
 
 
 @wp.func
-def come_to_rest(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, external: vec6d,
-                 line: int, poses: Poses, work: Work, start: Held) -> Held:  # fmt: skip
+def come_to_rest(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+                 external: vec6d, line: int, poses: Poses, work: MarginWork,
+                 start: HoldSearch) -> HoldSearch:  # fmt: skip
     """Balance a search that ended early, changing as little as possible.
 
     Its margin may not be the largest; the gap says what a last step promised. It decides only
@@ -243,15 +245,17 @@ def come_to_rest(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, 
                 out.status = MARGIN_SOLVED
             else:
                 target = aim(b, wrench, poses)
-                balanced = nearest_balance(poses.column, b, count, target, line, work, poses.found)
+                balanced = nearest_balance(
+                    poses.column, b, count, target, line, work, poses.solution
+                )
                 out.rotation = go(b, n, count - n, out.rotation, body.weight, poses)
     keep_weights(line, b, n, poses, work)
     return out
 
 
 @wp.func
-def seek(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, start: wp.mat33d,
-         external: vec6d, line: int, poses: Poses, work: Work) -> Held:  # fmt: skip
+def seek(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, start: wp.mat33d,
+         external: vec6d, line: int, poses: Poses, work: MarginWork) -> HoldSearch:  # fmt: skip
     """Climb to the largest margin from a rotation and the tensions of the pose.
 
     Margin less penalty times the wrench left is what has to grow. Where a step did not do so, it
@@ -260,7 +264,7 @@ def seek(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, start: w
     n = poses.tension.shape[1]
     count = poses.column.shape[1]
     p = poses.position[b]
-    out = Held()
+    out = HoldSearch()
     out.rotation = start
     r = start
     reach = TRUST_RADIUS_RAD
@@ -297,7 +301,7 @@ def seek(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, start: w
             target = aim(b, wrench, poses)
             best = largest_margin(
                 poses.column, b, n, count, target, reach * body.weight, poses.lower, poses.upper,
-                line, work, poses.found,
+                line, work, poses.solution,
             )  # fmt: skip
             penalty = wp.max(penalty, TWO * (margin - best.margin) / (left + DIVISION_FLOOR))
             promised = best.margin - margin + penalty * left
@@ -322,11 +326,11 @@ def seek(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, start: w
 
 
 @wp.func
-def start_cold(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, given: wp.mat33d,
-               poses: Poses) -> wp.mat33d:  # fmt: skip
-    """Rotation and tensions of a rest of straight cables near the position."""
+def start_cold(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+               first: wp.mat33d, poses: Poses) -> wp.mat33d:  # fmt: skip
+    """Return the rotation of a rest of straight cables near the position; set its tensions."""
     p = poses.position[b]
-    r = given
+    r = first
     n = poses.tension.shape[1]
     if poses.column.shape[1] > n:
         for _round in range(HOLD_FIT_ROUNDS):
@@ -342,9 +346,9 @@ def start_cold(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, gi
 
 
 @wp.func
-def begin(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, r: wp.mat33d,
+def begin(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, r: wp.mat33d,
           poses: Poses):  # fmt: skip
-    """Straight cables of the tensions of the pose, clipped to the limits."""
+    """Start from straight cables at the tensions of the pose, clipped to the limits."""
     p = poses.position[b]
     set_limits(cables, row, b, body, p, r, LEAST_TENSION_FACTOR, poses.lower, poses.upper)
     first_tensions(
@@ -354,7 +358,7 @@ def begin(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, r: wp.m
 
 
 @wp.func
-def limits_moved(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, r: wp.mat33d,
+def limits_moved(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, r: wp.mat33d,
                  poses: Poses) -> bool:  # fmt: skip
     """Set the limits anew; whether a heavy cable's lower one has changed with the rotation."""
     most = wp.float64(0.0)
@@ -370,7 +374,7 @@ def limits_moved(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, 
 
 @wp.func
 def tilted(attempt: int, rotation: wp.mat33d) -> wp.mat33d:
-    """The rotation itself, then four tilted ones."""
+    """Return the rotation itself, then four tilted ones."""
     tilt = wp.vec3d()
     if attempt > 0:
         tilt[attempt % 2] = wp.where(attempt > 2, -HOLD_TILT_RAD, HOLD_TILT_RAD)
@@ -378,7 +382,7 @@ def tilted(attempt: int, rotation: wp.mat33d) -> wp.mat33d:
 
 
 @wp.func
-def judge_rest(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, r: wp.mat33d,
+def judge_rest(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, r: wp.mat33d,
                external: vec6d, poses: Poses) -> int:  # fmt: skip
     """Judge a rest by its lengths alone; 1 where it is stable."""
     for i in range(poses.tension.shape[1]):
@@ -397,9 +401,9 @@ def judge_rest(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, r:
 
 
 @wp.func
-def try_from(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, r: wp.mat33d,
-             external: vec6d, line: int, poses: Poses, work: Work) -> int:  # fmt: skip
-    """One search, its answer stored with the pose; returns how good it is, STABLE at best."""
+def try_from(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, r: wp.mat33d,
+             external: vec6d, line: int, poses: Poses, work: MarginWork) -> int:  # fmt: skip
+    """Search once, store the answer with the pose and return its rank, RANK_STABLE at best."""
     begin(cables, row, b, body, r, poses)
     out = seek(cables, row, b, body, r, external, line, poses, work)
     steps = out.steps
@@ -429,13 +433,13 @@ def try_from(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, r: w
 @wp.kernel
 def hold(
     cables: wp.array2d(dtype=Cable),
-    bodies: wp.array(dtype=Body),
+    bodies: wp.array(dtype=StaticBody),
     external: vec6d,
     first: wp.array(dtype=int),
     poses: Poses,
-    work: Work,
+    work: MarginWork,
 ):
-    """One line of poses per thread, each with a free rotation starting from its neighbour."""
+    """Hold one line of poses per thread; each free rotation starts from its neighbour."""
     line = wp.tid()
     n = poses.tension.shape[1]
     free = poses.column.shape[1] - n
@@ -471,16 +475,16 @@ def margins(
     target: wp.array(dtype=vec6d),
     lower: wp.array2d(dtype=wp.float64),
     upper: wp.array2d(dtype=wp.float64),
-    work: Work,
+    work: MarginWork,
     tension: wp.array2d(dtype=wp.float64),
     margin: wp.array(dtype=wp.float64),
     gap: wp.array(dtype=wp.float64),
     status: wp.array(dtype=int),
 ):
-    """One wrench per thread."""
+    """Solve one wrench per thread."""
     b = wp.tid()
     n = column.shape[1]
-    found = largest_margin(column, b, n, n, target[b], ZERO, lower, upper, b, work, tension)
-    margin[b] = found.margin
-    gap[b] = found.gap
-    status[b] = found.status
+    best = largest_margin(column, b, n, n, target[b], ZERO, lower, upper, b, work, tension)
+    margin[b] = best.margin
+    gap[b] = best.gap
+    status[b] = best.status

@@ -31,7 +31,7 @@ from carosac_toolkit.physics.rest.inverse_kernels import (
     set_limits,
 )
 from carosac_toolkit.physics.rest.platform_kernels import (
-    Body,
+    StaticBody,
     anchor_of,
     mat66d,
     orthonormal,
@@ -52,7 +52,7 @@ FREE_TILT_RAD = wp.constant(wp.float64(0.7))  # [rad]
 
 @wp.func
 def solve9(matrix: mat99d, right: vec9d) -> vec9d:
-    """Gaussian elimination with partial pivoting."""
+    """Solve by Gaussian elimination with partial pivoting."""
     a = matrix
     x = right
     for j in range(9):
@@ -86,17 +86,17 @@ def solve9(matrix: mat99d, right: vec9d) -> vec9d:
 def dual_gradient(
     straight: Straight, arm: wp.vec3d, dual_force: wp.vec3d, dual_moment: wp.vec3d
 ) -> wp.vec3d:
-    """Gradient of u . (y_f + y_m x arm) under a rotation of the platform, straight cable."""
+    """Return the rotation gradient of u . (y_f + y_m x arm) of a straight cable."""
     v = dual_force + wp.cross(dual_moment, arm)
     h = wp.cross(straight.unit, dual_moment) - straight.bend * v
     return wp.cross(arm, h)
 
 
 @wp.func
-def dual_gradient_sum(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: wp.vec3d,
-                      r: wp.mat33d, tension: wp.array2d(dtype=wp.float64), dual_force: wp.vec3d,
-                      dual_moment: wp.vec3d) -> wp.vec3d:  # fmt: skip
-    """Gradient of y . wrench under a rotation of the platform."""
+def dual_gradient_sum(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+                      p: wp.vec3d, r: wp.mat33d, tension: wp.array2d(dtype=wp.float64),
+                      dual_force: wp.vec3d, dual_moment: wp.vec3d) -> wp.vec3d:  # fmt: skip
+    """Return the gradient of y . wrench under a rotation of the platform."""
     weight = wp.vec3d(ZERO, ZERO, -body.weight)
     out = wp.cross(r * body.center_of_mass, wp.cross(weight, dual_moment))
     for i in range(tension.shape[1]):
@@ -107,10 +107,10 @@ def dual_gradient_sum(cables: wp.array2d(dtype=Cable), row: int, b: int, body: B
 
 
 @wp.func
-def dual_curvature(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: wp.vec3d,
+def dual_curvature(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, p: wp.vec3d,
                    r: wp.mat33d, tension: wp.array2d(dtype=wp.float64), dual_force: wp.vec3d,
                    dual_moment: wp.vec3d) -> wp.mat33d:  # fmt: skip
-    """Minus the second derivative of y . wrench for the rotation, by central differences."""
+    """Return minus the second rotation derivative of y . wrench, by central differences."""
     h = wp.float64(1.0e-4)
     out = wp.mat33d()
     for axis in range(3):
@@ -130,7 +130,7 @@ def dual_curvature(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body
 
 @wp.func
 def optimality_row(column: vec6d, twist: wp.vec3d) -> vec9d:
-    """How a cable's tension follows multipliers and rotation."""
+    """Return the derivatives of a cable's tension by multipliers and rotation."""
     return vec9d(
         column[0], column[1], column[2], column[3], column[4], column[5],
         twist[0], twist[1], twist[2],
@@ -144,7 +144,7 @@ def optimality_step(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype
                     tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
                     twist: wp.array2d(dtype=wp.vec3d),
                     bound: wp.array2d(dtype=int)) -> vec9d:  # fmt: skip
-    """Newton step (new multipliers, rotation) for the set of cables now held at their limits."""
+    """Return the Newton step (multipliers, rotation) for the cables now held at limits."""
     matrix = mat99d()
     right = vec9d()
     for i in range(6):
@@ -181,7 +181,7 @@ class Choice:
 
 @wp.func
 def beyond(lower: wp.float64, upper: wp.float64, tension: wp.float64) -> int:
-    """1 below the lower limit, 2 above the upper one, 0 between."""
+    """Return 1 below the lower limit, 2 above the upper one, 0 between."""
     if tension < lower:
         return 1
     if tension > upper:
@@ -195,7 +195,7 @@ def choose(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float
            tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
            twist: wp.array2d(dtype=wp.vec3d), bound: wp.array2d(dtype=int),
            wanted: wp.array2d(dtype=wp.float64)) -> Choice:  # fmt: skip
-    """Tensions of a step, and which cables to hold at a limit.
+    """Choose tensions of a step, and which cables to hold at a limit.
 
     n tensions and 3 rotations fulfil 6 balances, so no more than n - 3 cables can be held. Those
     held already stay while their multiplier keeps them there; then the worst offender joins. Other
@@ -236,7 +236,7 @@ def choose(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float
 
 
 @wp.struct
-class Found:
+class TensionStep:
     """A Newton step and the tensions it leads to."""
 
     step: vec9d
@@ -245,17 +245,17 @@ class Found:
 
 @wp.func
 def search(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64), b: int,
-           body: Body, wrench: vec6d,
+           body: StaticBody, wrench: vec6d,
            stiffness: mat66d, curvature: wp.mat33d, balanced: bool,
            tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
            twist: wp.array2d(dtype=wp.vec3d), bound: wp.array2d(dtype=int),
-           wanted: wp.array2d(dtype=wp.float64)) -> Found:  # fmt: skip
-    """Newton step for the right set of cables at their limits.
+           wanted: wp.array2d(dtype=wp.float64)) -> TensionStep:  # fmt: skip
+    """Find the Newton step for the right set of cables at their limits.
 
     At balance a step must not raise the squared tensions: there a ridge on the rotation grows
     until it does not, so that the end is a minimum and no other stationary point.
     """
-    out = Found()
+    out = TensionStep()
     ridge = wp.float64(0.0)
     tries = int(0)
     searching = bool(True)
@@ -289,8 +289,8 @@ def verdict(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.floa
 
 
 @wp.struct
-class Outcome:
-    """Where one search ended."""
+class TensionSearch:
+    """End of one search."""
 
     rotation: wp.mat33d
     status: int
@@ -298,16 +298,16 @@ class Outcome:
 
 
 @wp.func
-def optimise(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: wp.vec3d,
+def optimise(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, p: wp.vec3d,
              r0: wp.mat33d, lower: wp.array2d(dtype=wp.float64),
              upper: wp.array2d(dtype=wp.float64), lengths: wp.array2d(dtype=wp.float64),
              q: wp.array2d(dtype=wp.vec3d), tension: wp.array2d(dtype=wp.float64),
              wanted: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
              twist: wp.array2d(dtype=wp.vec3d),
-             bound: wp.array2d(dtype=int)) -> Outcome:  # fmt: skip
-    """Newton on the conditions of optimality from one rotation and its first tensions."""
+             bound: wp.array2d(dtype=int)) -> TensionSearch:  # fmt: skip
+    """Solve the conditions of optimality by Newton from one rotation and its first tensions."""
     n = tension.shape[1]
-    out = Outcome()
+    out = TensionSearch()
     out.rotation = r0
     out.status = -1
     dual_force = wp.vec3d()
@@ -322,23 +322,23 @@ def optimise(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: w
             arm = r * cables[row, i].anchor_point
             s = straight_to(cables[row, i], p + arm)
             twist[b, i] = dual_gradient(s, arm, dual_force, dual_moment)
-        found = search(
+        newton = search(
             lower, upper, b, body, here.balance.wrench, here.balance.stiffness, curvature,
             norm < wp.float64(1.0e-3) * body.weight, tension, column, twist, bound, wanted,
         )  # fmt: skip
-        step = found.step
+        step = newton.step
         turn = wp.vec3d(step[6], step[7], step[8])
         angle = wp.length(turn)
         dual_force = wp.vec3d(step[0], step[1], step[2])
         dual_moment = wp.vec3d(step[3], step[4], step[5]) / body.arm
         steady = (
-            found.choice.jump <= TENSION_CHANGE_PER_WEIGHT * body.weight
+            newton.choice.jump <= TENSION_CHANGE_PER_WEIGHT * body.weight
             and angle <= wp.float64(10.0) * TENSION_CHANGE_PER_WEIGHT
         )
         if (
             norm <= TENSION_RESIDUAL_PER_WEIGHT * body.weight
             and steady
-            and found.choice.changed == 0
+            and newton.choice.changed == 0
         ):
             out.status = verdict(lower, upper, b, tension)
         elif out.steps >= TENSION_STEPS_MAX:
@@ -354,7 +354,7 @@ def optimise(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: w
 
 @wp.func
 def start_rotation(attempt: int, rotation: wp.mat33d) -> wp.mat33d:
-    """The rotation that was given, twice, then four tilted ones."""
+    """Return the initial rotation, twice, then four tilted ones."""
     tilt = wp.vec3d()
     if attempt > 1:
         tilt[attempt % 2] = wp.where(attempt > 3, -FREE_TILT_RAD, FREE_TILT_RAD)
@@ -364,7 +364,7 @@ def start_rotation(attempt: int, rotation: wp.mat33d) -> wp.mat33d:
 @wp.kernel
 def inverse_free(
     cables: wp.array2d(dtype=Cable),
-    bodies: wp.array(dtype=Body),
+    bodies: wp.array(dtype=StaticBody),
     position: wp.array(dtype=wp.vec3d),
     rotation: wp.array(dtype=wp.mat33d),
     unstrained_length: wp.array2d(dtype=wp.float64),
@@ -379,7 +379,7 @@ def inverse_free(
     status: wp.array(dtype=int),
     iterations: wp.array(dtype=int),
 ):
-    """Rotation free: least squared tensions in equilibrium, from a stable rest nearby.
+    """Find least squared tensions in equilibrium, rotation free, from a stable rest nearby.
 
     Where that fails, once more with a wider margin over the least tension of a hanging cable, then
     from other rotations; what is reported then is the last attempt.
@@ -388,12 +388,12 @@ def inverse_free(
     row = wp.min(b, cables.shape[0] - 1)
     body = bodies[wp.min(b, bodies.shape[0] - 1)]
     p = position[b]
-    given = rotation[b]
-    out = Outcome()
+    first_rotation = rotation[b]
+    out = TensionSearch()
     steps = int(0)
     attempt = int(0)
     while attempt < FREE_ATTEMPTS and out.status != STATUS_CONVERGED:
-        r = start_rotation(attempt, given)
+        r = start_rotation(attempt, first_rotation)
         margin = wp.where(attempt == 1, LEAST_TENSION_FACTOR_WIDE, LEAST_TENSION_FACTOR)
         for _round in range(FREE_FIT_ROUNDS):
             for i in range(tension.shape[1]):

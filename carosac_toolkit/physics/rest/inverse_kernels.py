@@ -15,9 +15,9 @@ from carosac_toolkit.physics.cable.tension_kernels import (
     pull,
 )
 from carosac_toolkit.physics.rest.bounded_kernels import bounded_tensions
-from carosac_toolkit.physics.rest.forward_kernels import Loaded, load_cables
+from carosac_toolkit.physics.rest.forward_kernels import PoseLoad, load_cables
 from carosac_toolkit.physics.rest.platform_kernels import (
-    Body,
+    StaticBody,
     add_lever,
     anchor_of,
     factorise,
@@ -38,15 +38,15 @@ STATUS_INFEASIBLE = wp.constant(2)
 
 
 @wp.func
-def pull_cables(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: wp.vec3d,
+def pull_cables(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, p: wp.vec3d,
                 r: wp.mat33d, tension: wp.array2d(dtype=wp.float64),
                 lengths: wp.array2d(dtype=wp.float64), q: wp.array2d(dtype=wp.vec3d),
-                column: wp.array2d(dtype=vec6d)) -> Loaded:  # fmt: skip
-    """Cables of given tension at one pose: wrench, stiffness at constant tension, columns.
+                column: wp.array2d(dtype=vec6d)) -> PoseLoad:  # fmt: skip
+    """Evaluate cables of known tension at a pose: wrench, stiffness at that tension, columns.
 
     A column is d wrench / d tension, its moment divided by the typical lever arm.
     """
-    out = Loaded()
+    out = PoseLoad()
     out.balance = gravity_balance(body, r)
     for i in range(tension.shape[1]):
         anchor = anchor_of(cables[row, i], p, r)
@@ -69,7 +69,7 @@ def pull_cables(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p
 
 @wp.func
 def scaled_wrench(wrench: vec6d, arm: wp.float64) -> vec6d:
-    """Wrench with its moment divided by the typical lever arm [N]."""
+    """Return the wrench with its moment divided by the typical lever arm [N]."""
     w = wrench
     for i in range(3):
         w[3 + i] = w[3 + i] / arm
@@ -77,10 +77,10 @@ def scaled_wrench(wrench: vec6d, arm: wp.float64) -> vec6d:
 
 
 @wp.func
-def set_limits(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: wp.vec3d,
+def set_limits(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, p: wp.vec3d,
                r: wp.mat33d, margin: wp.float64, lower: wp.array2d(dtype=wp.float64),
                upper: wp.array2d(dtype=wp.float64)):  # fmt: skip
-    """Limits of the tensions at a pose."""
+    """Set the limits of the tensions at a pose."""
     for i in range(lower.shape[1]):
         anchor = anchor_of(cables[row, i], p, r)
         upper[b, i] = cables[row, i].tension_max
@@ -93,7 +93,7 @@ def first_tensions(cables: wp.array2d(dtype=Cable), row: int, b: int, p: wp.vec3
                    lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64),
                    tension: wp.array2d(dtype=wp.float64), lengths: wp.array2d(dtype=wp.float64),
                    q: wp.array2d(dtype=wp.vec3d)):  # fmt: skip
-    """Straight cables of tensions clipped to their limits."""
+    """Start from straight cables with tensions clipped to their limits."""
     for i in range(tension.shape[1]):
         tension[b, i] = wp.clamp(tension[b, i], lower[b, i], upper[b, i])
         g = guess_pull(anchor_of(cables[row, i], p, r), tension[b, i], cables[row, i])
@@ -104,7 +104,7 @@ def first_tensions(cables: wp.array2d(dtype=Cable), row: int, b: int, p: wp.vec3
 @wp.kernel
 def inverse_held(
     cables: wp.array2d(dtype=Cable),
-    bodies: wp.array(dtype=Body),
+    bodies: wp.array(dtype=StaticBody),
     position: wp.array(dtype=wp.vec3d),
     rotation: wp.array(dtype=wp.mat33d),
     unstrained_length: wp.array2d(dtype=wp.float64),
@@ -118,7 +118,7 @@ def inverse_held(
     status: wp.array(dtype=int),
     iterations: wp.array(dtype=int),
 ):
-    """Rotation held: bounded least squares, the cables linearised anew until nothing changes."""
+    """Solve bounded least squares, rotation held; linearise cables anew until nothing changes."""
     b = wp.tid()
     n = tension.shape[1]
     row = wp.min(b, cables.shape[0] - 1)
@@ -165,7 +165,7 @@ def inverse_held(
 @wp.kernel
 def evaluate(
     cables: wp.array2d(dtype=Cable),
-    bodies: wp.array(dtype=Body),
+    bodies: wp.array(dtype=StaticBody),
     unstrained_length: wp.array2d(dtype=wp.float64),
     position: wp.array(dtype=wp.vec3d),
     rotation: wp.array(dtype=wp.mat33d),

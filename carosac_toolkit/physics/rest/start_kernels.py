@@ -10,8 +10,8 @@ import warp as wp
 from carosac_toolkit.physics.cable.catenary_kernels import HALF, TWO, ZERO, Cable
 from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.rest.platform_kernels import (
-    Balance,
-    Body,
+    StaticBody,
+    WrenchBalance,
     add_lever,
     anchor_of,
     descent_step,
@@ -41,7 +41,7 @@ class Straight:
 
 @wp.func
 def straight_to(cable: Cable, anchor: wp.vec3d) -> Straight:
-    """Straight cable to an anchor point, its pulley included."""
+    """Return the straight cable to an anchor point, its pulley included."""
     out = Straight()
     length, _wrap, direction, bend, _valid = straight_cable(
         anchor - cable.exit_point, cable.pulley_radius, cable.swivel_axis
@@ -53,7 +53,7 @@ def straight_to(cable: Cable, anchor: wp.vec3d) -> Straight:
 
 
 @wp.struct
-class Start:
+class StraightStart:
     """The pose reached."""
 
     position: wp.vec3d
@@ -63,9 +63,9 @@ class Start:
 
 @wp.func
 def soft_energy(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
-                multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: Body,
+                multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: StaticBody,
                 p: wp.vec3d, r: wp.mat33d, k: wp.float64) -> wp.float64:  # fmt: skip
-    """Energy of the augmented problem [J]."""
+    """Return the energy of the augmented problem [J]."""
     center = p + r * body.center_of_mass
     energy = body.weight * center[2]
     for i in range(lengths.shape[1]):
@@ -77,9 +77,9 @@ def soft_energy(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.fl
 
 @wp.func
 def soft_balance(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
-                 multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: Body,
-                 p: wp.vec3d, r: wp.mat33d, k: wp.float64) -> Balance:  # fmt: skip
-    """Wrench and stiffness of the augmented problem."""
+                 multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: StaticBody,
+                 p: wp.vec3d, r: wp.mat33d, k: wp.float64) -> WrenchBalance:  # fmt: skip
+    """Return wrench and stiffness of the augmented problem."""
     total = gravity_balance(body, r)
     for i in range(lengths.shape[1]):
         anchor = anchor_of(cables[row, i], p, r)
@@ -93,9 +93,9 @@ def soft_balance(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.f
 
 @wp.func
 def minimise(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
-             multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: Body,
-             start: Start, k: wp.float64) -> Start:  # fmt: skip
-    """One round: damped Newton on the energy, Armijo line search."""
+             multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: StaticBody,
+             start: StraightStart, k: wp.float64) -> StraightStart:  # fmt: skip
+    """Minimise the energy of one round by damped Newton with Armijo line search."""
     out = start
     energy = soft_energy(
         cables, lengths, multiplier, row, b, body, start.position, start.rotation, k
@@ -127,10 +127,10 @@ def minimise(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float
 
 @wp.func
 def cold_start(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
-               multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: Body,
-               p0: wp.vec3d, r0: wp.mat33d) -> Start:  # fmt: skip
+               multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: StaticBody,
+               p0: wp.vec3d, r0: wp.mat33d) -> StraightStart:  # fmt: skip
     """Rest on straight inextensible cables, to about a millimetre; tensions in multiplier."""
-    out = Start()
+    out = StraightStart()
     out.position = p0
     out.rotation = r0
     k = body.weight / (STRETCH_UNDER_WEIGHT * body.size)

@@ -77,7 +77,7 @@ def forward_kinematics(
     guess: Equilibrium | Pose | None = None,
     device: str = "cpu",
 ) -> Equilibrium:
-    """Pose of rest for given cable lengths.
+    """Solve for the poses at rest on known cable lengths.
 
     There may be several stable equilibria. A guess is left for the one nearby, as a rule; without
     a guess the way leads downhill in energy from the robot's home pose, on straight cables first.
@@ -126,7 +126,7 @@ def inverse_kinematics(
     guess: Equilibrium | Pose | None = None,
     device: str = "cpu",
 ) -> Equilibrium:
-    """Cable lengths and tensions that hold the platform origin at a position, at rest.
+    """Solve for cable lengths and tensions that hold the platform origin at rest.
 
     With n >= 6 cables the rotation is held and the tensions are the least squared ones within
     ``[tension_min, tension_max]``. With n < 6 the rotation is free: among the statically stable
@@ -193,7 +193,7 @@ def _launch_inverse(
 def cable_shape(
     robot: Robot, equilibrium: Equilibrium, samples: int = 24, *, device: str = "cpu"
 ) -> Array:
-    """Points along the free part of each hanging cable.
+    """Return points along the free part of each hanging cable.
 
     Args:
         robot: Robot description, n cables.
@@ -217,12 +217,12 @@ def cable_shape(
         points,
     ]
     wp.launch(hanging_kernels.cable_points, shape, inputs=inputs, device=device)
-    found: Array = points.numpy()
-    return found
+    shapes: Array = points.numpy()
+    return shapes
 
 
 def sag(robot: Robot, equilibrium: Equilibrium, *, samples: int = 101) -> Array:
-    """Largest distance of each free cable from the chord between its ends [m], shape (B, n)."""
+    """Return the largest distance of each free cable from its chord [m], shape (B, n)."""
     points = cable_shape(robot, equilibrium, samples)
     distance: Array = np.linalg.norm(offset_from_chord(points), axis=-1).max(axis=-1)
     return distance
@@ -263,14 +263,14 @@ def _put_guess(robot: Robot | Fleet, buffers: Buffers, guess: Equilibrium | Pose
 
 
 def _held_rotation(robot: Robot | Fleet, rotation: ArrayLike | None, size: int) -> Array:
-    """The rotation to hold, checked."""
+    """Return the rotation to hold; refuse one for fewer than six cables."""
     if rotation is None:
         return np.broadcast_to(robot.home_rotation, (size, 3, 3))
     return rotations("rotation", rotation, size)
 
 
 def _shapes(size: int, n: int) -> dict[str, tuple[Any, Any]]:
-    """Shape and type of every buffer of a batch."""
+    """Return shape and type of every buffer of a batch."""
     per_cable = (size, n)
     return {
         "position": (size, wp.vec3d), "rotation": (size, wp.mat33d), "stiffness": (size, mat66d),

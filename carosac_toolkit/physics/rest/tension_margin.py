@@ -1,4 +1,4 @@
-r"""How far tensions that balance a wrench can be kept from their limits.
+r"""Largest margin to their limits of tensions that balance a wrench.
 
 .. math:: s^* = \max_{f, s} s \quad \text{subject to} \quad A f + w = 0, \quad
     f_{min} + s \le f \le f_{max} - s
@@ -60,7 +60,7 @@ def solve(
     arm: float = 1.0,
     device: str = "cpu",
 ) -> TensionMargin:
-    """Largest margins of tensions to their limits, B problems at once.
+    """Solve for the largest margins of tensions to their limits, B problems at once.
 
     Args:
         structure_matrix: A, maps tensions to the wrench on the platform, shape (B, 6, n).
@@ -97,7 +97,7 @@ def solve(
 
 
 def scratch(lines: int, count: int, device: str) -> Any:
-    """What the linear programs of `lines` threads work in of `count` unknowns."""
+    """Allocate the work arrays of `lines` linear programs of `count` unknowns."""
     shapes: dict[str, tuple[tuple[int, ...], type]] = {
         "rows": ((lines, 6, count + 1), wp.float64),
         "order": ((lines, count), int),
@@ -107,7 +107,7 @@ def scratch(lines: int, count: int, device: str) -> Any:
         "column_of": ((lines, count + 1), int),
         "weight": ((lines, 2 * count), wp.float64),
     }
-    work = margin_kernels.Work()
+    work = margin_kernels.MarginWork()
     for name, (shape, kind) in shapes.items():
         setattr(work, name, wp.zeros(shape, dtype=kind, device=device))
     return work

@@ -11,7 +11,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.motion.winch import (
     INNER_STEP_MAX_S,
     Encoders,
-    Winches,
+    WinchBatch,
     WinchSettings,
     winch_records,
 )
@@ -22,12 +22,12 @@ RADIUS, BUILDUP = np.array([0.05, 0.075, 0.1, 0.06]), np.array([3e-5, 7e-5, 0.0,
 
 
 def winches(settings=None, size=1, **changes):
-    return Winches(simple_robot(**changes), np.full((size, 4), START), settings)
+    return WinchBatch(simple_robot(**changes), np.full((size, 4), START), settings)
 
 
 def with_drums(settings=None, length=START, radius=RADIUS, buildup=BUILDUP, **changes):
     robot = simple_robot(drum_radius=radius, drum_buildup=buildup, **changes)
-    return Winches(robot, np.full((1, 4), length), settings)
+    return WinchBatch(robot, np.full((1, 4), length), settings)
 
 
 def quick(**changes):
@@ -191,8 +191,8 @@ def test_a_batch_is_the_same_as_a_loop():
     settings = WinchSettings(integral_time=0.3, derivative_time=0.01, believed_drum_buildup=2e-5)
     robot = simple_robot(drum_radius=RADIUS, drum_buildup=BUILDUP)
     start = START + rng.random((5, 4))
-    together = Winches(robot, start, settings)
-    each = [Winches(robot, row[None], settings) for row in start]
+    together = WinchBatch(robot, start, settings)
+    each = [WinchBatch(robot, row[None], settings) for row in start]
     for duration in (0.005, 0.02, 0.0033):
         command = start + rng.normal(0.0, 0.3, start.shape)
         together.advance(command, duration)
@@ -253,9 +253,9 @@ def test_encoders_of_several_robots_read_each_its_own_drums():
     lengths = START + np.arange(8.0).reshape(2, 4)
     together = Encoders(robots, 2, settings).read(lengths)
     for b, robot in enumerate(robots):
-        alone = Winches(robot, lengths[b : b + 1], settings).read()
+        alone = WinchBatch(robot, lengths[b : b + 1], settings).read()
         assert np.array_equal(together[b], alone[0])
-    assert not np.array_equal(together[0], Winches(robots[1], lengths[:1], settings).read()[0])
+    assert not np.array_equal(together[0], WinchBatch(robots[1], lengths[:1], settings).read()[0])
 
 
 def test_the_inner_steps_do_not_depend_on_the_rounding_of_the_time():
