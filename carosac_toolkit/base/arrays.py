@@ -76,7 +76,7 @@ def check_rotations(name: str, rotation: Array) -> None:
     bad = (np.abs(product - np.eye(3)).max(axis=(1, 2)) > 1e-6) | (np.linalg.det(rotation) < 0.0)
     if bad.any():
         index = int(np.argmax(bad))
-        raise InvalidField(f"{name}[{index}]", "no rotation matrix", "R R^T = 1, det +1")
+        raise InvalidField(f"{name}[{index}]", "not a rotation matrix", "R R^T = 1, det +1")
 
 
 def rotations(name: str, value: ArrayLike, size: int) -> Array:

@@ -36,7 +36,7 @@ class BrakingGuard(GuardCore):
     def _follow(self, command: Command, measured: Measurement) -> Command:
         """Limit and send."""
         if self._out.sent:
-            raise CarosacError(f"{self.name}: one command a cycle; call wait() before the next")
+            raise CarosacError(f"{self.name}: one command per cycle; call wait() before the next")
         self._life.go(DriveState.FOLLOWING)
         sent = self._out.follow(command, measured.unstrained_length)
         self._note(self.journal.sent, command, sent, really=True)

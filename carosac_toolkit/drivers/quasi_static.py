@@ -58,7 +58,7 @@ class QuasiStaticPlant:
             row = int(np.argmin(rest.converged))
             where = "start_position" if self.size == 1 else f"start_position[{row}]"
             reason = statics.STATUS_REASONS[rest.status[row]]
-            raise InvalidField(where, position[row], f"a position of rest ({reason})")
+            raise InvalidField(where, position[row], f"a position with an equilibrium ({reason})")
         self._winches = WinchBatch(self.robot, rest.unstrained_length, self._winch)
         self._rest = rest
         self._settled = False
@@ -81,9 +81,7 @@ class QuasiStaticPlant:
             rest = statics.forward_kinematics(self.robot, length, guess=self._rest)
             if not rest.converged.all():
                 row = int(np.argmin(rest.converged))
-                raise CarosacError(
-                    f"no pose of rest at lengths {length[row]} m, {self._time:.3f} s"
-                )
+                raise CarosacError(f"no equilibrium at lengths {length[row]} m, {self._time:.3f} s")
             self._rest = rest
             self._settled = True
         return State(

@@ -174,7 +174,7 @@ class SensorSuite:
     def _imu(self, state: State, plant: Plant) -> Array:
         """Return angular rate [rad/s], specific force [m/s^2] at the origin, in P, (B, 6)."""
         if state.twist is None:
-            raise CarosacError("sensors: a plant that is inertial must say its twist")
+            raise CarosacError("sensors: an inertial plant must provide its twist")
         sensors = self._settings
         scale = np.repeat([sensors.angular_rate_noise, sensors.specific_force_noise], 3)
         force = plant.acceleration()[:, :3] + np.array([0.0, 0.0, plant.robot.gravity])
@@ -185,7 +185,7 @@ class SensorSuite:
     def _tension(self, state: State) -> Array:
         """Return tensions at the platform [N], shape (B, n)."""
         if state.tension is None:
-            raise InvalidField("tension", "True", "False: this plant knows no tensions")
+            raise InvalidField("tension", "True", "False: this plant has no tensions")
         noise = self._settings.tension_noise * self._draw("tension", self._n)
         return state.tension + self._tension_bias + noise
 

@@ -153,7 +153,7 @@ def check_suite(suite: str, *, inertial: bool) -> None:
     """
     allowed = [name for name in SENSOR_SUITES if inertial or "imu" not in name]
     if suite not in allowed:
-        why = "" if inertial else ": no inertia here"
+        why = "" if inertial else ": this plant has no inertia"
         raise InvalidField("suite", repr(suite), f"one of {allowed}{why}")
 
 

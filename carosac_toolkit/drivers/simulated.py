@@ -120,7 +120,7 @@ class SimulatedDriver:
         """
         self._check_connected()
         if self._sent and not self._stopping:
-            raise CarosacError(f"{self.name}: one command a cycle; call wait() before the next")
+            raise CarosacError(f"{self.name}: one command per cycle; call wait() before the next")
         if self._stopping:
             self._brake()
             return Command(time=command.time, unstrained_length=self._command)

@@ -79,7 +79,7 @@ def normalised_square(error: Array, covariance: Array) -> Array:
     try:
         root = np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError as wrong:
-        raise InvalidField("covariance", "a matrix", "positive definite ones") from wrong
+        raise InvalidField("covariance", "not positive definite", "positive definite") from wrong
     white = np.linalg.solve(root, error[..., None])[..., 0]
     return np.asarray((white**2).mean(axis=-1))
 

@@ -111,7 +111,7 @@ def name_faults(written: Iterable[str]) -> list[str]:
             hint = _hint(close) or " and refused, as every extra column is: remove or rename it"
             faults.append(f"column {_shown(name)} is unknown{hint}")
         elif names.count(name) > 1:
-            faults.append(f"column {name!r} is there {names.count(name)} times")
+            faults.append(f"column {name!r} appears {names.count(name)} times")
     unknown = [name for name in names if name not in known]
     missing = _missing(names, n)
     turned = [name for name in FIXED_COLUMNS["poses"][3:] if name in missing]

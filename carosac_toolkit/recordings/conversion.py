@@ -170,7 +170,7 @@ def _document_faults(document: Mapping[str, Any] | None, rows: int) -> list[str]
     if schema != RECORDING_SCHEMA:
         return [f"schema: got {schema!r}; allowed: {RECORDING_SCHEMA!r}"]
     if written is not None and written != rows:
-        return [f"the file is cut: {rows} rows of {written} are there"]
+        return [f"the file is truncated: {rows} of {written} rows are there"]
     return []
 
 

@@ -218,9 +218,7 @@ def read_run(path: str | Path) -> RecordedRun:
     rows, cut = _rows(file)
     head = rows[0] if rows else {}
     if not isinstance(head, dict) or head.get("schema") != RUN_SCHEMA:
-        raise InvalidFile(
-            file, [f"line 1: this is no recorded run; allowed: schema {RUN_SCHEMA!r}"]
-        )
+        raise InvalidFile(file, [f"line 1: not a recorded run; allowed: schema {RUN_SCHEMA!r}"])
     try:
         return _run(head, _by_kind(rows[1:]), cut)
     except (KeyError, TypeError, ValueError, IndexError, InvalidField) as error:
@@ -231,7 +229,7 @@ def read_crash_safe(path: Path) -> Recording:
     """Return the recording in a run; warn if the last row was cut."""
     run = read_run(path)
     if run.cut is not None:
-        text = f"{path}: row {run.cut} was cut and is dropped; all before it is there"
+        text = f"{path}: row {run.cut} was truncated and is dropped; all earlier rows are intact"
         warnings.warn(text, CutRecording, stacklevel=2)
     return run.recording
 
@@ -245,7 +243,7 @@ def _rows(file: Path) -> tuple[list[dict[str, Any]], int | None]:
         try:
             rows.append(json.loads(line))
         except ValueError as error:
-            raise InvalidFile(file, [f"line {number}: this is no row: {error}"]) from error
+            raise InvalidFile(file, [f"line {number}: not a JSON row: {error}"]) from error
     return rows, cut
 
 

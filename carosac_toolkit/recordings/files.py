@@ -42,7 +42,7 @@ def load(path: str | Path) -> Recording:
     file = Path(path)
     suffix = file.suffix.lower()
     if file.is_dir():
-        raise InvalidFile(file, ["this is a folder; allowed: a file of a recording"])
+        raise InvalidFile(file, ["a folder; allowed: a recording file"])
     if not file.is_file():
         raise MissingFile(file, _neighbour(file))
     if suffix not in READERS_BY_SUFFIX:
@@ -95,7 +95,7 @@ def export_tum(recording: Recording, path: str | Path) -> None:
 def _replace(file: Path, write: Callable[[Path], None]) -> None:
     """Write beside the file, then rename; leave nothing behind on a failure."""
     if not file.parent.is_dir():
-        raise InvalidField("path", repr(str(file)), "a file in a folder that exists")
+        raise InvalidField("path", repr(str(file)), "a file in an existing folder")
     temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
     try:
         write(temporary)

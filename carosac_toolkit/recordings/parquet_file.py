@@ -54,7 +54,7 @@ def read_parquet(path: Path) -> Recording:
     ]
     names = stored.schema.names
     double = {name for name in names if names.count(name) > 1}
-    faults += [f"column {name!r} is there twice" for name in sorted(double)]
+    faults += [f"column {name!r} appears twice" for name in sorted(double)]
     if faults:
         raise InvalidFile(path, faults)
     columns, empty = {}, {}
@@ -78,8 +78,8 @@ def _document(text: bytes | None, path: Path) -> dict[str, Any] | None:
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
-        fault = f"metadata 'carosac' is no JSON document: {error}"
+        fault = f"metadata 'carosac' is not a JSON document: {error}"
         raise InvalidFile(path, [fault]) from error
     if not isinstance(document, dict):
-        raise InvalidFile(path, ["metadata 'carosac' is no JSON object"])
+        raise InvalidFile(path, ["metadata 'carosac' is not a JSON object"])
     return document

@@ -67,7 +67,7 @@ class PoseSamples:
         bad |= np.linalg.det(matrix) < 0
         if bad.any():
             where = f"poses.rotation[{int(np.argmax(bad))}]"
-            raise InvalidField(where, "a matrix that is no rotation", "R R^T = 1, det +1")
+            raise InvalidField(where, "not a rotation matrix", "R R^T = 1, det +1")
         return cls(
             time=np.asarray(time, dtype=np.float64),
             position=np.asarray(position, dtype=np.float64),

@@ -54,7 +54,7 @@ def find_robot(recording: Recording, path: Path, asked: str | None = None) -> Fo
         robot, *others = near
         names = tuple(other.name for other in others)
         return FoundRobot(robot=robot, name=robot.name, source="exit points", others=names)
-    allowed = f"the recording names no robot, so say one of {list(list_robots())} or a YAML file"
+    allowed = f"the recording names no robot; choose one of {list(list_robots())} or a YAML file"
     raise InvalidField("--robot", "nothing", allowed)
 
 

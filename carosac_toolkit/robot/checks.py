@@ -79,7 +79,7 @@ def _chain_faults(data: dict[str, Any]) -> Iterator[Fault]:
         name = chain.get("name")
         if isinstance(name, str) and names.setdefault(name, i) != i:
             path: FieldPath = ("chains", i, "name")
-            yield path, f"got {name!r}; allowed: a name of its own; chains[{names[name]}] has it"
+            yield path, f"got {name!r}; allowed: a unique name; chains[{names[name]}] has it"
         pair = (chain.get("exit_point"), chain.get("anchor_point"))
         if all(isinstance(end, str) for end in pair) and ends.setdefault(pair, i) != i:
             yield (

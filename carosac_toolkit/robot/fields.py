@@ -11,7 +11,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.units import InvalidQuantity, describe, parse_quantity
 from carosac_toolkit.robot.hardware import NET_ID_PATTERN, PORT_MAX
 
-NET_ID_TEXT = "six numbers of 0 to 255 with dots, such as 192.168.0.10.1.1"
+NET_ID_TEXT = "six numbers from 0 to 255 separated by dots, such as 192.168.0.10.1.1"
 PORT_TEXT = f"a whole number, 1 to {PORT_MAX}"
 SIGN_TEXT = "1 or -1"
 
@@ -119,7 +119,7 @@ def read_covariance(value: object) -> list[list[float]]:
 def read_text(value: object) -> str:
     """Read a text that is not empty; a bare number is a fine name."""
     if isinstance(value, bool | list | dict) or value is None or not str(value).strip():
-        raise InvalidQuantity(value, "a text that is not empty")
+        raise InvalidQuantity(value, "a non-empty text")
     return f"{value:g}" if isinstance(value, float) else str(value).strip()
 
 

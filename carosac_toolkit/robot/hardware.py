@@ -48,13 +48,13 @@ class AdsAddress:
             else []
         )
         if not numbers or max(numbers) > 255:
-            allowed = "six numbers of 0 to 255 with dots, such as 192.168.0.10.1.1"
+            allowed = "six numbers from 0 to 255 separated by dots, such as 192.168.0.10.1.1"
             raise InvalidField("hardware.ads.net_id", repr(self.net_id), allowed)
         check_whole("hardware.ads.port", self.port, 1, PORT_MAX)
         check_positive("hardware.ads.timeout", self.timeout, "s")
         for name in ("ip", "from_host", "to_host"):
             if not str(getattr(self, name)).strip():
-                raise InvalidField(f"hardware.ads.{name}", "nothing", "a text that is not empty")
+                raise InvalidField(f"hardware.ads.{name}", "nothing", "a non-empty text")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -153,7 +153,7 @@ def _split(cable_names: tuple[str, ...], name: str) -> tuple[str, tuple[Any, ...
         index = ("xyz".index(axis[0]), "xyz".index(axis[1]))
     if index is None or (field == "pose_tilt" and axis == "z"):
         raise InvalidField(
-            "parameter", repr(name), "a name as carosac_toolkit.robot.parameters lists"
+            "parameter", repr(name), "a parameter listed in carosac_toolkit.robot.parameters"
         )
     return field, index
 

@@ -253,7 +253,7 @@ class Robot:
             if turn is None:
                 continue
             if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-9) or np.linalg.det(turn) < 0:
-                raise InvalidField(name, "a matrix that is no rotation", "R R^T = 1, det +1")
+                raise InvalidField(name, "not a rotation matrix", "R R^T = 1, det +1")
         length = np.linalg.norm(self.swivel_axis, axis=1)
         bad = (np.abs(length - 1.0) > 1e-9) & (self.pulley_radius > 0.0)
         if bad.any():
@@ -262,7 +262,7 @@ class Robot:
         if self.exit_covariance is not None:
             mirrored = self.exit_covariance.swapaxes(1, 2)
             if not np.allclose(self.exit_covariance, mirrored, rtol=1e-9, atol=1e-18):
-                raise InvalidField("exit_covariance", "a matrix", "symmetric matrices")
+                raise InvalidField("exit_covariance", "an asymmetric matrix", "symmetric")
             smallest = np.linalg.eigvalsh(self.exit_covariance)[:, 0]
             if (smallest < -1e-15).any():
                 index = int(np.argmin(smallest))
@@ -271,7 +271,7 @@ class Robot:
                 )
 
     def _check_calibration(self) -> None:
-        """Refuse parameters that the robot does not have, and a covariance that is none."""
+        """Refuse parameters that the robot does not have, and an invalid covariance."""
         if (self.calibrated is None) != (self.calibration_covariance is None):
             allowed = "calibrated and calibration_covariance, or neither"
             raise InvalidField("calibrated", self.calibrated, allowed)
@@ -286,7 +286,7 @@ class Robot:
         unit = matrix / np.outer(scale, scale)
         if not np.allclose(unit, unit.T, atol=1e-6) or np.linalg.eigvalsh(unit)[0] < -1e-6:
             allowed = "a symmetric positive semidefinite matrix"
-            raise InvalidField("calibration_covariance", "a matrix", allowed)
+            raise InvalidField("calibration_covariance", "no valid covariance", allowed)
 
 
 def _scalar(name: str, value: object) -> float:

@@ -71,7 +71,7 @@ def robot_document(text: str, robot: Robot, *, provenance: str) -> str:
     written = stream.getvalue()
     for name in differing(parse_robot(written, source="new robot file"), robot):
         if name != "provenance":
-            raise CarosacError(f"new robot file: {name} does not come back as it was written")
+            raise CarosacError(f"new robot file: {name} differs when read back")
     return written
 
 

@@ -97,7 +97,7 @@ class Limiter:
         if Slack.of(robot, self.settings.jerk_max, period).jerk > 0.01 * self.settings.jerk_max:
             raise InvalidField(
                 "period", f"{period} s",
-                f"periods at which {self.settings.jerk_max} m/s^3 is not lost in rounding",
+                f"a period at which {self.settings.jerk_max} m/s^3 is not lost in rounding",
             )  # fmt: skip
         self.period = float(period)
         self._brakes: Brakes | None = None

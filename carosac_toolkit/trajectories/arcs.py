@@ -171,7 +171,7 @@ def _axes(normal: ArrayLike) -> Array:
     axis = frozen_array("normal", normal, (3,))
     length = np.linalg.norm(axis)
     if not length > 0.0:
-        raise InvalidField("normal", axis, "a vector that is not zero")
+        raise InvalidField("normal", axis, "a non-zero vector")
     third = axis / length
     first = np.eye(3)[0] if abs(third[0]) < 0.99 else np.eye(3)[1]
     first = first - (first @ third) * third

@@ -64,7 +64,7 @@ def check_points(points: ArrayLike) -> Array:
     same = np.linalg.norm(np.diff(array, axis=0), axis=1) < 1e-9
     if same.any():
         index = int(np.argmax(same)) + 1
-        raise InvalidField(f"points[{index}]", "the point before it again", "another point")
+        raise InvalidField(f"points[{index}]", "the same point as before", "another point")
     return array
 
 

@@ -147,7 +147,7 @@ def test_a_second_command_in_a_cycle_is_refused():
     driver = connected()
     start = driver.measure().unstrained_length
     ask(driver, start)
-    with pytest.raises(CarosacError, match="one command a cycle"):
+    with pytest.raises(CarosacError, match="one command per cycle"):
         ask(driver, start + 0.01)
     driver.wait(0.02)
     ask(driver, start)
@@ -207,7 +207,9 @@ def test_poses_are_measured_only_in_a_suite_with_poses():
 
 @pytest.mark.parametrize("suite", ["lengths+imu", "lengths+imu+pose", "pose"])
 def test_other_suites_are_refused_with_the_reason(suite):
-    with pytest.raises(InvalidField, match=r"suite: got .*'lengths\+pose'\]: no inertia here"):
+    with pytest.raises(
+        InvalidField, match=r"suite: got .*'lengths\+pose'\]: this plant has no inertia"
+    ):
         QuasiStaticSettings(suite=suite)
 
 
@@ -215,5 +217,7 @@ def test_a_start_where_it_cannot_rest_is_refused_with_the_reason():
     driver = QuasiStaticDriver.build(
         simple_robot(), QuasiStaticSettings(start_position=(0.4, -1.8, 9.5))
     )
-    with pytest.raises(InvalidField, match=r"start_position: got .*a position of rest \("):
+    with pytest.raises(
+        InvalidField, match=r"start_position: got .*a position with an equilibrium \("
+    ):
         driver.connect()

@@ -108,7 +108,10 @@ def test_robots_start_at_one_place_each_or_all_at_one():
         ((0.0, 1.0), r"start_position: got shape \(2,\); allowed: shape \(3,\)"),
         ((0.0, 1.0, np.nan), r"start_position\[2\]: got nan"),
         ("here", r"start_position: got 'here'; allowed: numbers"),
-        ((*STARTS[:2], (0.4, -1.8, 9.5)), r"start_position\[2\]: got .*a position of rest \("),
+        (
+            (*STARTS[:2], (0.4, -1.8, 9.5)),
+            r"start_position\[2\]: got .*a position with an equilibrium \(",
+        ),
     ],
 )
 def test_starts_that_cannot_be_are_refused(start, message):

@@ -93,7 +93,7 @@ def test_saving_replaces_a_file_whole_or_not_at_all(tmp_path, recording, monkeyp
 def test_saving_refuses_other_suffixes_and_folders(tmp_path, recording):
     with pytest.raises(InvalidField, match=r"path: got suffix '.xlsx' .* .parquet or .csv"):
         recording.save(tmp_path / "run.xlsx")
-    with pytest.raises(InvalidField, match=r"path: .*allowed: a file in a folder that exists"):
+    with pytest.raises(InvalidField, match=r"path: .*allowed: a file in an existing folder"):
         recording.save(tmp_path / "nowhere" / "run.csv")
     assert not list(tmp_path.iterdir())
 
@@ -184,7 +184,7 @@ def test_rows_of_channels_with_other_times_have_empty_cells(tmp_path):
         (HEADER + "," + 300 * "b" + "\n0,7,8,9\n", "column '" + 60 * "b" + "...' is unknown"),
         ("time_s,cable_length_1_m,unstrained_length_01_m\n0,7,8\n",
          "column 'unstrained_length_01_m' is there 2 times"),
-        ("time_s,time_s,cable_length_1_m\n0,7,8\n", "column 'time_s' is there twice"),
+        ("time_s,time_s,cable_length_1_m\n0,7,8\n", "column 'time_s' appears twice"),
         (HEADER + "\n0,7,8\n0.1,nan,8\n",
          "row 2 (line 3), column 'cable_length_1_m': got nan; allowed: a finite number"),
         (HEADER + "\n0,7,8\n0.1,7,\n",
@@ -201,12 +201,12 @@ def test_rows_of_channels_with_other_times_have_empty_cells(tmp_path):
         (f"{HEADER},{POSES}\n0,7,8,0,0,0,0,0,0,0\n",
          "row 1 (line 2), columns 'quaternion_w' to 'quaternion_z': got norm 0; allowed: within"),
         (f"{HEADER},{POSES}\n0,7,8,0,0,0,2,0,0,0\n", "got norm 2; allowed: within 0.001 of 1"),
-        ("# {broken\n" + HEADER, "line 1: the comment lines on top are no JSON document"),
-        ("# []\n" + HEADER, "the comment lines on top are no JSON object"),
+        ("# {broken\n" + HEADER, "line 1: the comment lines at the top are not a JSON document"),
+        ("# []\n" + HEADER, "the comment lines at the top are not a JSON object"),
         ('# {"schema": "carosac-recording/2"}\n' + HEADER + "\n0,7,8\n",
          "schema: got 'carosac-recording/2'; allowed: 'carosac-recording/1'"),
         ('# {"schema": "carosac-recording/1", "rows": 2}\n' + HEADER + "\n0,7,8\n",
-         "the file is cut: 1 rows of 2 are there"),
+         "the file is truncated: 1 of 2 rows are there"),
         ('# {"schema": "carosac-recording/1", "metadata": {"robt": "x"}}\n' + HEADER + "\n0,7,8\n",
          "did you mean 'robot'?"),
         ('# {"schema": "carosac-recording/1", "exit_points_m": [[1]]}\n' + HEADER + "\n0,7,8\n",

@@ -123,7 +123,7 @@ def test_turned_and_scaled_points_give_the_turned_and_scaled_trajectory(factory)
     [
         ([[0, 0, 0]], r"points: got 1 point; allowed: at least 2 points"),
         ([[0, 0], [1, 1]], r"points: got shape \(2, 2\); allowed: shape \(B, 3\)"),
-        ([[0, 0, 0], [0, 0, 0]], r"points\[1\]: got the point before it again"),
+        ([[0, 0, 0], [0, 0, 0]], r"points\[1\]: got the same point as before"),
         ([[0, 0, 0], [0, np.nan, 0]], r"points\[1, 1\]: got nan; allowed: a finite number"),
     ],
 )

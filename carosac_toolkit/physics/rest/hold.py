@@ -113,7 +113,7 @@ def _starts(lines: ArrayLike, size: int) -> NDArray[np.int64]:
     starts = np.asarray(lines)
     fits = starts.ndim == 1 and len(starts) > 0 and np.issubdtype(starts.dtype, np.integer)
     if not fits or starts[0] != 0 or (np.diff(starts) <= 0).any() or starts[-1] >= size:
-        allowed = f"rising indices from 0 to below {size}"
+        allowed = f"increasing indices from 0 to below {size}"
         raise InvalidField("lines", np.array2string(starts, threshold=6), allowed)
     return starts.astype(np.int64)
 

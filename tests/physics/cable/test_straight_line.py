@@ -273,7 +273,7 @@ def test_arguments_of_a_wrong_kind_are_named():
         forward_kinematics(robot, [[9.0] * 4], guess=[[0.0] * 3] * 2)
     with pytest.raises(InvalidField, match=r"rotation: got shape \(2, 3, 3\)"):
         forward_kinematics(robot, [[9.0] * 4], rotation=np.tile(np.eye(3), (2, 1, 1)))
-    with pytest.raises(InvalidField, match=r"rotation\[0\]: got no rotation matrix"):
+    with pytest.raises(InvalidField, match=r"rotation\[0\]: got not a rotation matrix"):
         forward_kinematics(robot, [[9.0] * 4], rotation=2.0 * np.eye(3)[None])
     with pytest.raises(InvalidField, match=r"length\[0, 1\]: got nan"):
         forward_kinematics(robot, [[9.0, np.nan, 9.0, 9.0]])

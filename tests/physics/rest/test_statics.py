@@ -419,7 +419,7 @@ def test_winch_range_is_reported_and_limits_nothing():
 
 def test_a_rotation_that_is_none_is_refused():
     robot = eight_cable_robot()
-    with pytest.raises(InvalidField, match=r"rotation\[0\]: got no rotation matrix"):
+    with pytest.raises(InvalidField, match=r"rotation\[0\]: got not a rotation matrix"):
         statics.inverse_kinematics(robot, robot.home_position[None], -np.eye(3)[None])
 
 

@@ -16,7 +16,7 @@ from tests.robots import simple_robot
 
 @pytest.mark.parametrize("rotation", [2.0 * np.eye(3), -np.eye(3), np.zeros((3, 3))])
 def test_a_guess_that_is_no_rotation_is_refused(rotation):
-    with pytest.raises(InvalidField, match=r"rotation\[0\]: got no rotation matrix"):
+    with pytest.raises(InvalidField, match=r"rotation\[0\]: got not a rotation matrix"):
         Pose(position=np.zeros((1, 3)), rotation=rotation[None])
 
 
