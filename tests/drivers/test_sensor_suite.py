@@ -175,9 +175,8 @@ def test_robots_of_a_batch_have_errors_of_their_own():
 
 
 def test_a_plant_without_inertia_has_no_imu():
-    with pytest.raises(
-        InvalidField, match=r"suite: got .*'lengths\+pose'\]: this plant has no inertia"
-    ):
+    refusal = r"suite: got .*'lengths\+pose'\]: this plant has no inertia"
+    with pytest.raises(InvalidField, match=refusal):
         SensorSuite("lengths+imu", PERFECT_SENSORS, QuasiStaticPlant(TurningPlant().robot), 0)
     with pytest.raises(InvalidField, match=r"suite: got 'pose'; allowed: one of \['lengths', "):
         SensorSuite("pose", PERFECT_SENSORS, TurningPlant(), 0)
