@@ -21,7 +21,7 @@ class InvalidField(CarosacError):
     Attributes:
         field: Name of the field or argument, with an index where it has one: ``tension_min[3]``.
         value: The value as the user wrote it, with its unit.
-        allowed: What would have been accepted.
+        allowed: Accepted values.
     """
 
     def __init__(self, field: str, value: object, allowed: str) -> None:

@@ -45,7 +45,7 @@ class InvalidQuantity(CarosacError, ValueError):
 
     Attributes:
         value: The value as the user wrote it.
-        allowed: What would have been accepted.
+        allowed: Accepted values.
     """
 
     def __init__(self, value: object, allowed: str) -> None:

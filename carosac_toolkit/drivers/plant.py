@@ -15,7 +15,7 @@ class Plant(Protocol):
     Attributes:
         robot: Its limits and gravity count for all B robots; n cables.
         size: B.
-        inertial: Whether there are a twist and an `acceleration`, without which there is no IMU.
+        inertial: True if it has a twist and an `acceleration`, as an IMU needs.
     """
 
     robot: Robot

@@ -38,7 +38,7 @@ class ReplaySettings:
 class ReplayDriver:
     """Steps sample by sample; a command changes nothing and the recorded one is returned.
 
-    What the recording has as poses is its truth. Readings are converted by what the robot says of
+    Poses of the recording are its truth. Readings are converted by what the robot file says of
     its sensors (`carosac_toolkit.recordings.encoders`).
     """
 

@@ -24,7 +24,7 @@ class SensorSuite:
     Another sensor, or more of its samples, never changes what this one says.
 
     Attributes:
-        encoder_bias: What the encoders say too much [m], shape (B, n).
+        encoder_bias: Bias of the encoders [m], shape (B, n).
     """
 
     def __init__(

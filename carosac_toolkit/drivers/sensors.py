@@ -18,27 +18,27 @@ SENSOR_SUITES = ("lengths", "lengths+imu", "lengths+pose", "lengths+imu+pose")
 
 @dataclass(frozen=True, kw_only=True)
 class SensorSettings:
-    """Numbers of the sensors, one standard deviation where they are random.
+    """Rates, errors and delays of the sensors; random errors as one standard deviation.
 
     Attributes:
-        encoder_rate: [Hz].
-        encoder_noise: [m].
-        encoder_resolution: [m].
+        encoder_rate: Sampling rate of the encoders [Hz].
+        encoder_noise: Noise per sample [m].
+        encoder_resolution: Length per count [m].
         encoder_bias: Constant, drawn once per cable [m].
         encoder_delay: From the sample to its arrival [s].
-        pose_rate: Motion capture [Hz].
+        pose_rate: Sampling rate of motion capture [Hz].
         position_noise: Per axis [m].
         rotation_noise: Per axis [rad].
         pose_delay: From the sample to its arrival [s].
-        imu_rate: [Hz].
+        imu_rate: Sampling rate of the IMU [Hz].
         angular_rate_noise: Per axis and sample [rad/s].
         angular_rate_bias: Constant, drawn once per axis [rad/s].
         specific_force_noise: Per axis and sample [m/s^2].
         specific_force_bias: Constant, drawn once per axis [m/s^2].
         imu_delay: From the sample to its arrival [s].
-        tension: Whether there are tension sensors at the platform, in any suite.
-        tension_rate: [Hz].
-        tension_noise: [N].
+        tension: True to add tension sensors at the platform, in any suite.
+        tension_rate: Sampling rate of the tension sensors [Hz].
+        tension_noise: Noise per sample [N].
         tension_bias: Constant, drawn once per cable [N].
         tension_delay: From the sample to its arrival [s].
     """
@@ -122,7 +122,7 @@ class DelayLine:
         self._count += 1
 
     def overwrite(self, rows: NDArray[Any], now: float, sample: Array) -> None:
-        """Let some robots have one sample in place of all that are on the way, and one at least."""
+        """Replace all pending samples of some robots by one sample, at least one."""
         if not self._samples:
             self._samples.append((now, sample))
         for _, kept in self._samples:
@@ -146,7 +146,7 @@ class DelayLine:
 
 
 def check_suite(suite: str, *, inertial: bool) -> None:
-    """Refuse a suite that there is not, or an IMU where nothing has inertia.
+    """Refuse an unknown suite, or an IMU on a plant without inertia.
 
     Raises:
         InvalidField: Names ``suite``.

@@ -34,13 +34,13 @@ class SimulatedSettings:
 
     Attributes:
         suite: One of `carosac_toolkit.drivers.sensors.SENSOR_SUITES`; an IMU needs inertia.
-        sensors: Their numbers.
-        limits: Of the commands.
-        winch: How the drives control the winches; for the plant.
+        sensors: Rates, noise, bias and delays of the sensors.
+        limits: Limits of the commands.
+        winch: Control of the winches by their drives, in the plant.
         period: Time between two commands [s].
         start_position: Platform origin at the start in W [m], one for all robots or one each; None
             is the home position.
-        real_time: Whether `wait` also waits for the wall clock.
+        real_time: True if `wait` also waits for the wall clock.
     """
 
     inertial: ClassVar[bool] = True
@@ -54,7 +54,7 @@ class SimulatedSettings:
     real_time: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse an unknown suite, and a switch that is none."""
+        """Refuse an unknown suite, and a switch that is not a bool."""
         check_suite(self.suite, inertial=self.inertial)
         if not isinstance(self.real_time, bool):
             raise InvalidField("real_time", repr(self.real_time), "True or False")
@@ -66,7 +66,7 @@ class SimulatedDriver:
     In real time `wait` returns at the ticks of an absolute schedule of one period, which starts at
     `connect` and does not drift. Where the cycle took longer than a period, it waits for the next
     tick that lies ahead and counts those missed in `overruns`. Simulated time goes on by one period
-    a cycle all the same: it then stays behind the wall clock, and no burst of cycles makes up.
+    a cycle all the same: it falls behind the wall clock, and no burst of cycles catches up.
     """
 
     Settings: ClassVar[type[SimulatedSettings]] = SimulatedSettings

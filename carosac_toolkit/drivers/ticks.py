@@ -10,7 +10,7 @@ class TickSchedule:
     """Waits for the next tick that lies ahead; those that passed are counted and not made up.
 
     Attributes:
-        origin: When it began, by `time.monotonic` [s].
+        origin: Start time, by `time.monotonic` [s].
         missed: Ticks that passed while nobody waited.
     """
 
@@ -19,7 +19,7 @@ class TickSchedule:
 
         Args:
             period: Between two ticks [s].
-            forgiving: Whether any time may pass before the first wait without a tick being missed.
+            forgiving: True if no tick counts as missed before the first wait.
         """
         self._period, self._forgiving = period, forgiving
         self.origin = time.monotonic()

@@ -42,8 +42,8 @@ class SensorReport(NamedTuple):
     """Sensor calibration in the robot file.
 
     Attributes:
-        offset: What length sensors read at unstrained length 0 [m], (n,); None: not calibrated.
-        scale: What they read more per unstrained length, (n,); None: not calibrated.
+        offset: Reading of length sensors at unstrained length 0 [m], (n,); None: not calibrated.
+        scale: Change of the reading per unstrained length, (n,); None: not calibrated.
         delay: By how much their readings lead poses [s]; None: not calibrated.
         tilt: Of the frame of measured poses about x and y of W [rad], (2,); None: it is W.
         turn: Of that frame about z, before the tilt [rad].
@@ -62,7 +62,7 @@ class RobotReport:
 
     Attributes:
         robot: The robot.
-        equilibrium: How it hangs at home, B = 1; look at `feasible` first.
+        equilibrium: Equilibrium at home, B = 1; check `feasible` first.
         shape: Points along each cable at home in W [m], shape (n, samples, 3); straight lines
             where there is no equilibrium.
         sag: Largest distance of each cable to its chord at home [m], shape (n,); NaN where there

@@ -41,12 +41,12 @@ class Step:
     """One cycle of the loop.
 
     Attributes:
-        measurement: What the sensors said.
-        belief: What the estimator made of it.
-        reference: What the platform should do, now and ahead, by the driver's clock.
-        asked: What the controller asked for.
-        command: What was really sent.
-        truth: The state at the same time, where the driver knows it.
+        measurement: Measurement of the sensors.
+        belief: Belief of the estimator after it.
+        reference: Reference now and ahead, by the driver's clock.
+        asked: Command of the controller.
+        command: Command really sent.
+        truth: State at the same time, or None if the driver does not know it.
         latency: Wall time of estimator and controller together [s].
     """
 
@@ -66,22 +66,22 @@ class Log:
     Attributes:
         time: By the driver's clock, from the first measurement [s], shape (T,).
         reference: Platform origin that was asked for in W [m], shape (T, B, 3).
-        position: True platform origin in W [m], shape (T, B, 3); None where nobody knows it.
+        position: True platform origin in W [m], shape (T, B, 3), or None if unknown.
         rotation: True rotation from P to W, shape (T, B, 3, 3), or None.
         tension: True tension at the platform [N], shape (T, B, n), or None.
-        belief_position: Believed platform origin in W [m], shape (T, B, 3).
-        belief_rotation: Believed rotation, shape (T, B, 3, 3).
+        belief_position: Estimated platform origin in W [m], shape (T, B, 3).
+        belief_rotation: Estimated rotation, shape (T, B, 3, 3).
         unstrained_length: Measured [m], shape (T, B, n).
         asked: Unstrained lengths that the controller asked for [m], shape (T, B, n).
         command: Unstrained lengths really sent [m], shape (T, B, n).
         latency: Wall time of estimator and controller per cycle [s], shape (T,).
         limited: Every limit that changed a command, with the index of its cycle.
-        completed: Whether the driver went on to the end.
+        completed: True if the driver went on to the end.
         twist: True twist in W at the platform origin [m/s, rad/s], shape (T, B, 6), or None.
-        belief_twist: Believed twist, shape (T, B, 6); None where the estimator has none.
+        belief_twist: Estimated twist, shape (T, B, 6); None where the estimator has none.
         belief_covariance: Of the belief, as `Belief.covariance`, shape (T, B, 12, 12), or None.
-        innovations: What measurements said against the beliefs, each of shape (T, B); None where
-            the estimator has none.
+        innovations: Normalised innovations of the measurements, each of shape (T, B); None if the
+            estimator has none.
     """
 
     time: Array
@@ -134,10 +134,10 @@ def run(
         estimator: Sees applied commands and measurements only.
         controller: Its `period` is the cycle time.
         trajectory: Starts at the driver's first measurement.
-        duration: How long [s]; None: to the end of the trajectory and one second of rest.
+        duration: Length of the run [s]; None: to the end of the trajectory and one second of rest.
         watch: Called after each command, before the wait.
-        keep: How many of the last cycles the log holds; None: all of them.
-        by_clock: Whether `duration` counts by the clock of the driver, also where it misses ticks;
+        keep: Number of last cycles in the log; None: all of them.
+        by_clock: True to count `duration` by the clock of the driver, also where it misses ticks;
             else by cycles, one period each.
 
     Returns:
@@ -230,7 +230,7 @@ class _Over:
 
 @contextmanager
 def _blamed(driver: Driver, part: str) -> Iterator[None]:
-    """Tell a driver that watches who raised an error."""
+    """Tell a supervising driver which part raised an error."""
     try:
         yield
     except Exception as error:

@@ -36,7 +36,7 @@ def load(kind: Kind, name: str) -> Any:
             modules are looked for in the working folder as well, after all other places.
 
     Returns:
-        What the name stands for: a class, or a module for most commands and figures.
+        The object of that name: a class, or a module for most commands and figures.
 
     Raises:
         InvalidField: There is no such plug-in; the message lists those there are.

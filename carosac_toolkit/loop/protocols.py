@@ -16,7 +16,7 @@ from carosac_toolkit.loop.values import Belief, Command, Measurement, Reference,
 
 
 class Estimator(Protocol):
-    """Turns applied commands and measurements into a belief over the platform state.
+    """Estimator of the platform state from applied commands and measurements.
 
     One that takes B robots at once, gives each row what it would have alone, and draws nothing from
     its seed, may say so by a class attribute ``batched = True``; studies then run seeds together.
@@ -41,11 +41,11 @@ class Estimator(Protocol):
 
 
 class Controller(Protocol):
-    """Turns a belief and the reference ahead into cable lengths; ``batched`` as for estimators.
+    """Controller of cable lengths from belief and reference; ``batched`` as for estimators.
 
     Attributes:
         period: Time between two commands [s].
-        horizon: How far ahead of now the reference must reach [s].
+        horizon: Time ahead of now that the reference must cover [s].
     """
 
     period: float
@@ -95,12 +95,12 @@ class Driver(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of everything; always safe to call."""
+        """Release all resources; always safe to call."""
         ...
 
 
 class MotionDriver(Driver, Protocol):
-    """A driver that can move things."""
+    """A driver that moves a robot."""
 
     def home(self, position: State) -> None:
         """Set the length offsets from a known pose."""
@@ -125,7 +125,7 @@ class MotionDriver(Driver, Protocol):
 
 @runtime_checkable
 class Supervisor(Protocol):
-    """A driver that watches those who command it; the loop tells it what they do."""
+    """A driver that supervises estimator and controller; the loop reports to it."""
 
     def believe(self, belief: Belief) -> None:
         """Receive the belief of the estimator, before the controller does."""
@@ -134,7 +134,7 @@ class Supervisor(Protocol):
     def fail(self, part: str, error: BaseException) -> None:
         """Receive an error raised by the ``"estimator"``, ``"controller"`` or ``"program"``.
 
-        `stop` follows. The program comes last: it repeats what one of the two has raised.
+        `stop` follows. The program comes last: it repeats the error of one of the two.
         """
         ...
 
@@ -146,7 +146,7 @@ def replays(driver: object) -> bool:
 
 @runtime_checkable
 class TruthSource(Protocol):
-    """A driver that knows the truth. Only the loop's logger and the scoring ask."""
+    """A driver that knows the truth. Only the loop's logger and the scoring call it."""
 
     def truth(self) -> State | None:
         """Return the current state, or None if it is not known at this instant."""

@@ -1,10 +1,10 @@
-"""A recording that survives the process: rows of JSON, each handed to the system at once.
+"""A recording that survives the process: rows of JSON, each written at once.
 
-The first row says what the file is. Every other row is complete or it is the last one: the reader
-drops a row that was cut and says so. ``kill -9`` costs no row that was handed over, a power failure
-those since the last ``fsync`` (once a second). A file that is there is never written over.
+The first row identifies the file. Every other row is complete, or it is the last one: the reader
+drops a truncated row and says so. ``kill -9`` costs no row that was written, a power failure those
+since the last ``fsync`` (once a second). An existing file is never overwritten.
 
-A disk may block every call here; the guard calls it from a thread that nobody waits for
+A disk may block every call here; the guard calls it from a thread of its own
 (`carosac_toolkit.drivers.scribe`).
 """
 
@@ -57,7 +57,7 @@ class CrashSafeRecorder:
         Args:
             path: Ending in ``.jsonl``, in a folder that exists.
             robot: Name of a bundled robot or path of a robot file.
-            description: What is recorded, for people.
+            description: Text for readers.
 
         Raises:
             InvalidField: Another suffix, or a file that is there already.
@@ -140,10 +140,10 @@ class CrashSafeRecorder:
         """Bring everything to the disk; safe to call twice.
 
         Args:
-            patience: How long to wait for a disk that blocks [s].
+            patience: Longest wait for a blocked disk [s].
 
         Returns:
-            Whether everything is there.
+            True if everything is on the disk.
         """
         self._closing.set()
         self._sync.join(patience)
@@ -191,11 +191,11 @@ class RecordedRun:
         recording: Measurements and what was really sent.
         events: Time [s], name and text of each.
         asked: Commanded lengths that a controller asked for [m], (K, n) with their times, or None.
-        would_send: What a dry run would have sent [m], (K, n) with their times, or None.
-        believed: Positions that the estimator believed [m], (K, 3) with their times, or None.
+        would_send: Lengths that a dry run held back [m], (K, n) with their times, or None.
+        believed: Positions that the estimator returned [m], (K, 3) with their times, or None.
         believed_poses: The same with their rotations.
         limited: Every limit hit as time [s], name, cable, value asked and value sent.
-        cut: The row that was cut and dropped, or None where the file is whole.
+        cut: Number of the truncated row that was dropped; None: the file is complete.
     """
 
     recording: Recording
@@ -209,7 +209,7 @@ class RecordedRun:
 
 
 def read_run(path: str | Path) -> RecordedRun:
-    """Read a run, also one whose process was killed.
+    """Read a run, including one whose process was killed.
 
     Raises:
         InvalidFile: Another file, or one with a broken row before the last.

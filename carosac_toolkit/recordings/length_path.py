@@ -14,7 +14,7 @@ class LengthPath:
     """Readings as a smooth function of time, held before the first and after the last.
 
     Attributes:
-        first: When the first was taken [s].
+        first: Time of the first reading [s].
     """
 
     def __init__(self, recording: Recording) -> None:

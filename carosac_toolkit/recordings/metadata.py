@@ -20,10 +20,10 @@ class RecordingMetadata:
 
     Attributes:
         robot: Name of a bundled robot or path to a robot file, or None where it is unknown.
-        description: What was recorded, for people.
-        source: Where it comes from: rig, data set, file.
+        description: Text for readers.
+        source: Origin: rig, data set, file.
         licence: Terms of use.
-        citation: What to cite.
+        citation: Publication to cite.
         created_by: Program and version that wrote it.
         frames: The frames of all channels, in words.
         quaternion_order: Always ``wxyz``.

@@ -71,7 +71,7 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
         files: Contents by name.
 
     Returns:
-        Where they are, in order.
+        Their paths, in order.
 
     Raises:
         InvalidField: A folder is in the way of a file.

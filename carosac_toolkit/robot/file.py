@@ -93,7 +93,7 @@ def parse_robot(text: str, *, source: str = "robot") -> Robot:
 
     Args:
         text: YAML of schema ``carosac-robot/1``.
-        source: What to call it in messages, usually its path.
+        source: Name in messages, usually its path.
 
     Raises:
         InvalidFile: The text has faults; the message lists them all.
@@ -126,7 +126,7 @@ def parse_file(text: str, *, source: str = "robot") -> tuple[Robot, RobotFile]:
 def document_faults(data: dict[str, Any]) -> list[tuple[FieldPath, str]]:
     """Find the faults of a robot file given as plain data: paths and messages.
 
-    What is said of a field that is not there starts with ``missing``.
+    Messages on absent fields start with ``missing``.
     """
     return _check(data)[1]
 

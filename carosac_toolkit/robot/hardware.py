@@ -88,7 +88,7 @@ class Hardware:
         sign: 1 where the number grows as cable is paid out, -1 where it shrinks, n of them.
         scale: Metres per unit of the PLC, n of them.
         offset: Unstrained length where the PLC says 0 [m], n of them; homing finds it anew.
-        ads: Where the PLC is.
+        ads: Address of the PLC.
         imu: The inertial sensor, or None.
     """
 

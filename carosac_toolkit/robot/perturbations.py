@@ -82,7 +82,7 @@ def draw_plant(robot: Robot, condition: Condition, rng: np.random.Generator) -> 
 
     Args:
         robot: The nominal robot.
-        condition: What is drawn, and how widely.
+        condition: Standard deviations of the draw.
         rng: Source of the draw.
 
     Returns:

@@ -85,18 +85,18 @@ class Robot:
         workspace_max: Upper corner [m], (3,).
         home_position: Platform origin at home in W [m], (3,).
         home_rotation: Rotation from P to W at home, (3, 3).
-        length_offset: What the length sensors read at unstrained length 0 [m], shape (n,); None:
+        length_offset: Reading of the length sensors at unstrained length 0 [m], shape (n,); None:
             0, they were not calibrated.
-        length_scale: What they read more per unstrained length, shape (n,); None: 1.
+        length_scale: Change of the reading per unstrained length, shape (n,); None: 1.
         length_delay: By how much their readings lead poses measured at the same time [s]; None: 0.
         pose_rotation: Rotation from the frame of measured poses to W, (3, 3); None: the same frame.
         calibrated: Parameters that a calibration estimated (`carosac_toolkit.robot.parameters`), k of
             them; None: not calibrated.
         calibration_covariance: Their joint covariance, shape (k, k).
-        hardware: How the real robot is reached; None: not described.
+        hardware: Connection to the real robot; None: not described.
         description: One line for people.
         licence: Terms under which the numbers may be used.
-        provenance: Where the numbers come from, by field of the robot file.
+        provenance: Sources of the numbers, by field of the robot file.
     """
 
     name: str

@@ -29,7 +29,7 @@ class Reads:
 
     Attributes:
         function: From what YAML holds to the value.
-        allowed: What it accepts, in words.
+        allowed: Accepted values, in words.
     """
 
     function: Reader

@@ -46,7 +46,7 @@ def robot_document(text: str, robot: Robot, *, provenance: str) -> str:
     Args:
         text: The file that the robot was made from, unchanged parts of which are kept.
         robot: The same cables with other numbers.
-        provenance: Where the other numbers come from; stands in the file for each of them.
+        provenance: Source of the new numbers; written to the file for each of them.
 
     Returns:
         YAML of schema ``carosac-robot/1`` that `parse_robot` turns into `robot`, provenance aside.
@@ -183,7 +183,7 @@ class _Writer:
             key: Under which a chain names the point.
             path: Of the points in the file.
             points: By name.
-            values: What is written of the point, for each chain, shape (n, k).
+            values: Numbers to write of the point, for each chain, shape (n, k).
         """
         for name, rows in self._users(key).items():
             if len(rows) == 1 or not np.ptp(values[rows], axis=0).any():
@@ -222,7 +222,7 @@ class _Writer:
 
         Args:
             key: Under which a chain names the part.
-            section: Where the parts stand.
+            section: Section of the parts.
             field: Of the robot.
             path: In the part.
             values: One for each chain.

@@ -50,10 +50,10 @@ class LimitSettings:
     Attributes:
         jerk_max: Largest change of acceleration of a cable [m/s^3]. The default takes winches of
             5 m/s^2 to full acceleration in 25 ms.
-        jump_max: Largest distance of a command from the measured length [m]; must exceed what the
-            winches lag behind at full speed. The default is twice that of winches of 2.5 m/s with
-            a lag of 50 ms and 10 ms of delay.
-        box: Whether the straight-line position must stay in the robot's workspace box.
+        jump_max: Largest distance of a command from the measured length [m]; must exceed the
+            lag of the winches at full speed. The default is twice that of winches of 2.5 m/s with
+            a lag of 50 ms and a delay of 10 ms.
+        box: True if the straight-line position must stay in the robot's workspace box.
     """
 
     jerk_max: float = 200.0
@@ -118,7 +118,7 @@ class Limiter:
         """Start at rest.
 
         Args:
-            unstrained_length: Where the winches stand [m], shape (B, n).
+            unstrained_length: Current lengths of the winches [m], shape (B, n).
             time: Time of the state [s], shape (B,), from which `brake` counts; None is 0.
 
         Raises:
@@ -148,7 +148,7 @@ class Limiter:
         """Limit a command to what may be sent for the next period.
 
         Args:
-            command: What a controller asks for; a `length_rate` is kept within the speed limits,
+            command: Command of a controller; a `length_rate` is kept within the speed limits,
                 and follows the lengths where they were changed.
             actual: Measured unstrained lengths [m], shape (B, n); None: no jump limit.
 

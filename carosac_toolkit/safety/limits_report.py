@@ -36,7 +36,7 @@ def limit_hits(
         period: Time between two commands [s].
         brakes: Looks ahead.
         before: The motion before the step.
-        asked_length: What was asked for [m], shape (B, n).
+        asked_length: Lengths asked for [m], shape (B, n).
         sent: The motion that was sent.
         measured: Measured lengths [m], shape (B, n), or None.
 

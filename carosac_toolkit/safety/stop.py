@@ -32,10 +32,10 @@ CREEP_FACTOR_MAX = 1e-3  # factor below which what is left of the stop is the wi
 
 
 class CoordinatedStop:
-    """Brings one robot to rest; call `step` once a period until `Limiter.stopped`.
+    """Stop of one robot; call `step` once a period until `Limiter.stopped`.
 
     Attributes:
-        coordinated: Whether all steps up to now kept the cables on their common path.
+        coordinated: True if all steps up to now kept the cables on their common path.
     """
 
     def __init__(self, limiter: Limiter, bend: Array | None = None) -> None:

@@ -102,7 +102,7 @@ def circle(
         radius: [m].
         speed_max: [m/s].
         acceleration_max: [m/s^2]; speed^2 / radius at constant speed.
-        turns: How often; negative: clockwise seen against the normal.
+        turns: Number of turns; negative: clockwise seen against the normal.
         start_angle: From the projection of W's x axis (y, if x is the normal) [rad].
         normal: Of the circle's plane, in W, shape (3,); any length.
         duration: [s]; None: as fast as the limits allow.
@@ -137,7 +137,7 @@ def spiral(
         height: Travel along the normal [m].
         speed_max: [m/s].
         acceleration_max: [m/s^2].
-        turns: How often; negative: clockwise seen against the normal.
+        turns: Number of turns; negative: clockwise seen against the normal.
         start_angle: From the projection of W's x axis (y, if x is the normal) [rad].
         normal: The axis, in W, shape (3,); any length.
         duration: [s]; None: as fast as the limits allow.

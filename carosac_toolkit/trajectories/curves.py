@@ -64,7 +64,7 @@ class PiecewisePolynomial:
 
         Args:
             time: [s], shape (K,).
-            orders: How many, the position included.
+            orders: Number of orders, the position included.
 
         Returns:
             Shape (K, orders, 3); at a break it is the later piece that counts.

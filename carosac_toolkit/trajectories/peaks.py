@@ -19,7 +19,7 @@ def highest(measure: Callable[[Array], Array], breaks: Array) -> tuple[float, fl
 
     Args:
         measure: From times (K,) to values (K,).
-        breaks: Where smooth pieces meet, shape (S + 1,).
+        breaks: Times at which smooth pieces meet, shape (S + 1,).
 
     Returns:
         The maximum, and the time where it is. A smooth maximum is found to about 1e-12 relative.

@@ -42,7 +42,7 @@ class Trajectory:
     """A curve run through in `duration`; before and after it the platform rests at its ends.
 
     Attributes:
-        name: What kind it is.
+        name: Kind of trajectory.
         curve: Over nominal time, which is stretched uniformly to the duration.
         duration: [s].
         points: Points that it passes, in W [m], shape (K, 3), or None.
@@ -99,7 +99,7 @@ class Trajectory:
 
         Args:
             time: Now [s]; row 0 is there.
-            horizon: How far to look ahead [s]; 0 gives row 0 alone.
+            horizon: Time to look ahead [s]; 0 gives row 0 alone.
             period: Distance of the rows [s].
 
         Returns:

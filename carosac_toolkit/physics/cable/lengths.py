@@ -27,7 +27,7 @@ class CableLengths:
         unstrained_length: Material from datum to anchor [m], shape (B, n).
         sag: By how much the free cable is longer than its chord, as it hangs [m], shape (B, n).
         stretch: Elongation of free cable and run together [m], shape (B, n).
-        valid: Whether there is such a cable, shape (B, n).
+        valid: True if there is such a cable, shape (B, n).
     """
 
     unstrained_length: Array

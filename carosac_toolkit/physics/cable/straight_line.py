@@ -163,7 +163,7 @@ def forward_kinematics(
         robot: Robot description, n cables.
         length: Cable lengths from datum to anchor point [m], shape (B, n).
         rotation: From P to W, held fixed, shape (B, 3, 3); None is the home rotation.
-        guess: Where to start [m], shape (B, 3); None is the home position.
+        guess: Initial positions [m], shape (B, 3); None is the home position.
         device: Warp device.
 
     Returns:

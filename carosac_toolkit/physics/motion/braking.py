@@ -114,7 +114,7 @@ class Brakes:
             period: Time between two commands [s].
             jerk_max: [m/s^3].
             jump_max: Largest distance of a command from the measured length [m].
-            box: Whether the straight-line position must stay in the workspace box.
+            box: True if the straight-line position must stay in the workspace box.
         """
         warp_setup.load(braking_kernels)
         self.slack = Slack.of(robot, jerk_max, period)
@@ -148,7 +148,7 @@ class Brakes:
         """Return the asked step if it is admissible, else one as far towards it as is.
 
         Args:
-            motion: Where the winches are, admissible.
+            motion: Current motion of the winches, admissible.
             asked: Lengths [m], shape (B, n).
             pace: Speed at which what is asked moves [m/s], shape (B, n).
             actual: Measured lengths [m], shape (B, n), or None: the jump limit does not count.

@@ -85,7 +85,7 @@ class Advance:
         """Advance all worlds by `count` time steps of h [s] towards the commands of `Worlds`.
 
         Args:
-            follow: Whether the lengths go straight to the command, without winches.
+            follow: True if the lengths go straight to the command, without winches.
             count: Time steps.
             h: Size of each [s].
         """

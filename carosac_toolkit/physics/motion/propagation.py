@@ -54,7 +54,7 @@ class Arrived(Motions):
     Attributes:
         acceleration: Of the origin in W, linear [m/s^2], then angular [rad/s^2], shape (B, 6).
         tension: At the platform [N], shape (B, n).
-        failed: Where no time step had a finite solution, shape (B,).
+        failed: True if a time step had no finite solution, shape (B,).
     """
 
     acceleration: Array

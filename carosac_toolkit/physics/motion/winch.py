@@ -32,8 +32,8 @@ class WinchSettings:
     derivative it trails a moving command by lag times speed.
 
     Attributes:
-        integral_time: [s]; None: no integral.
-        derivative_time: Acts on the rate of the cable; it makes the drive slower [s].
+        integral_time: Time constant of the integral term [s]; None: no integral.
+        derivative_time: Time constant of the derivative term [s]; it makes the drive slower.
         believed_drum_buildup: Decrease of the squared drum radius per length paid out that the
             drive believes in [m], for all drums; None: it knows the true one.
     """
@@ -43,7 +43,7 @@ class WinchSettings:
     believed_drum_buildup: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what no drive can be."""
+        """Refuse times and build-ups that no drive can have."""
         lowest = {
             "integral_time": (INTEGRAL_TIME_MIN_S, "s"),
             "derivative_time": (0.0, "s"),

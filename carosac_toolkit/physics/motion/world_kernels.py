@@ -124,7 +124,7 @@ def turn_winches(plants: Plants, worlds: Worlds, b: int, row: int, h: wp.float64
         row: Its plant.
         h: Time step [s].
         left: Time to the end of the call, this step included [s].
-        follow: Whether the lengths themselves go straight to the command, without winches.
+        follow: True if the lengths themselves go straight to the command, without winches.
         lane: This thread among those of the world, each of which has its own cables.
         lanes: Number of these threads.
     """

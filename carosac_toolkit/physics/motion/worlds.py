@@ -17,7 +17,7 @@ from carosac_toolkit.physics.motion.winch import WinchSettings, winch_records
 from carosac_toolkit.physics.motion.winch_kernels import Winch, WinchState
 from carosac_toolkit.robot.robot import Robot
 
-# What a world needs to go on, and what people read of it.
+# Arrays that a world needs to continue, and those that callers read.
 STATE_FIELDS = (
     "motion", "winch", "anchor_velocity", "anchor_rate", "gusts", "seed", "last", "slack", "rough",
     "failed", "time", "command", "position", "rotation", "twist", "acceleration",
@@ -44,7 +44,7 @@ def upload_plants(
     Args:
         fleet: One robot for all worlds, or one for each.
         device: Warp device.
-        winch: How the drives follow commands.
+        winch: Control of the winches by their drives.
         wind_force: Standard deviation of the wind per horizontal axis [N].
         wind_time: Its correlation time [s].
     """

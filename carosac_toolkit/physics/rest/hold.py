@@ -48,7 +48,7 @@ class WidestRest:
         low: Multiplier of each lower limit, N of margin per N of limit, shape (B, n).
         high: The same of each upper limit, shape (B, n); low and high have the sum 1.
         lowest: Lower limits used [N], shape (B, n).
-        solved: Whether margin and sign are settled, shape (B,); False is a failure to compute, no
+        solved: True if margin and sign are settled, shape (B,); False is a failure to compute, no
             statement on the robot.
     """
 
@@ -79,9 +79,9 @@ def hold(
         robot: Robot description, n cables.
         position: Platform origin in W [m], shape (B, 3).
         rotation: Rotation from P to W, shape (B, 3, 3); None is the home rotation. With n < 6 it
-            must be None: the rotation is found.
+            must be None: the rotation is solved for.
         wrench: On the platform besides its weight, at its origin, in W [N, N m], shape (6,).
-        lines: Where each line of neighbouring poses begins in the batch, shape (L,), the first one
+        lines: Start of each line of neighbouring poses in the batch, shape (L,), the first one
             0. Along a line with n < 6 a search begins at the neighbour's answer, which is faster.
         device: Warp device.
 
@@ -185,7 +185,7 @@ def _shapes(size: int, n: int, count: int) -> dict[str, tuple[Any, Any]]:
 
 
 def _answer(robot: Robot, position: Array, solution: dict[str, Array]) -> WidestRest:
-    """Judge what the kernel found."""
+    """Judge the answers of the kernel."""
     status, length = solution["status"], solution["unstrained_length"]
     size = float(body_record(robot)["size"])
     margin = np.where(status == 1, solution["margin"], np.where(status == 2, -np.inf, np.nan))

@@ -73,7 +73,7 @@ def natural_modes(robot: Robot, equilibrium: Equilibrium, *, cable_mass: bool = 
     Args:
         robot: Robot description.
         equilibrium: B equilibria of this robot.
-        cable_mass: Whether the cables have inertia; see `mass_matrix`.
+        cable_mass: True if the cables have inertia; see `mass_matrix`.
 
     Returns:
         Frequencies and mode shapes of K x = (2 pi f)^2 M x.

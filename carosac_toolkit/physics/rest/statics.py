@@ -41,11 +41,11 @@ class Equilibrium:
         tension: At the platform [N], shape (B, n).
         residual: Norm of the wrench left over, moments divided by the largest lever arm [N], (B,).
         gap: Largest distance by which a cable misses its anchor point [m], shape (B,).
-        converged: Whether this is an equilibrium that fulfils what was asked, shape (B,).
-        stable: Whether it is at rest and the stiffness at constant lengths is positive definite,
+        converged: True if this is an equilibrium that meets all requirements, shape (B,).
+        stable: True if it is at rest and the stiffness at constant lengths is positive definite,
             shape (B,).
-        slack: Whether a tension is below `tension_min`, shape (B, n).
-        in_winch_range: Whether a length lies within the winch's, shape (B, n); lengths are not
+        slack: True if a tension is below `tension_min`, shape (B, n).
+        in_winch_range: True if a length is in the winch's range, shape (B, n); lengths are not
             limited by the solvers, which know no winches.
         stiffness: -d wrench / d (translation, rotation vector) in W at the platform origin, at
             constant lengths, shape (B, 6, 6): blocks in N/m, N, N and N m.
@@ -137,7 +137,7 @@ def inverse_kinematics(
         position: Platform origin in W [m], shape (B, 3).
         rotation: Rotation from P to W, shape (B, 3, 3); None is the home rotation. With n < 6 it
             must be None.
-        guess: Where the search for a free rotation starts; unused with n >= 6.
+        guess: Start of the search for a free rotation; unused with n >= 6.
         device: Warp device.
 
     Returns:

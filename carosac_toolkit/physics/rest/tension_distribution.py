@@ -32,7 +32,7 @@ class Distribution:
 
     Attributes:
         tension: [N], shape (B, n); within the limits always.
-        feasible: Whether they balance the wrench, shape (B,). Where False, no tensions within the
+        feasible: True if they balance the wrench, shape (B,). If False, no tensions within the
             limits do, and `tension` is the last attempt.
         residual: Norm of A f + w, moments divided by `arm` [N], shape (B,).
     """
