@@ -1,4 +1,4 @@
-"""Every deliberate error of the toolkit: it names the field, the value and what is allowed."""
+"""Deliberate errors of the toolkit: each names the field, the value and the allowed values."""
 
 from __future__ import annotations
 

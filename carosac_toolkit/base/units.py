@@ -55,7 +55,7 @@ class InvalidQuantity(CarosacError, ValueError):
 
 
 def describe(unit: str) -> str:
-    """Say what a field in this SI unit accepts: ``a length in m (or mm, cm, km)``."""
+    """Describe the values of a field in this SI unit: ``a length in m (or mm, cm, km)``."""
     kind, units = _UNIT_TABLE[unit]
     article = "an" if kind[0] in "aeiou" else "a"
     others = [name for name in units if name != unit]
@@ -91,7 +91,7 @@ def parse_quantity(value: object, unit: str) -> float:
 
 
 def is_quantity(value: object) -> bool:
-    """Tell whether a value of a file is a number, with or without something like a unit."""
+    """Return True if a value of a file is a number, with or without a unit."""
     if isinstance(value, bool):
         return False
     return isinstance(value, int | float) or (

@@ -34,7 +34,7 @@ class Plant(Protocol):
         ...
 
     def advance(self, command: Array, duration: float) -> None:
-        """Let time pass while the winches follow a constant command.
+        """Advance time while the winches follow a constant command.
 
         Args:
             command: Unstrained lengths asked of the winches [m], shape (B, n).

@@ -1,4 +1,4 @@
-"""A recording as a driver: it measures what was measured and sends what was sent."""
+"""A recording as a driver: it returns the recorded measurements and commands."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class ReplaySettings:
 
 
 class ReplayDriver:
-    """Steps sample by sample; a command changes nothing and the recorded one is returned.
+    """Driver that replays a recording; a command changes nothing and the recorded one is returned.
 
     Poses of the recording are its truth. Readings are converted by what the robot file says of
     its sensors (`carosac_toolkit.recordings.encoders`).
@@ -111,7 +111,7 @@ class ReplayDriver:
         """Do nothing: a recording cannot be stopped."""
 
     def close(self) -> None:
-        """Let go."""
+        """Release the recording."""
         self._index = None
 
     def truth(self) -> State | None:

@@ -1,4 +1,4 @@
-"""The sensors of simulated robots: what they sample, when it arrives, and what they get wrong."""
+"""Sensors of simulated robots: sampling, delay, noise and bias."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RANDOM_STREAMS = ("encoder_bias", "encoders", "pose", "imu_bias", "imu", "tensio
 class SensorSuite:
     """The sensors of B simulated robots, each with its own rate, delay and random stream.
 
-    Another sensor, or more of its samples, never changes what this one says.
+    Another sensor, or more of its samples, never changes the readings of this one.
 
     Attributes:
         encoder_bias: Bias of the encoders [m], shape (B, n).
@@ -80,7 +80,7 @@ class SensorSuite:
                 self._lines[name].put(now, self._sampled(name, state, plant))
 
     def renew(self, rows: NDArray[Any]) -> None:
-        """Give some robots other sensors of the same make: their biases are drawn anew.
+        """Replace the sensors of some robots by others of the same type: draw new biases.
 
         Call `restart` before the next sample, once these robots have been set down.
         """
@@ -89,7 +89,7 @@ class SensorSuite:
             bias[rows] = drawn[rows]
 
     def restart(self, rows: NDArray[Any], plant: Plant, now: float) -> None:
-        """Let the sensors of some robots forget all before now: they rest where they were set down.
+        """Clear the samples of some robots before now: they rest where they were placed.
 
         Others go on, but all draw noise. The next measurement, at the same time, is for the robots
         that were set down alone: it may have samples for all that the others have had before.

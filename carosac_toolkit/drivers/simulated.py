@@ -130,7 +130,7 @@ class SimulatedDriver:
         return sent
 
     def wait(self, duration: float) -> bool:
-        """Let one period pass; the winches follow the command of this cycle.
+        """Simulate one period; the winches follow the command of this cycle.
 
         A cycle without a command holds the last one, within the limits.
 
@@ -156,7 +156,7 @@ class SimulatedDriver:
         self._stopping = True
 
     def close(self) -> None:
-        """Let go."""
+        """Release the plant."""
         self._connected = False
 
     @property
@@ -180,7 +180,7 @@ class SimulatedDriver:
 
     def _pass_time(self, duration: float) -> None:
         """Advance the plant, with a stop at each sample."""
-        # A winch closes its loop on its own encoder: what that says too much is missing.
+        # A winch closes its loop on its own encoder, so the bias of that shortens the cable.
         asked = self._command - self._sensors.encoder_bias
         for step in self._sensors.steps(self._time, duration):
             self._plant.advance(asked, step)

@@ -7,11 +7,11 @@ import time
 
 
 class TickSchedule:
-    """Waits for the next tick that lies ahead; those that passed are counted and not made up.
+    """Absolute schedule of ticks; missed ones are counted and not made up.
 
     Attributes:
         origin: Start time, by `time.monotonic` [s].
-        missed: Ticks that passed while nobody waited.
+        missed: Ticks that passed outside `wait`.
     """
 
     def __init__(self, period: float, *, forgiving: bool = False) -> None:

@@ -28,10 +28,10 @@ TENSION_ROUNDING_N = 1e-6  # [N]: what rounding may exceed a tension limit by
 
 
 def problems(report: RobotReport) -> list[str]:
-    """Say why the robot cannot stay at home; empty where it can.
+    """Explain why the robot cannot stay at home; empty if it can.
 
     Args:
-        report: The robot and how it hangs at home.
+        report: The robot and its equilibrium at home.
     """
     findings = [*_inside_pulley(report)]
     home = report.equilibrium
@@ -43,10 +43,10 @@ def problems(report: RobotReport) -> list[str]:
 
 
 def warnings(report: RobotReport) -> list[str]:
-    """Say what looks like a mistake, though the robot may work.
+    """List suspected mistakes of a robot that may still work.
 
     Args:
-        report: The robot and how it hangs at home.
+        report: The robot and its equilibrium at home.
     """
     findings = [*_far_points(report), *_low_rank(report), *_deep_sag(report), *_long_wrap(report)]
     tilt = float(np.degrees(report.tilt))

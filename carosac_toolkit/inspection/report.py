@@ -248,14 +248,14 @@ class RobotReport:
 
 
 def report_robot(robot: Robot, file: RobotFile | None = None) -> RobotReport:
-    """Work out how a robot hangs at home.
+    """Solve for the equilibrium of a robot at home.
 
     Args:
         robot: The robot, n cables.
         file: The checked file that it comes from, if any.
 
     Returns:
-        The report; `RobotReport.feasible` says whether it can stay at home.
+        The report; `RobotReport.feasible` is True if it can stay at home.
     """
     from carosac_toolkit.physics.cable import straight_line
     from carosac_toolkit.physics.rest import modes, statics
@@ -314,7 +314,7 @@ def _wrap(robot: Robot, equilibrium: Equilibrium) -> Array:
 
 
 def is_suspended(robot: Robot, position: Array, rotation: Array) -> bool:
-    """Tell whether every cable pulls up at these poses.
+    """Return True if every cable pulls up at these poses.
 
     Args:
         robot: The robot, n cables.

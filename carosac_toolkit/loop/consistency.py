@@ -33,9 +33,9 @@ class Innovations:
 
     Attributes:
         squares: Sum of the normalised innovations squared, shape (B,); those that were too far off
-            to be believed are left out.
+            to be used are left out.
         dof: Sum of their degrees of freedom, shape (B,); 0 where nothing was measured.
-        rejected: Measurements that were too far off to be believed as they are, shape (B,).
+        rejected: Number of measurements too far off to be used as they are, shape (B,).
     """
 
     squares: Array

@@ -255,7 +255,7 @@ def _reference(
 
 
 def _positive(name: str, value: object) -> float:
-    """Refuse zero, negative, NaN and what is no number."""
+    """Refuse zero, negative values, NaN and anything but a number."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.floating):
         raise InvalidField(name, repr(value), "a number of seconds")
     if not 0.0 < value < np.inf:
@@ -264,7 +264,7 @@ def _positive(name: str, value: object) -> float:
 
 
 def checked_belief(belief: object, measurement: Measurement) -> Belief:
-    """Refuse what an estimator must not return; the arrays of a Belief are finite by construction.
+    """Refuse an invalid result of an estimator; arrays of a Belief are finite by construction.
 
     Raises:
         BadPlugin: No Belief, or one of another batch or number of cables.

@@ -32,7 +32,7 @@ def load(kind: Kind, name: str) -> Any:
 
     Args:
         kind: ``"controllers"``, ``"estimators"``, ``"drivers"``, ``"commands"`` or ``"figures"``.
-        name: A name from `names`, or ``module:Class`` for what is importable but not installed;
+        name: A name from `names`, or ``module:Class`` for what is not installed but importable;
             modules are looked for in the working folder as well, after all other places.
 
     Returns:
@@ -123,7 +123,7 @@ def _read(group: str, state: tuple[tuple[str, int], ...]) -> EntryPoints:
 
 
 def _look_in_working_folder() -> None:
-    """Let modules that lie there be found, as ``python -m`` does; also by workers started later."""
+    """Add the folder to the import path, as ``python -m`` does; also for workers started later."""
     here = os.getcwd()
     if here not in sys.path and "" not in sys.path:
         sys.path.append(here)
@@ -141,7 +141,7 @@ def _allowed(name: str, installed: list[str]) -> str:
 
 
 def _resolve(kind: Kind, name: str, point: EntryPoint) -> Any:
-    """Import what an entry point or ``module:Class`` refers to."""
+    """Import the target of an entry point or ``module:Class``."""
     if point.pattern.match(point.value) is None:
         raise InvalidField(kind[:-1], repr(name), "a name, or 'module:Class'")
     package = point.module.partition(".")[0]

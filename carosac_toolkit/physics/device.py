@@ -88,7 +88,7 @@ class Buffers:
         self.length_scale = 1.0  # typical cable length of the robot [m]
 
     def add(self, name: str, array: wp.array) -> None:
-        """Take over an array that somebody else has made."""
+        """Add an existing array."""
         self._arrays[name] = array
         if wp.get_device(self.device).is_cpu:
             self._views[name] = array.numpy()
@@ -140,7 +140,7 @@ _lock = threading.Lock()
 
 
 def check_call(robot: Robot | Fleet, device: str) -> None:
-    """Refuse what is no robot, and a device that is not there.
+    """Refuse anything but a robot, and a device that does not exist.
 
     Raises:
         InvalidField: Names the argument.
@@ -151,7 +151,7 @@ def check_call(robot: Robot | Fleet, device: str) -> None:
 
 
 def check_device(device: str) -> None:
-    """Refuse a device that is not there.
+    """Refuse a device that does not exist.
 
     Raises:
         InvalidField: Names those that are.

@@ -30,7 +30,7 @@ def _quiet() -> Iterator[None]:
 
 @contextmanager
 def _without_driver_warning() -> Iterator[None]:
-    """Hold back what native start-up code says about a missing GPU driver; pass on the rest."""
+    """Suppress the native start-up message on a missing GPU driver; pass on the rest."""
     sys.stderr.flush()
     kept = os.dup(2)
     with tempfile.TemporaryFile() as caught:

@@ -65,7 +65,7 @@ def spelled(name: str, written: Iterable[str]) -> str:
 
     Args:
         name: Canonical.
-        written: Names as they stand in the file.
+        written: Names as in the file.
     """
     for other in written:
         if canonical(other) == name:

@@ -63,7 +63,7 @@ def from_table(table: Table, document: Mapping[str, Any] | None, path: Path) -> 
     """Read a recording out of a table.
 
     Args:
-        table: With column names as they stand in the file.
+        table: With column names as in the file.
         document: Its JSON document, or None for a table that has none.
         path: The file, for messages and as the source of a table without document.
 

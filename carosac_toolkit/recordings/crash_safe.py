@@ -41,7 +41,7 @@ class CutRecording(UserWarning):
 
 
 class CrashSafeRecorder:
-    """Writes a run as it happens; a `carosac_toolkit.drivers.journal.Journal`.
+    """Recorder of a running experiment; a `carosac_toolkit.drivers.journal.Journal`.
 
     Attributes:
         path: The file.
@@ -150,7 +150,7 @@ class CrashSafeRecorder:
         return self._error is None and not self._sync.is_alive()
 
     def discard(self) -> None:
-        """Close, and remove the file: nothing happened that anybody wants to read."""
+        """Close and remove the file of a run without content."""
         self.close()
         self.path.unlink(missing_ok=True)
 

@@ -58,7 +58,7 @@ def calibrated(recording: Recording, robot: Robot) -> Recording:
     scale = 1.0 if robot.length_scale is None else robot.length_scale
     rate, command = recording.length_rate, recording.command
     metadata = recording.metadata
-    if robot.length_offset is not None and robot.length_offset.any():  # 0: nobody looked for it
+    if robot.length_offset is not None and robot.length_offset.any():  # 0: not calibrated
         metadata = replace(metadata, length_kind="unstrained")
     return replace(
         recording,

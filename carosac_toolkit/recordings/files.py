@@ -42,7 +42,7 @@ def load(path: str | Path) -> Recording:
     file = Path(path)
     suffix = file.suffix.lower()
     if file.is_dir():
-        raise InvalidFile(file, ["a folder; allowed: a recording file"])
+        raise InvalidFile(file, ["this is a folder; allowed: a recording file"])
     if not file.is_file():
         raise MissingFile(file, _neighbour(file))
     if suffix not in READERS_BY_SUFFIX:

@@ -42,7 +42,7 @@ class RecordingMetadata:
     length_kind: str = "unstrained"
 
     def __post_init__(self) -> None:
-        """Refuse what is no text, and conventions that do not exist."""
+        """Refuse anything but text, and unknown conventions."""
         for field in fields(self):
             value = getattr(self, field.name)
             if not isinstance(value, str) and not (field.name == "robot" and value is None):

@@ -1,4 +1,4 @@
-"""Measured poses of the platform, with their time stamps, and what lies between them."""
+"""Measured poses of the platform with their time stamps, and interpolation between them."""
 
 from __future__ import annotations
 

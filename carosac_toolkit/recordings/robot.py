@@ -39,7 +39,7 @@ def find_robot(recording: Recording, path: Path, asked: str | None = None) -> Fo
         recording: The recording.
         path: Its file: a path that its metadata name is looked for in that folder first, then
             in the current one.
-        asked: Bundled name or path that overrides whatever the recording says.
+        asked: Bundled name or path that overrides that of the recording.
 
     Raises:
         CarosacError: None is known, or its file is missing or faulty.

@@ -1,6 +1,6 @@
 """Consistency of several fields of a robot file: references, limits, geometry, provenance.
 
-Every check works on what is right so far, so that one fault does not hide another.
+Every check works on the valid parts, so that one fault does not hide another.
 """
 
 from __future__ import annotations

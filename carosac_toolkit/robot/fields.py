@@ -30,7 +30,7 @@ class FieldFault(InvalidField, ValueError):
 
 
 def quantity_reader(unit: str, bound: str = "") -> tuple[Reader, str]:
-    """Make the reader of a number and the text of what it allows.
+    """Make the reader of a number and the text of its allowed values.
 
     Args:
         unit: SI unit of the number.
@@ -117,7 +117,7 @@ def read_covariance(value: object) -> list[list[float]]:
 
 
 def read_text(value: object) -> str:
-    """Read a text that is not empty; a bare number is a fine name."""
+    """Read a non-empty text; a bare number is a valid name."""
     if isinstance(value, bool | list | dict) or value is None or not str(value).strip():
         raise InvalidQuantity(value, "a non-empty text")
     return f"{value:g}" if isinstance(value, float) else str(value).strip()

@@ -1,6 +1,6 @@
 """The robot file: YAML of schema ``carosac-robot/1`` becomes a `Robot`, or one message.
 
-All faults of a file come at once, each with its line, field, value and what is allowed. Quantities
+All faults of a file come at once, each with its line, field, value and allowed values. Quantities
 are bare SI numbers or carry a unit. Nothing physical has a default that hides its absence.
 """
 
@@ -104,7 +104,7 @@ def parse_robot(text: str, *, source: str = "robot") -> Robot:
 def parse_file(text: str, *, source: str = "robot") -> tuple[Robot, RobotFile]:
     """Turn the text of a robot file into a robot, and keep the file as it was written.
 
-    The file knows what the arrays of the robot do not: payloads, and parts that no chain uses.
+    The file has more than the arrays of the robot: payloads, and parts that no chain uses.
     Arguments and errors as `parse_robot`.
     """
     document = read_yaml(text)
@@ -152,7 +152,7 @@ def _check(data: dict[str, Any]) -> tuple[RobotFile | None, list[tuple[FieldPath
 
 
 def _looks_like_path(text: str) -> bool:
-    """Tell a path from a bundled name."""
+    """Return True for a path, False for a bundled name."""
     return text.endswith(_ROBOT_SUFFIXES) or "/" in text or "\\" in text
 
 
@@ -265,7 +265,7 @@ def _keys(annotation: Any, path: FieldPath) -> list[str]:
 
 
 def _allowed(annotation: Any, path: FieldPath) -> str:
-    """Say what the schema allows at a path."""
+    """Describe the values that the schema allows at a path."""
     return _describe(_annotation_at(annotation, path))
 
 
@@ -300,7 +300,7 @@ def _model_of(annotation: Any) -> type[BaseModel] | None:
 
 
 def _describe(annotation: Any) -> str:
-    """Say in words what an annotation accepts."""
+    """Describe the values that an annotation accepts."""
     annotation = _plain(annotation)
     if isinstance(annotation, Reads):
         return annotation.allowed

@@ -22,7 +22,7 @@ ADS_TCP_PORT = 48898  # of ADS, on every machine
 
 @dataclass(frozen=True, kw_only=True)
 class AdsAddress:
-    """A TwinCAT PLC; without anything said, one on this machine.
+    """A TwinCAT PLC; by default one on this machine.
 
     Attributes:
         net_id: Its AMS net id, six numbers with dots.
@@ -41,7 +41,7 @@ class AdsAddress:
     to_host: str = "CaRoSaC.to_host"
 
     def __post_init__(self) -> None:
-        """Refuse what is no address."""
+        """Refuse an invalid address."""
         numbers = (
             [int(x) for x in self.net_id.split(".")]
             if NET_ID_PATTERN.fullmatch(self.net_id)
@@ -80,14 +80,14 @@ class ImuSource:
 
 @dataclass(frozen=True, kw_only=True)
 class Hardware:
-    """The PLC of a robot with n cables, and what its numbers mean.
+    """The PLC of a robot with n cables, and the units of its numbers.
 
     An unstrained length is ``sign * scale * number + offset``, where the number is the PLC's.
 
     Attributes:
         sign: 1 where the number grows as cable is paid out, -1 where it shrinks, n of them.
         scale: Metres per unit of the PLC, n of them.
-        offset: Unstrained length where the PLC says 0 [m], n of them; homing finds it anew.
+        offset: Unstrained length at number 0 of the PLC [m], n of them; homing sets it again.
         ads: Address of the PLC.
         imu: The inertial sensor, or None.
     """

@@ -1,12 +1,12 @@
 """Names for the single numbers of a robot, as calibration estimates them.
 
 ========================== ======= ==========================================================
-name                       unit    what it is
+name                       unit    meaning
 ========================== ======= ==========================================================
 ``exit_points[C].x``       m       coordinate of the exit point of cable C in W; also y, z
 ``anchor_points[C].x``     m       coordinate of its anchor point in P; also y, z
-``length_offset[C]``       m       what the encoder reads at unstrained length 0
-``length_scale[C]``        1       what it reads more per unstrained length
+``length_offset[C]``       m       reading of the encoder at unstrained length 0
+``length_scale[C]``        1       change of the reading per unstrained length
 ``drum_radius[C]``         m       also ``drum_buildup[C]``
 ``axial_stiffness[C]``     N       also ``linear_density``, ``axial_damping``, ``run_length``;
                                    without ``[C]`` one number for all cables

@@ -86,7 +86,7 @@ def draw_plant(robot: Robot, condition: Condition, rng: np.random.Generator) -> 
         rng: Source of the draw.
 
     Returns:
-        The plant; its name says so where anything was drawn.
+        The plant; its name is changed if anything was drawn.
     """
     n = robot.n
 

@@ -94,7 +94,7 @@ class Robot:
             them; None: not calibrated.
         calibration_covariance: Their joint covariance, shape (k, k).
         hardware: Connection to the real robot; None: not described.
-        description: One line for people.
+        description: One line of text.
         licence: Terms under which the numbers may be used.
         provenance: Sources of the numbers, by field of the robot file.
     """
@@ -144,7 +144,7 @@ class Robot:
     hardware: Hardware | None = None
 
     def __post_init__(self) -> None:
-        """Freeze every array and check every number that physics relies on."""
+        """Freeze every array and check every number that the physics needs."""
         self._check_names()
         n = self.n
         for name in _SCALAR_FIELDS:

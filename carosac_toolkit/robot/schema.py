@@ -1,6 +1,6 @@
 """Schema ``carosac-robot/1``: the sections of a robot file and what each field holds.
 
-A model checks what its own fields can tell; `carosac_toolkit.robot.checks` does the rest.
+A model checks its own fields; `carosac_toolkit.robot.checks` checks them together.
 """
 
 from __future__ import annotations

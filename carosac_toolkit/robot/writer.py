@@ -24,7 +24,7 @@ from carosac_toolkit.robot.parameters import unit_of
 from carosac_toolkit.robot.robot import RigidBody, Robot, combine_bodies
 from carosac_toolkit.robot.schema import RobotFile
 
-_SIGNIFICANT_DIGITS = 12  # significant ones of what is written
+_SIGNIFICANT_DIGITS = 12  # of written numbers
 _CABLE_TYPE_FIELDS = ("linear_density", "axial_stiffness", "axial_damping")
 _DRUM_KEYS = {"drum_radius": "radius", "drum_buildup": "buildup"}
 _SENSOR_PATHS = {
@@ -76,7 +76,7 @@ def robot_document(text: str, robot: Robot, *, provenance: str) -> str:
 
 
 class _Writer:
-    """The old document, and what is put into it."""
+    """The old document with the new values."""
 
     def __init__(
         self, document: CommentedMap, file: RobotFile, old: Robot, robot: Robot, source: str
@@ -112,7 +112,7 @@ class _Writer:
             self._calibration()
 
     def _from(self, path: str, but: Sequence[str] = ()) -> None:
-        """Say where a number comes from.
+        """Record the source of a number.
 
         Args:
             path: Of the number, or the start of the path of several.
@@ -177,7 +177,7 @@ class _Writer:
         self._from(path, but=[*spare, *kept])
 
     def _own_points(self, key: str, path: str, points: CommentedMap, values: Array) -> None:
-        """Give chains that share a point, and no longer its numbers, points of their own.
+        """Split a point shared by chains whose numbers now differ.
 
         Args:
             key: Under which a chain names the point.

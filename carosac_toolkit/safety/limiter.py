@@ -1,4 +1,4 @@
-r"""The safety layer that every moving driver shares: what may be sent, and what was changed.
+r"""Limits on the commands of every moving driver, with a report of what was changed.
 
 Lengths commanded at a fixed period h define speed, acceleration and jerk of each cable by
 differences (`carosac_toolkit.physics.motion.braking`). Nothing leaves `Limiter.apply` from which
@@ -69,7 +69,7 @@ class LimitSettings:
 
 
 class Limiter:
-    """Keeps the commands of B robots of n cables within limits; each row on its own.
+    """Limiter of the commands to B robots of n cables; each row on its own.
 
     Each call of `apply` or `brake` stands for one period, whatever the time of the command says:
     it is passed on and not checked, as the clocks of drivers jitter. A driver that misses a tick
@@ -111,7 +111,7 @@ class Limiter:
 
     @property
     def motion(self) -> WinchMotion:
-        """Length, speed and acceleration of what was last sent, as copies."""
+        """Length, speed and acceleration last sent, as copies."""
         return WinchMotion(*(part.copy() for part in self._now()[1]))
 
     def reset(self, unstrained_length: ArrayLike, *, time: ArrayLike | None = None) -> None:

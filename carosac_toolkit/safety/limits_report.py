@@ -1,4 +1,4 @@
-"""Says which limit changed a command: what was asked for and what was sent instead."""
+"""Report of the limits that changed a command: value asked for and value sent."""
 
 from __future__ import annotations
 

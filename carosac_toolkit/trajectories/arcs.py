@@ -17,7 +17,7 @@ RAMP_TURNS = 0.25  # how far it turns while speeding up; then the ramp is no har
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Helix:
-    """Turns about an axis while radius and height change linearly with the angle.
+    """Helix about an axis; radius and height change linearly with the angle.
 
     Attributes:
         center: Of the start circle, in W [m], shape (3,).

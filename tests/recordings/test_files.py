@@ -183,7 +183,7 @@ def test_rows_of_channels_with_other_times_have_empty_cells(tmp_path):
          "column 'battery' is unknown and refused, as every extra column is: remove or rename it"),
         (HEADER + "," + 300 * "b" + "\n0,7,8,9\n", "column '" + 60 * "b" + "...' is unknown"),
         ("time_s,cable_length_1_m,unstrained_length_01_m\n0,7,8\n",
-         "column 'unstrained_length_01_m' is there 2 times"),
+         "column 'unstrained_length_01_m' appears 2 times"),
         ("time_s,time_s,cable_length_1_m\n0,7,8\n", "column 'time_s' appears twice"),
         (HEADER + "\n0,7,8\n0.1,nan,8\n",
          "row 2 (line 3), column 'cable_length_1_m': got nan; allowed: a finite number"),

@@ -57,7 +57,7 @@ def hanging_cables(
         The shape and tension of each cable, with a status.
 
     Raises:
-        InvalidField: A wrong shape, or a pose that is none.
+        InvalidField: A wrong shape, or an invalid pose.
     """
     check_call(robot, device)
     if samples < 2:

@@ -27,8 +27,8 @@ from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.motion import braking_kernels, stop_kernels
 from carosac_toolkit.robot.robot import Robot
 
-SETTLE_SLACK_M = 1e-9  # by how much a shortened step may end beyond what was asked for [m]
-BOX_SLACK_M = 1e-9  # what the straight-line position is known to [m]
+SETTLE_SLACK_M = 1e-9  # overshoot allowed to a shortened step beyond its target [m]
+BOX_SLACK_M = 1e-9  # accuracy of the straight-line position [m]
 _MACHINE_EPSILON = 2.0**-52
 _MOTION_FIELDS = ("length", "speed", "acceleration", "position")
 _CABLE_BUFFERS = (
@@ -150,7 +150,7 @@ class Brakes:
         Args:
             motion: Current motion of the winches, admissible.
             asked: Lengths [m], shape (B, n).
-            pace: Speed at which what is asked moves [m/s], shape (B, n).
+            pace: Speed of the asked lengths [m/s], shape (B, n).
             actual: Measured lengths [m], shape (B, n), or None: the jump limit does not count.
 
         Returns:

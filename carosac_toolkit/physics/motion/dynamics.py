@@ -23,7 +23,7 @@ from carosac_toolkit.physics.cable.catenary_kernels import vec6d
 from carosac_toolkit.physics.motion import dynamics_kernels, world_kernels
 from carosac_toolkit.physics.rest.statics import Equilibrium
 
-CABLE_DRAG_PER_S = 0.5  # air drag of the cables per mass, unless said otherwise [1/s]
+CABLE_DRAG_PER_S = 0.5  # default air drag of the cables per mass [1/s]
 NodelessCables = Literal["catenary", "straight"]
 
 

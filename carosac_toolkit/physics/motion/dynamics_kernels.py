@@ -324,7 +324,7 @@ class Freed:
 
 @wp.kernel
 def release(plants: Plants, worlds: Worlds, hung: Hung, freed: Freed, model: int, h: wp.float64):
-    """Let worlds go with the acceleration that their forces give; steps of `h` are to follow.
+    """Release worlds with the acceleration that their forces give; steps of `h` follow.
 
     With that acceleration the first step needs no past, and is of second order like all others. It
     is found by one Euler step of a microsecond. Impacts do not change the scheme: motions let go

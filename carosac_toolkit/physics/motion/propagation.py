@@ -49,7 +49,7 @@ class Motions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arrived(Motions):
-    """B motions where they end, and what is felt there.
+    """B motions at their end, with acceleration and tension there.
 
     Attributes:
         acceleration: Of the origin in W, linear [m/s^2], then angular [rad/s^2], shape (B, 6).
@@ -110,7 +110,7 @@ class Propagation:
         self._release: Any = None
 
     def load(self, mass: ArrayLike, center_of_mass: ArrayLike) -> None:
-        """Change the masses of the platforms; the inertia about the centre of mass stays.
+        """Change mass and centre of the platforms; the inertia about the centre of mass stays.
 
         Args:
             mass: [kg], shape (B,).
@@ -123,7 +123,7 @@ class Propagation:
     def run(
         self, start: Motions, unstrained_length: Array, end_length: Array, duration: float
     ) -> Arrived:
-        """Let all platforms go while the lengths go straight from where they are to their end.
+        """Release all platforms while the lengths move linearly to their end values.
 
         Args:
             start: B motions.

@@ -19,7 +19,7 @@ NEWTON_TOLERANCE = wp.constant(wp.float64(1.0e-12))  # gradient norm over the lo
 
 @wp.struct
 class Rules:
-    """Limits and geometry: arrays per cable (n,), and what all cables share.
+    """Limits and geometry: arrays per cable (n,), and values for all cables.
 
     The slacks are what rounding leaves uncertain in each quantity.
     """

@@ -19,7 +19,7 @@ from carosac_toolkit.physics.motion.winch_kernels import Winch
 from carosac_toolkit.robot.robot import Robot
 
 INNER_STEP_MAX_S = float(winch_kernels.WINCH_STEP_MAX_S)  # [s], longest inner step
-INTEGRAL_TIME_MIN_S = 2.0 * INNER_STEP_MAX_S  # [s]; what the inner steps resolve
+INTEGRAL_TIME_MIN_S = 2.0 * INNER_STEP_MAX_S  # [s]; shortest that the inner steps resolve
 _STATE_BUFFERS = ("length", "rate", "integral")
 
 
@@ -35,7 +35,7 @@ class WinchSettings:
         integral_time: Time constant of the integral term [s]; None: no integral.
         derivative_time: Time constant of the derivative term [s]; it makes the drive slower.
         believed_drum_buildup: Decrease of the squared drum radius per length paid out that the
-            drive believes in [m], for all drums; None: it knows the true one.
+            drives assume [m], for all drums; None: the true one.
     """
 
     integral_time: float | None = None
@@ -96,7 +96,7 @@ def winch_records(robot: Robot, settings: WinchSettings | None = None) -> NDArra
 
 
 class WinchBatch:
-    """Wound lengths of B robots of the same n winches, which follow what is asked of them."""
+    """Wound lengths of B robots of the same n winches, which follow commands."""
 
     def __init__(
         self, robot: Robot, unstrained_length: Array, settings: WinchSettings | None = None
@@ -136,7 +136,7 @@ class WinchBatch:
         """Follow a constant command.
 
         Args:
-            command: Lengths asked of the drives, by the drums that they believe in [m], (B, n).
+            command: Lengths asked of the drives, by the drums that they assume [m], (B, n).
             duration: [s].
         """
         with self._buffers.lock:
@@ -153,7 +153,7 @@ class WinchBatch:
 
 
 class Encoders:
-    """Perfect encoders on the drums of B robots of n cables, by the drums that drives believe in.
+    """Perfect encoders on the drums of B robots of n cables, by the drums that the drives assume.
 
     Without drums that build up, they say the wound length itself.
     """

@@ -172,7 +172,7 @@ class HoldSearch:
 
 @wp.func
 def go(b: int, n: int, free: int, start: wp.mat33d, weight: wp.float64, poses: Poses) -> wp.mat33d:
-    """Take the step that was found, scaled down where it turns too far; the rotation after it."""
+    """Take the step, scaled down if it turns too far; return the rotation after it."""
     turn = wp.vec3d()
     for j in range(free):
         turn[j] = poses.solution[b, n + j] / weight
@@ -200,7 +200,7 @@ def angle_between(a: wp.mat33d, b: wp.mat33d) -> wp.float64:
 
 @wp.func
 def step_back(b: int, n: int, portion: wp.float64, poses: Poses):
-    """Take a smaller portion of the step that was found from the tensions that were kept."""
+    """Take a smaller portion of the step from the tensions before it."""
     for i in range(n):
         t = poses.kept[b, i]
         poses.tension[b, i] = t + portion * (poses.solution[b, i] - t)
