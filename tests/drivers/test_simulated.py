@@ -23,7 +23,7 @@ PERIOD = 0.02
 STARTS = ((0.4, -1.8, 2.2), (0.9, -1.2, 2.6), (-0.3, -2.0, 1.8))
 
 
-class Clock:
+class WallClock:
     """A wall clock that a test winds on; sleeping takes as long as it says."""
 
     def __init__(self):
@@ -40,9 +40,9 @@ class Clock:
 
 @pytest.fixture
 def clock(monkeypatch):
-    found = Clock()
-    monkeypatch.setattr(ticks, "time", found)
-    return found
+    result = WallClock()
+    monkeypatch.setattr(ticks, "time", result)
+    return result
 
 
 def statics_of(size, seed=0, **changes):
@@ -63,13 +63,13 @@ def turning(size=1, **changes):
 def play(driver, changes):
     """Ask for a step of the lengths each cycle; measurements and truths after them."""
     first = driver.measure().unstrained_length
-    found = []
+    entries = []
     for change in changes:
         now = driver.measure().time
         driver.command(Command(time=now, unstrained_length=first + change))
         driver.wait(PERIOD)
-        found.append((driver.measure(), driver.truth()))
-    return found
+        entries.append((driver.measure(), driver.truth()))
+    return entries
 
 
 def test_a_batch_is_the_same_as_a_loop():
@@ -145,8 +145,8 @@ def test_a_misjudged_drum_is_seen_in_truth_and_not_by_the_encoders():
     driver = QuasiStaticDriver.build(robot, settings)
     driver.connect()
     read, true = driver.measure().unstrained_length, driver.truth().unstrained_length
-    found = play(driver, np.minimum(0.01 * np.arange(80), 0.4)[:, None, None] * np.ones((1, 4)))
-    measured, state = found[-1]
+    result = play(driver, np.minimum(0.01 * np.arange(80), 0.4)[:, None, None] * np.ones((1, 4)))
+    measured, state = result[-1]
     assert measured.unstrained_length == pytest.approx(read + 0.4, abs=1e-4)
     # an encoder's reading per true length is the ratio of the radii at equal angle
     moved = state.unstrained_length - true

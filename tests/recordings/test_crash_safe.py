@@ -82,8 +82,8 @@ def test_every_channel_reads_back_bit_by_bit(tmp_path):
         ("length_rate", [w.length_rate.value[0] for w in wanted]),
         ("tension", [w.tension.value[0] for w in wanted]),
     ):
-        found = getattr(recording, name)
-        assert np.array_equal(getattr(found, "value", found), values)
+        result = getattr(recording, name)
+        assert np.array_equal(getattr(result, "value", result), values)
     assert np.array_equal(recording.poses.position, [w.pose.position[0] for w in wanted])
     assert recording.poses.rotation == pytest.approx(np.stack([w.pose.rotation[0] for w in wanted]))
     assert np.array_equal(recording.imu.time, np.concatenate([w.imu.time[0] for w in wanted]))

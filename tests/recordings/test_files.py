@@ -125,11 +125,11 @@ def write(folder: Path, text: str, name: str = "run.csv") -> Path:
 def test_a_plain_csv_is_read_by_its_column_names(tmp_path):
     points = ",".join(f"exit_point_{i}_{axis}_m" for i in (1, 2) for axis in "xyz")
     rows = ["0,7,8,1,2,3,4,5,6", "0.5,7.5,8.5,1.5,2,3,4,5,6", "1,7,8,9,2,3,4,5,6"]
-    found = load_recording(write(tmp_path, "\n".join([f"{HEADER},{points}", *rows, "", ""])))
-    np.testing.assert_array_equal(found.unstrained_length, [[7, 8], [7.5, 8.5], [7, 8]])
-    np.testing.assert_array_equal(found.exit_points, [[1.5, 2, 3], [4, 5, 6]])
-    assert found.poses is None
-    assert found.metadata.source == "run.csv"
+    loaded = load_recording(write(tmp_path, "\n".join([f"{HEADER},{points}", *rows, "", ""])))
+    np.testing.assert_array_equal(loaded.unstrained_length, [[7, 8], [7.5, 8.5], [7, 8]])
+    np.testing.assert_array_equal(loaded.exit_points, [[1.5, 2, 3], [4, 5, 6]])
+    assert loaded.poses is None
+    assert loaded.metadata.source == "run.csv"
 
 
 def test_a_plain_parquet_with_other_number_types_is_read(tmp_path):
@@ -139,17 +139,17 @@ def test_a_plain_parquet_with_other_number_types_is_read(tmp_path):
         "tension_1_N": pa.array([None, 40, None], pa.int32()),
     })  # fmt: skip
     pq.write_table(table, tmp_path / "run.parquet")
-    found = load_recording(tmp_path / "run.parquet")
-    np.testing.assert_array_equal(found.time, [0, 2])
-    np.testing.assert_array_equal(found.tension.time, [1])
-    np.testing.assert_array_equal(found.tension.value, [[40]])
+    loaded = load_recording(tmp_path / "run.parquet")
+    np.testing.assert_array_equal(loaded.time, [0, 2])
+    np.testing.assert_array_equal(loaded.tension.time, [1])
+    np.testing.assert_array_equal(loaded.tension.value, [[40]])
 
 
 def test_rows_of_channels_with_other_times_have_empty_cells(tmp_path):
     text = f"{HEADER},tension_1_N,tension_2_N\n0,7,8,,\n0.1,,,30,40\n0.2,7,8,31,41\n"
-    found = load_recording(write(tmp_path, text))
-    np.testing.assert_array_equal(found.time, [0, 0.2])
-    np.testing.assert_array_equal(found.tension.time, [0.1, 0.2])
+    loaded = load_recording(write(tmp_path, text))
+    np.testing.assert_array_equal(loaded.time, [0, 0.2])
+    np.testing.assert_array_equal(loaded.tension.time, [0.1, 0.2])
 
 
 # Faults
@@ -294,11 +294,11 @@ def mat_variables(count: int = 5) -> dict[str, np.ndarray]:
 
 def test_the_scampi_layout_is_read(tmp_path):
     savemat(tmp_path / "run.mat", mat_variables())
-    found = load_recording(tmp_path / "run.mat")
-    np.testing.assert_array_equal(found.time, 0.25 * np.arange(5))
-    np.testing.assert_array_equal(found.unstrained_length[0], [2, 3, 4, 5])
-    np.testing.assert_array_equal(found.poses.rotation[0], np.diag([1.0, -1.0, -1.0]))
-    np.testing.assert_array_equal(found.exit_points[:, 0], [1, 2, 3, 4])
+    loaded = load_recording(tmp_path / "run.mat")
+    np.testing.assert_array_equal(loaded.time, 0.25 * np.arange(5))
+    np.testing.assert_array_equal(loaded.unstrained_length[0], [2, 3, 4, 5])
+    np.testing.assert_array_equal(loaded.poses.rotation[0], np.diag([1.0, -1.0, -1.0]))
+    np.testing.assert_array_equal(loaded.exit_points[:, 0], [1, 2, 3, 4])
 
 
 @pytest.mark.parametrize(

@@ -147,14 +147,14 @@ def test_random_lengths_reach_the_minimum_that_slsqp_reaches():
             distance = np.linalg.norm(p + robot.anchor_points - robot.exit_points, axis=1)
             return ((distance - target) ** 2).sum()
 
-        found = minimize(
+        optimum = minimize(
             cost, robot.home_position, method="SLSQP", options={"ftol": 1e-14, "maxiter": 500}
         )
         assert cost(position) == pytest.approx(4 * residual**2, rel=1e-9)
-        if np.linalg.norm(found.x - position) > 1e-4:  # SLSQP stepped over the exit points' plane
+        if np.linalg.norm(optimum.x - position) > 1e-4:  # SLSQP stepped over the exit points' plane
             twins += 1
-            assert found.x[2] > 8.5 > position[2]
-            assert cost(position) == pytest.approx(found.fun, rel=0.01, abs=1e-4)
+            assert optimum.x[2] > 8.5 > position[2]
+            assert cost(position) == pytest.approx(optimum.fun, rel=0.01, abs=1e-4)
     assert twins <= 4
 
 
