@@ -1,4 +1,4 @@
-"""Read-only float64 arrays, checked once where they enter; even choices of their rows."""
+"""Read-only float64 arrays, checked once on entry; evenly spread row indices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ticks of the clock on the wall, one a period from a start on, that do not drift."""
+"""Absolute schedule of wall-clock ticks, one per period, without drift."""
 
 from __future__ import annotations
 

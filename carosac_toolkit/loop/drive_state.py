@@ -96,7 +96,7 @@ _FAULT_TEXTS: dict[Fault, tuple[str, str]] = {
         "Check that the PLC program runs and the network answers, then reset.",
     ),
     Fault.FOLLOWING_ERROR: (
-        "A winch is not where it was told to be.",
+        "A winch does not follow its command.",
         "Look for a blocked drum, an overload or a wrong sign or scale, then reset.",
     ),
     Fault.CLOSURE: (
@@ -132,7 +132,7 @@ _FAULT_TEXTS: dict[Fault, tuple[str, str]] = {
         "Lower the rate or the load of the host, then reset.",
     ),
     Fault.OVER_LIMIT: (
-        "The PLC was asked for more than its own limits allow and ramped to rest.",
+        "A command exceeded the limits of the PLC, which ramped to rest.",
         "Make the limits of the robot file no wider than those of the PLC, then reset.",
     ),
     Fault.OWNER: (
@@ -140,7 +140,7 @@ _FAULT_TEXTS: dict[Fault, tuple[str, str]] = {
         "Close the other host, then connect again.",
     ),
     Fault.UNKNOWN: (
-        "A fault without a name here.",
+        "An unknown fault.",
         "Look its number up in the PLC program, if it came from there, then reset.",
     ),
     Fault.WORKSPACE: (
@@ -148,7 +148,7 @@ _FAULT_TEXTS: dict[Fault, tuple[str, str]] = {
         "Bring it back with the panel of the PLC, check path and home pose, then reset.",
     ),
     Fault.RECORDING: (
-        "The run could no longer be recorded, so that nobody could explain it.",
+        "The run could no longer be recorded.",
         "Free the disk or record on a local one, then reset.",
     ),
 }

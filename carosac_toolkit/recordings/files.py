@@ -1,4 +1,4 @@
-"""Read and write recordings: which format, and a write that is whole or not at all."""
+"""Read and write recordings: choice of format, and atomic writes."""
 
 from __future__ import annotations
 

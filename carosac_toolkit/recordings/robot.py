@@ -1,4 +1,4 @@
-"""Which robot a recording is of: the one that it names, or the one with its exit points."""
+"""Robot of a recording: the one that it names, or the one with its exit points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reports: one self-contained HTML page and its pictures, in a folder, whole or not at all."""
+"""Reports: one self-contained HTML page and its pictures, in a folder, written atomically."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""In what two robots differ by more than the rounding of a robot file."""
+"""Differences of two robots beyond the rounding of a robot file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Readers of the single fields of a robot file: from what YAML holds to SI numbers."""
+"""Readers of the single fields of a robot file: from YAML values to SI numbers."""
 
 from __future__ import annotations
 

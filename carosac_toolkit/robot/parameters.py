@@ -1,4 +1,4 @@
-"""Names for the single numbers of a robot, as calibration estimates them.
+"""Names of the single numbers of a robot that a calibration estimates.
 
 ========================== ======= ==========================================================
 name                       unit    meaning

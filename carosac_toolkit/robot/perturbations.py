@@ -1,4 +1,4 @@
-"""Conditions: by how much the plant differs from the robot that everybody else knows.
+"""Conditions: random differences of the plant from the nominal robot.
 
 A condition is drawn once per seed. Controllers and estimators keep the nominal robot; only the
 driver gets the plant.

@@ -1,4 +1,4 @@
-"""Schema ``carosac-robot/1``: the sections of a robot file and what each field holds.
+"""Schema ``carosac-robot/1``: sections and fields of a robot file.
 
 A model checks its own fields; `carosac_toolkit.robot.checks` checks them together.
 """

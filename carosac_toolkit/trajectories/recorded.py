@@ -1,4 +1,4 @@
-"""A smooth trajectory through the poses of a recording, measured or those of rest."""
+"""A smooth trajectory through the poses of a recording, measured or at equilibrium."""
 
 from __future__ import annotations
 

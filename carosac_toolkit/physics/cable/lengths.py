@@ -1,4 +1,4 @@
-"""Cables between known poses: the length that a cable has when it pulls with a given tension."""
+"""Cable lengths at known poses and tensions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One cable of given tension: the length and shape that make it pull so hard at the platform."""
+"""One cable of known tension at the platform: its length and shape."""
 
 import warp as wp
 

@@ -1,4 +1,4 @@
-"""Winches in float64 Warp: how wound lengths follow what is asked, and the build-up of drums.
+"""Winches in float64 Warp: response of wound lengths to commands, and the build-up of drums.
 
 The drive asks for a rate of the cable by a PID law with the error e = target - length,
 
