@@ -85,6 +85,7 @@ class Buffers:
         on_host = wp.get_device(device).is_cpu
         self._views = {k: v.numpy() for k, v in self._arrays.items()} if on_host else {}
         self._launches: dict[str, Any] = {}
+        self._structs: dict[str, Any] = {}
         self.length_scale = 1.0  # typical cable length of the robot [m]
 
     def add(self, name: str, array: wp.array) -> None:
@@ -114,6 +115,14 @@ class Buffers:
             return view.copy()
         copied: NDArray[Any] = self._arrays[name].numpy()
         return copied
+
+    def struct(self, kind: Any) -> Any:
+        """Return a Warp struct of these buffers, by the names of its fields; others stay empty."""
+        if kind.key not in self._structs:
+            filled = self._structs[kind.key] = kind()
+            for name in self._arrays.keys() & kind.vars:
+                setattr(filled, name, self._arrays[name])
+        return self._structs[kind.key]
 
     def launch(self, key: str, kernel: wp.Kernel, dim: int | tuple[int, ...], *args: Any) -> None:
         """Run a kernel: recorded at its first use, replayed afterwards.

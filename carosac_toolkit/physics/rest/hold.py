@@ -24,6 +24,7 @@ from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable.catenary_kernels import mat66d, vec6d
 from carosac_toolkit.physics.device import body_record, check_call, device_robot
 from carosac_toolkit.physics.rest import hold_kernels
+from carosac_toolkit.physics.rest.platform_kernels import Poses
 from carosac_toolkit.physics.rest.statics import (
     EQUILIBRIUM_CLOSURE_MAX,
     EQUILIBRIUM_RESIDUAL_PER_WEIGHT,
@@ -144,7 +145,7 @@ def _solve(
     cables, bodies = device_robot(robot, device)
     size, n = len(position), robot.n
     count = n + (3 if n < 6 else 0)
-    poses = hold_kernels.Poses()
+    poses = Poses()
     for name, (shape, kind) in _shapes(size, n, count).items():
         setattr(poses, name, wp.zeros(shape, dtype=kind, device=device))
     poses.position.assign(position)
@@ -168,7 +169,7 @@ _ANSWER_FIELDS = (
 
 
 def _shapes(size: int, n: int, count: int) -> dict[str, tuple[Any, Any]]:
-    """Return shape and type of each array of `hold_kernels.Poses`."""
+    """Return shape and type of each array of `Poses`."""
     per_cable, per_unknown = (size, n), (size, count)
     return {
         "position": (size, wp.vec3d), "rotation": (size, wp.mat33d),

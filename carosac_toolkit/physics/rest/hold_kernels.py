@@ -28,11 +28,11 @@ from carosac_toolkit.physics.rest.margin_kernels import (
     nearest_balance,
 )
 from carosac_toolkit.physics.rest.platform_kernels import (
+    Poses,
     StaticBody,
     anchor_of,
     cross_matrix,
     factorise,
-    mat66d,
     orthonormal,
     rotation_of,
     scaled_norm,
@@ -52,33 +52,6 @@ MARGIN_GAIN_PER_WEIGHT = wp.constant(wp.float64(1.0e-9))  # margin still to be g
 STEP_PORTION_MIN = wp.constant(wp.float64(1.0e-3))  # part of a step
 GAIN_NOISE_PER_WEIGHT = wp.constant(wp.float64(1.0e-10))  # of the weight
 WRENCH_PENALTY = wp.constant(wp.float64(1.0))  # N of margin that a N of wrench left costs
-
-
-@wp.struct
-class Poses:
-    """One entry for each pose; (B, n) where there is one for each cable."""
-
-    position: wp.array(dtype=wp.vec3d)
-    rotation: wp.array(dtype=wp.mat33d)  # where to begin, then the answer
-    tension: wp.array2d(dtype=wp.float64)
-    unstrained_length: wp.array2d(dtype=wp.float64)
-    q: wp.array2d(dtype=wp.vec3d)
-    inverse: wp.array2d(dtype=wp.mat33d)
-    lower: wp.array2d(dtype=wp.float64)
-    upper: wp.array2d(dtype=wp.float64)
-    low: wp.array2d(dtype=wp.float64)  # multipliers of the lower limits
-    high: wp.array2d(dtype=wp.float64)
-    column: wp.array2d(dtype=vec6d)  # (B, unknowns)
-    solution: wp.array2d(dtype=wp.float64)  # (B, unknowns), of a linear program
-    kept: wp.array2d(dtype=wp.float64)
-    margin: wp.array(dtype=wp.float64)
-    gap: wp.array(dtype=wp.float64)  # of the margin [N]
-    status: wp.array(dtype=int)
-    steps: wp.array(dtype=int)
-    stiffness: wp.array(dtype=mat66d)
-    residual: wp.array(dtype=wp.float64)
-    closure: wp.array(dtype=wp.float64)
-    stable: wp.array(dtype=int)
 
 
 @wp.func
@@ -337,7 +310,7 @@ def start_cold(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBo
             for i in range(n):
                 s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
                 poses.unstrained_length[b, i] = s.length
-            nearby = cold_start(cables, poses.unstrained_length, poses.tension, row, b, body, p, r)
+            nearby = cold_start(cables, row, b, body, p, r, poses)
             r = nearby.rotation
     else:
         for i in range(n):
@@ -350,11 +323,8 @@ def begin(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, r
           poses: Poses):  # fmt: skip
     """Start from straight cables at the tensions of the pose, clipped to the limits."""
     p = poses.position[b]
-    set_limits(cables, row, b, body, p, r, LEAST_TENSION_FACTOR, poses.lower, poses.upper)
-    first_tensions(
-        cables, row, b, p, r, poses.lower, poses.upper, poses.tension, poses.unstrained_length,
-        poses.q,
-    )  # fmt: skip
+    set_limits(cables, row, b, body, p, r, LEAST_TENSION_FACTOR, poses)
+    first_tensions(cables, row, b, p, r, poses)
 
 
 @wp.func
@@ -364,9 +334,7 @@ def limits_moved(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Static
     most = wp.float64(0.0)
     for i in range(poses.tension.shape[1]):
         poses.kept[b, i] = poses.lower[b, i]
-    set_limits(
-        cables, row, b, body, poses.position[b], r, LEAST_TENSION_FACTOR, poses.lower, poses.upper
-    )
+    set_limits(cables, row, b, body, poses.position[b], r, LEAST_TENSION_FACTOR, poses)
     for i in range(poses.tension.shape[1]):
         most = wp.max(most, wp.abs(poses.lower[b, i] - poses.kept[b, i]))
     return most > wp.float64(1.0e-8) * body.weight
@@ -388,9 +356,8 @@ def judge_rest(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBo
     for i in range(poses.tension.shape[1]):
         poses.kept[b, i] = poses.tension[b, i]
     here = load_cables(
-        cables, poses.unstrained_length, row, b, body, poses.position[b], r,
-        wp.float64(1.0e-13) * body.size, poses.q, poses.inverse, poses.tension,
-    )  # fmt: skip
+        cables, row, b, body, poses.position[b], r, wp.float64(1.0e-13) * body.size, poses
+    )
     f = factorise(here.balance.stiffness)
     poses.stiffness[b] = here.balance.stiffness
     poses.residual[b] = scaled_norm(here.balance.wrench + external, body.arm)

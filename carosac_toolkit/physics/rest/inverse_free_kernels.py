@@ -31,6 +31,7 @@ from carosac_toolkit.physics.rest.inverse_kernels import (
     set_limits,
 )
 from carosac_toolkit.physics.rest.platform_kernels import (
+    Poses,
     StaticBody,
     anchor_of,
     mat66d,
@@ -94,22 +95,22 @@ def dual_gradient(
 
 @wp.func
 def dual_gradient_sum(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
-                      p: wp.vec3d, r: wp.mat33d, tension: wp.array2d(dtype=wp.float64),
-                      dual_force: wp.vec3d, dual_moment: wp.vec3d) -> wp.vec3d:  # fmt: skip
+                      p: wp.vec3d, r: wp.mat33d, dual_force: wp.vec3d, dual_moment: wp.vec3d,
+                      poses: Poses) -> wp.vec3d:  # fmt: skip
     """Return the gradient of y . wrench under a rotation of the platform."""
     weight = wp.vec3d(ZERO, ZERO, -body.weight)
     out = wp.cross(r * body.center_of_mass, wp.cross(weight, dual_moment))
-    for i in range(tension.shape[1]):
+    for i in range(poses.tension.shape[1]):
         arm = r * cables[row, i].anchor_point
         s = straight_to(cables[row, i], p + arm)
-        out += tension[b, i] * dual_gradient(s, arm, dual_force, dual_moment)
+        out += poses.tension[b, i] * dual_gradient(s, arm, dual_force, dual_moment)
     return out
 
 
 @wp.func
-def dual_curvature(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, p: wp.vec3d,
-                   r: wp.mat33d, tension: wp.array2d(dtype=wp.float64), dual_force: wp.vec3d,
-                   dual_moment: wp.vec3d) -> wp.mat33d:  # fmt: skip
+def dual_curvature(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+                   p: wp.vec3d, r: wp.mat33d, dual_force: wp.vec3d, dual_moment: wp.vec3d,
+                   poses: Poses) -> wp.mat33d:  # fmt: skip
     """Return minus the second rotation derivative of y . wrench, by central differences."""
     h = wp.float64(1.0e-4)
     out = wp.mat33d()
@@ -117,10 +118,10 @@ def dual_curvature(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Stat
         tilt = wp.vec3d()
         tilt[axis] = h
         plus = dual_gradient_sum(
-            cables, row, b, body, p, rotation_of(tilt) * r, tension, dual_force, dual_moment
+            cables, row, b, body, p, rotation_of(tilt) * r, dual_force, dual_moment, poses
         )
         minus = dual_gradient_sum(
-            cables, row, b, body, p, rotation_of(-tilt) * r, tension, dual_force, dual_moment
+            cables, row, b, body, p, rotation_of(-tilt) * r, dual_force, dual_moment, poses
         )
         change = (minus - plus) / (TWO * h)
         for k in range(3):
@@ -138,12 +139,8 @@ def optimality_row(column: vec6d, twist: wp.vec3d) -> vec9d:
 
 
 @wp.func
-def optimality_step(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64),
-                    b: int, balance_wrench: vec6d, stiffness: mat66d, arm: wp.float64,
-                    curvature: wp.mat33d, ridge: wp.float64,
-                    tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
-                    twist: wp.array2d(dtype=wp.vec3d),
-                    bound: wp.array2d(dtype=int)) -> vec9d:  # fmt: skip
+def optimality_step(b: int, balance_wrench: vec6d, stiffness: mat66d, arm: wp.float64,
+                    curvature: wp.mat33d, ridge: wp.float64, poses: Poses) -> vec9d:  # fmt: skip
     """Return the Newton step (multipliers, rotation) for the cables now held at limits."""
     matrix = mat99d()
     right = vec9d()
@@ -158,14 +155,14 @@ def optimality_step(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype
         for j in range(3):
             matrix[6 + i, 6 + j] = -curvature[i, j]
         matrix[6 + i, 6 + i] = matrix[6 + i, 6 + i] - ridge
-    for i in range(tension.shape[1]):
-        line = optimality_row(column[b, i], twist[b, i])
-        if bound[b, i] == 0:
+    for i in range(poses.tension.shape[1]):
+        line = optimality_row(poses.column[b, i], poses.twist[b, i])
+        if poses.bound[b, i] == 0:
             matrix = matrix + wp.outer(line, line)
-            right = right + tension[b, i] * line
+            right = right + poses.tension[b, i] * line
         else:
-            held = wp.where(bound[b, i] == 1, lower[b, i], upper[b, i])
-            right = right - (held - tension[b, i]) * line
+            held = wp.where(poses.bound[b, i] == 1, poses.lower[b, i], poses.upper[b, i])
+            right = right - (held - poses.tension[b, i]) * line
     return solve9(matrix, right)
 
 
@@ -190,11 +187,7 @@ def beyond(lower: wp.float64, upper: wp.float64, tension: wp.float64) -> int:
 
 
 @wp.func
-def choose(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64), b: int,
-           step: vec9d,
-           tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
-           twist: wp.array2d(dtype=wp.vec3d), bound: wp.array2d(dtype=int),
-           wanted: wp.array2d(dtype=wp.float64)) -> Choice:  # fmt: skip
+def choose(b: int, step: vec9d, poses: Poses) -> Choice:
     """Choose tensions of a step, and which cables to hold at a limit.
 
     n tensions and 3 rotations fulfil 6 balances, so no more than n - 3 cables can be held. Those
@@ -206,17 +199,17 @@ def choose(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float
     held = int(0)
     worst = int(-1)
     most = wp.float64(0.0)
-    for i in range(tension.shape[1]):
-        low = lower[b, i]
-        high = upper[b, i]
-        t = wp.dot(optimality_row(column[b, i], twist[b, i]), step)
+    for i in range(poses.tension.shape[1]):
+        low = poses.lower[b, i]
+        high = poses.upper[b, i]
+        t = wp.dot(optimality_row(poses.column[b, i], poses.twist[b, i]), step)
         side = beyond(low, high, t)
-        if side != 0 or bound[b, i] != 0 or beyond(low, high, tension[b, i]) != 0:
+        if side != 0 or poses.bound[b, i] != 0 or beyond(low, high, poses.tension[b, i]) != 0:
             out.inside = 0
-        if bound[b, i] != 0 and side != bound[b, i]:
-            bound[b, i] = 0
+        if poses.bound[b, i] != 0 and side != poses.bound[b, i]:
+            poses.bound[b, i] = 0
             out.changed = 1
-        if bound[b, i] != 0:
+        if poses.bound[b, i] != 0:
             held += 1
             t = wp.clamp(t, low, high)
         elif side != 0:
@@ -224,13 +217,15 @@ def choose(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float
             if offence > most:
                 most = offence
                 worst = i
-        t = wp.max(t, wp.max(wp.float64(0.2) * tension[b, i], HALF * low))
-        wanted[b, i] = t
-        out.slope += tension[b, i] * (t - tension[b, i])
-        out.jump = wp.max(out.jump, wp.abs(t - tension[b, i]))
-    if worst >= 0 and held < tension.shape[1] - 3:
-        line = optimality_row(column[b, worst], twist[b, worst])
-        bound[b, worst] = beyond(lower[b, worst], upper[b, worst], wp.dot(line, step))
+        t = wp.max(t, wp.max(wp.float64(0.2) * poses.tension[b, i], HALF * low))
+        poses.wanted[b, i] = t
+        out.slope += poses.tension[b, i] * (t - poses.tension[b, i])
+        out.jump = wp.max(out.jump, wp.abs(t - poses.tension[b, i]))
+    if worst >= 0 and held < poses.tension.shape[1] - 3:
+        line = optimality_row(poses.column[b, worst], poses.twist[b, worst])
+        poses.bound[b, worst] = beyond(
+            poses.lower[b, worst], poses.upper[b, worst], wp.dot(line, step)
+        )
         out.changed = 1
     return out
 
@@ -244,12 +239,8 @@ class TensionStep:
 
 
 @wp.func
-def search(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64), b: int,
-           body: StaticBody, wrench: vec6d,
-           stiffness: mat66d, curvature: wp.mat33d, balanced: bool,
-           tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
-           twist: wp.array2d(dtype=wp.vec3d), bound: wp.array2d(dtype=int),
-           wanted: wp.array2d(dtype=wp.float64)) -> TensionStep:  # fmt: skip
+def search(b: int, body: StaticBody, wrench: vec6d, stiffness: mat66d, curvature: wp.mat33d,
+           balanced: bool, poses: Poses) -> TensionStep:  # fmt: skip
     """Find the Newton step for the right set of cables at their limits.
 
     At balance a step must not raise the squared tensions: there a ridge on the rotation grows
@@ -260,11 +251,8 @@ def search(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float
     tries = int(0)
     searching = bool(True)
     while searching:
-        out.step = optimality_step(
-            lower, upper, b, wrench, stiffness, body.arm, curvature, ridge, tension, column,
-            twist, bound,
-        )  # fmt: skip
-        out.choice = choose(lower, upper, b, out.step, tension, column, twist, bound, wanted)
+        out.step = optimality_step(b, wrench, stiffness, body.arm, curvature, ridge, poses)
+        out.choice = choose(b, out.step, poses)
         tries += 1
         searching = out.choice.changed == 1 and tries < 12
         rising = out.choice.slope > wp.float64(1.0e-6) * body.weight * body.weight
@@ -278,12 +266,11 @@ def search(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float
 
 
 @wp.func
-def verdict(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64), b: int,
-            tension: wp.array2d(dtype=wp.float64)) -> int:  # fmt: skip
+def verdict(b: int, tension: wp.array2d(dtype=wp.float64), poses: Poses) -> int:
     """Judge tensions by their limits."""
     for i in range(tension.shape[1]):
-        slip = wp.float64(1.0e-9) * upper[b, i]
-        if tension[b, i] < lower[b, i] - slip or tension[b, i] > upper[b, i] + slip:
+        slip = wp.float64(1.0e-9) * poses.upper[b, i]
+        if tension[b, i] < poses.lower[b, i] - slip or tension[b, i] > poses.upper[b, i] + slip:
             return STATUS_INFEASIBLE
     return STATUS_CONVERGED
 
@@ -299,14 +286,9 @@ class TensionSearch:
 
 @wp.func
 def optimise(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, p: wp.vec3d,
-             r0: wp.mat33d, lower: wp.array2d(dtype=wp.float64),
-             upper: wp.array2d(dtype=wp.float64), lengths: wp.array2d(dtype=wp.float64),
-             q: wp.array2d(dtype=wp.vec3d), tension: wp.array2d(dtype=wp.float64),
-             wanted: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
-             twist: wp.array2d(dtype=wp.vec3d),
-             bound: wp.array2d(dtype=int)) -> TensionSearch:  # fmt: skip
+             r0: wp.mat33d, poses: Poses) -> TensionSearch:  # fmt: skip
     """Solve the conditions of optimality by Newton from one rotation and its first tensions."""
-    n = tension.shape[1]
+    n = poses.tension.shape[1]
     out = TensionSearch()
     out.rotation = r0
     out.status = -1
@@ -314,17 +296,17 @@ def optimise(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody
     dual_moment = wp.vec3d()
     while out.status < 0:
         r = out.rotation
-        here = pull_cables(cables, row, b, body, p, r, tension, lengths, q, column)
+        here = pull_cables(cables, row, b, body, p, r, poses)
         out.steps += 1
         norm = scaled_norm(here.balance.wrench, body.arm)
-        curvature = dual_curvature(cables, row, b, body, p, r, tension, dual_force, dual_moment)
+        curvature = dual_curvature(cables, row, b, body, p, r, dual_force, dual_moment, poses)
         for i in range(n):
             arm = r * cables[row, i].anchor_point
             s = straight_to(cables[row, i], p + arm)
-            twist[b, i] = dual_gradient(s, arm, dual_force, dual_moment)
+            poses.twist[b, i] = dual_gradient(s, arm, dual_force, dual_moment)
         newton = search(
-            lower, upper, b, body, here.balance.wrench, here.balance.stiffness, curvature,
-            norm < wp.float64(1.0e-3) * body.weight, tension, column, twist, bound, wanted,
+            b, body, here.balance.wrench, here.balance.stiffness, curvature,
+            norm < wp.float64(1.0e-3) * body.weight, poses,
         )  # fmt: skip
         step = newton.step
         turn = wp.vec3d(step[6], step[7], step[8])
@@ -340,14 +322,16 @@ def optimise(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody
             and steady
             and newton.choice.changed == 0
         ):
-            out.status = verdict(lower, upper, b, tension)
+            out.status = verdict(b, poses.tension, poses)
         elif out.steps >= TENSION_STEPS_MAX:
-            refused = verdict(lower, upper, b, wanted) == STATUS_INFEASIBLE
+            refused = verdict(b, poses.wanted, poses) == STATUS_INFEASIBLE
             out.status = wp.where(refused, STATUS_INFEASIBLE, STATUS_FAILED)
         else:
             scale = wp.min(ONE, wp.float64(0.2) / (angle + DIVISION_FLOOR))
             for i in range(n):
-                tension[b, i] = tension[b, i] + scale * (wanted[b, i] - tension[b, i])
+                poses.tension[b, i] = poses.tension[b, i] + scale * (
+                    poses.wanted[b, i] - poses.tension[b, i]
+                )
             out.rotation = orthonormal(rotation_of(scale * turn) * r)
     return out
 
@@ -362,23 +346,7 @@ def start_rotation(attempt: int, rotation: wp.mat33d) -> wp.mat33d:
 
 
 @wp.kernel
-def inverse_free(
-    cables: wp.array2d(dtype=Cable),
-    bodies: wp.array(dtype=StaticBody),
-    position: wp.array(dtype=wp.vec3d),
-    rotation: wp.array(dtype=wp.mat33d),
-    unstrained_length: wp.array2d(dtype=wp.float64),
-    q: wp.array2d(dtype=wp.vec3d),
-    tension: wp.array2d(dtype=wp.float64),
-    wanted: wp.array2d(dtype=wp.float64),
-    lower: wp.array2d(dtype=wp.float64),
-    upper: wp.array2d(dtype=wp.float64),
-    column: wp.array2d(dtype=vec6d),
-    twist: wp.array2d(dtype=wp.vec3d),
-    bound: wp.array2d(dtype=int),
-    status: wp.array(dtype=int),
-    iterations: wp.array(dtype=int),
-):
+def inverse_free(cables: wp.array2d(dtype=Cable), bodies: wp.array(dtype=StaticBody), poses: Poses):
     """Find least squared tensions in equilibrium, rotation free, from a stable rest nearby.
 
     Where that fails, once more with a wider margin over the least tension of a hanging cable, then
@@ -387,8 +355,8 @@ def inverse_free(
     b = wp.tid()
     row = wp.min(b, cables.shape[0] - 1)
     body = bodies[wp.min(b, bodies.shape[0] - 1)]
-    p = position[b]
-    first_rotation = rotation[b]
+    p = poses.position[b]
+    first_rotation = poses.rotation[b]
     out = TensionSearch()
     steps = int(0)
     attempt = int(0)
@@ -396,21 +364,18 @@ def inverse_free(
         r = start_rotation(attempt, first_rotation)
         margin = wp.where(attempt == 1, LEAST_TENSION_FACTOR_WIDE, LEAST_TENSION_FACTOR)
         for _round in range(FREE_FIT_ROUNDS):
-            for i in range(tension.shape[1]):
+            for i in range(poses.tension.shape[1]):
                 s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
-                unstrained_length[b, i] = s.length
-            nearby = cold_start(cables, unstrained_length, tension, row, b, body, p, r)
+                poses.unstrained_length[b, i] = s.length
+            nearby = cold_start(cables, row, b, body, p, r, poses)
             r = nearby.rotation
-        set_limits(cables, row, b, body, p, r, margin, lower, upper)
-        first_tensions(cables, row, b, p, r, lower, upper, tension, unstrained_length, q)
-        for i in range(tension.shape[1]):
-            bound[b, i] = 0
-        out = optimise(
-            cables, row, b, body, p, r, lower, upper, unstrained_length, q, tension, wanted,
-            column, twist, bound,
-        )  # fmt: skip
+        set_limits(cables, row, b, body, p, r, margin, poses)
+        first_tensions(cables, row, b, p, r, poses)
+        for i in range(poses.tension.shape[1]):
+            poses.bound[b, i] = 0
+        out = optimise(cables, row, b, body, p, r, poses)
         steps += out.steps
         attempt += 1
-    rotation[b] = out.rotation
-    status[b] = out.status
-    iterations[b] = steps
+    poses.rotation[b] = out.rotation
+    poses.status[b] = out.status
+    poses.steps[b] = steps

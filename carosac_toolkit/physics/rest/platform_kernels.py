@@ -34,6 +34,37 @@ class WrenchBalance:
     stiffness: mat66d  # -d wrench / d (translation, rotation vector), in W
 
 
+@wp.struct
+class Poses:
+    """Poses of a batch, (B,), and their cables, (B, n); arrays that a kernel skips stay empty."""
+
+    position: wp.array(dtype=wp.vec3d)  # in W [m]
+    rotation: wp.array(dtype=wp.mat33d)  # from P to W: where to begin, then the answer
+    unstrained_length: wp.array2d(dtype=wp.float64)  # [m]
+    tension: wp.array2d(dtype=wp.float64)  # at the platform [N]
+    q: wp.array2d(dtype=wp.vec3d)  # tension vector at the exit [N]
+    inverse: wp.array2d(dtype=wp.mat33d)  # (d closure / d q)^-1 [N/m]
+    stiffness: wp.array(dtype=mat66d)
+    residual: wp.array(dtype=wp.float64)  # norm of the wrench [N]
+    closure: wp.array(dtype=wp.float64)  # largest of a cable [m]
+    status: wp.array(dtype=int)
+    stable: wp.array(dtype=int)
+    steps: wp.array(dtype=int)
+    lower: wp.array2d(dtype=wp.float64)  # limits of the tensions [N]
+    upper: wp.array2d(dtype=wp.float64)
+    middle: wp.array2d(dtype=wp.float64)  # tensions to stay close to [N]
+    wanted: wp.array2d(dtype=wp.float64)  # tensions after a step [N]
+    column: wp.array2d(dtype=vec6d)  # d scaled wrench / d unknown, (B, unknowns)
+    twist: wp.array2d(dtype=wp.vec3d)  # dual gradient of each cable
+    bound: wp.array2d(dtype=int)  # 1: held at the lower limit, 2: at the upper one
+    low: wp.array2d(dtype=wp.float64)  # multipliers of the lower limits
+    high: wp.array2d(dtype=wp.float64)
+    solution: wp.array2d(dtype=wp.float64)  # (B, unknowns), of a linear program
+    kept: wp.array2d(dtype=wp.float64)  # tensions before a step [N]
+    margin: wp.array(dtype=wp.float64)  # [N]
+    gap: wp.array(dtype=wp.float64)  # of the margin [N]
+
+
 @wp.func
 def cross_matrix(a: wp.vec3d) -> wp.mat33d:
     """Return the matrix [a]x of a x b = [a]x b."""

@@ -10,6 +10,7 @@ import warp as wp
 from carosac_toolkit.physics.cable.catenary_kernels import HALF, TWO, ZERO, Cable
 from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.rest.platform_kernels import (
+    Poses,
     StaticBody,
     WrenchBalance,
     add_lever,
@@ -62,29 +63,28 @@ class StraightStart:
 
 
 @wp.func
-def soft_energy(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
-                multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: StaticBody,
-                p: wp.vec3d, r: wp.mat33d, k: wp.float64) -> wp.float64:  # fmt: skip
+def soft_energy(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+                p: wp.vec3d, r: wp.mat33d, k: wp.float64, poses: Poses) -> wp.float64:  # fmt: skip
     """Return the energy of the augmented problem [J]."""
     center = p + r * body.center_of_mass
     energy = body.weight * center[2]
-    for i in range(lengths.shape[1]):
+    for i in range(poses.unstrained_length.shape[1]):
         s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
-        t = wp.max(multiplier[b, i] + k * (s.length - lengths[b, i]), ZERO)
+        t = wp.max(poses.tension[b, i] + k * (s.length - poses.unstrained_length[b, i]), ZERO)
         energy += HALF * t * t / k
     return energy
 
 
 @wp.func
-def soft_balance(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
-                 multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: StaticBody,
-                 p: wp.vec3d, r: wp.mat33d, k: wp.float64) -> WrenchBalance:  # fmt: skip
+def soft_balance(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+                 p: wp.vec3d, r: wp.mat33d, k: wp.float64,
+                 poses: Poses) -> WrenchBalance:  # fmt: skip
     """Return wrench and stiffness of the augmented problem."""
     total = gravity_balance(body, r)
-    for i in range(lengths.shape[1]):
+    for i in range(poses.unstrained_length.shape[1]):
         anchor = anchor_of(cables[row, i], p, r)
         s = straight_to(cables[row, i], anchor)
-        t = multiplier[b, i] + k * (s.length - lengths[b, i])
+        t = poses.tension[b, i] + k * (s.length - poses.unstrained_length[b, i])
         if t > ZERO:
             pull = k * wp.outer(s.unit, s.unit) + t * s.bend
             total = add_lever(total.stiffness, total.wrench, anchor - p, t * s.unit, pull)
@@ -92,18 +92,15 @@ def soft_balance(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.f
 
 
 @wp.func
-def minimise(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
-             multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: StaticBody,
-             start: StraightStart, k: wp.float64) -> StraightStart:  # fmt: skip
+def minimise(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+             start: StraightStart, k: wp.float64, poses: Poses) -> StraightStart:  # fmt: skip
     """Minimise the energy of one round by damped Newton with Armijo line search."""
     out = start
-    energy = soft_energy(
-        cables, lengths, multiplier, row, b, body, start.position, start.rotation, k
-    )
+    energy = soft_energy(cables, row, b, body, start.position, start.rotation, k, poses)
     for _step in range(SOFT_STEPS_MAX):
         p = out.position
         r = out.rotation
-        total = soft_balance(cables, lengths, multiplier, row, b, body, p, r, k)
+        total = soft_balance(cables, row, b, body, p, r, k, poses)
         out.steps += 1
         if scaled_norm(total.wrench, body.arm) < wp.float64(1.0e-2) * body.weight:
             break
@@ -114,9 +111,7 @@ def minimise(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float
         for _half in range(20):
             out.position = p + translation(step)
             out.rotation = turned(r, step)
-            after = soft_energy(
-                cables, lengths, multiplier, row, b, body, out.position, out.rotation, k
-            )
+            after = soft_energy(cables, row, b, body, out.position, out.rotation, k, poses)
             if after <= energy - gain:
                 break
             step = step * HALF
@@ -126,25 +121,24 @@ def minimise(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float
 
 
 @wp.func
-def cold_start(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
-               multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: StaticBody,
-               p0: wp.vec3d, r0: wp.mat33d) -> StraightStart:  # fmt: skip
-    """Rest on straight inextensible cables, to about a millimetre; tensions in multiplier."""
+def cold_start(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+               p0: wp.vec3d, r0: wp.mat33d, poses: Poses) -> StraightStart:  # fmt: skip
+    """Rest on straight inextensible cables, to about a millimetre; sets its tensions."""
     out = StraightStart()
     out.position = p0
     out.rotation = r0
     k = body.weight / (STRETCH_UNDER_WEIGHT * body.size)
-    for i in range(lengths.shape[1]):
-        multiplier[b, i] = ZERO
+    for i in range(poses.unstrained_length.shape[1]):
+        poses.tension[b, i] = ZERO
     for _round in range(MULTIPLIER_ROUNDS_MAX):
-        out = minimise(cables, lengths, multiplier, row, b, body, out, k)
+        out = minimise(cables, row, b, body, out, k, poses)
         worst = wp.float64(0.0)
-        for i in range(lengths.shape[1]):
+        for i in range(poses.unstrained_length.shape[1]):
             anchor = anchor_of(cables[row, i], out.position, out.rotation)
             s = straight_to(cables[row, i], anchor)
-            t = wp.max(multiplier[b, i] + k * (s.length - lengths[b, i]), ZERO)
-            worst = wp.max(worst, wp.abs(t - multiplier[b, i]) / k)
-            multiplier[b, i] = t
+            t = wp.max(poses.tension[b, i] + k * (s.length - poses.unstrained_length[b, i]), ZERO)
+            worst = wp.max(worst, wp.abs(t - poses.tension[b, i]) / k)
+            poses.tension[b, i] = t
         if worst < wp.float64(1.0e-4) * body.size:
             break
         k = k * TWO

@@ -23,6 +23,7 @@ from carosac_toolkit.physics.cable.shapes import offset_from_chord
 from carosac_toolkit.physics.device import Buffers, check_call, device_robot, kept_buffers
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest import forward_kernels, inverse_free_kernels, inverse_kernels
+from carosac_toolkit.physics.rest.platform_kernels import Poses
 from carosac_toolkit.robot.robot import Robot
 
 EQUILIBRIUM_RESIDUAL_PER_WEIGHT = 1e-9  # of the weight: a larger wrench left over is no equilibrium
@@ -112,8 +113,7 @@ def forward_kinematics(
         warm = _put_guess(robot, buffers, guess)
         buffers.launch(
             f"forward{warm}", forward_kernels.forward, size, cables, bodies, warm,
-            "unstrained_length", "position", "rotation", "q", "inverse", "tension", "stiffness",
-            "residual", "gap", "status", "stable", "iterations",
+            buffers.struct(Poses),
         )  # fmt: skip
         return _equilibrium(robot, buffers)
 
@@ -171,23 +171,12 @@ def _launch_inverse(
     robot: Robot | Fleet, buffers: Buffers, size: int, free: bool, device: str
 ) -> None:
     """Solve, then judge the answer by its lengths alone."""
-    cables, bodies = device_robot(robot, device)
-    common = (cables, bodies, "position", "rotation", "unstrained_length", "q", "tension", "wanted")
+    inputs = (*device_robot(robot, device), buffers.struct(Poses))
     if free:
-        buffers.launch(
-            "free", inverse_free_kernels.inverse_free, size, *common,
-            "lower", "upper", "column", "twist", "bound", "status", "iterations",
-        )  # fmt: skip
+        buffers.launch("free", inverse_free_kernels.inverse_free, size, *inputs)
     else:
-        buffers.launch(
-            "held", inverse_kernels.inverse_held, size, *common,
-            "lower", "upper", "middle", "column", "status", "iterations",
-        )  # fmt: skip
-    buffers.launch(
-        "evaluate", inverse_kernels.evaluate, size, cables, bodies, "unstrained_length",
-        "position", "rotation", "q", "inverse", "tension", "stiffness", "residual", "gap",
-        "stable",
-    )  # fmt: skip
+        buffers.launch("held", inverse_kernels.inverse_held, size, *inputs)
+    buffers.launch("evaluate", inverse_kernels.evaluate, size, *inputs)
 
 
 def cable_shape(
@@ -274,8 +263,8 @@ def _shapes(size: int, n: int) -> dict[str, tuple[Any, Any]]:
     per_cable = (size, n)
     return {
         "position": (size, wp.vec3d), "rotation": (size, wp.mat33d), "stiffness": (size, mat66d),
-        "residual": (size, wp.float64), "gap": (size, wp.float64), "status": (size, int),
-        "stable": (size, int), "iterations": (size, int),
+        "residual": (size, wp.float64), "closure": (size, wp.float64), "status": (size, int),
+        "stable": (size, int), "steps": (size, int),
         "unstrained_length": (per_cable, wp.float64), "tension": (per_cable, wp.float64),
         "q": (per_cable, wp.vec3d), "inverse": (per_cable, wp.mat33d),
         "wanted": (per_cable, wp.float64), "lower": (per_cable, wp.float64),
@@ -288,7 +277,7 @@ def _equilibrium(robot: Robot | Fleet, buffers: Buffers) -> Equilibrium:
     """Copy the answer out and judge it."""
     tension = buffers.get("tension")
     length = buffers.get("unstrained_length")
-    residual, gap, status = (buffers.get(k) for k in ("residual", "gap", "status"))
+    residual, gap, status = (buffers.get(k) for k in ("residual", "closure", "status"))
     sound = (residual <= EQUILIBRIUM_RESIDUAL_PER_WEIGHT * robot.weight) & (
         gap <= EQUILIBRIUM_CLOSURE_MAX * buffers.length_scale
     )
@@ -307,5 +296,5 @@ def _equilibrium(robot: Robot | Fleet, buffers: Buffers) -> Equilibrium:
         stiffness=buffers.get("stiffness"),
         exit_tension=buffers.get("q"),
         status=np.where(converged, 1, np.where(status == 1, 0, status)).astype(np.int32),
-        iterations=buffers.get("iterations"),
+        iterations=buffers.get("steps"),
     )
