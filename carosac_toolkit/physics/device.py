@@ -85,7 +85,6 @@ class Buffers:
         on_host = wp.get_device(device).is_cpu
         self._views = {k: v.numpy() for k, v in self._arrays.items()} if on_host else {}
         self._launches: dict[str, Any] = {}
-        self._structs: dict[str, Any] = {}
         self.length_scale = 1.0  # typical cable length of the robot [m]
 
     def add(self, name: str, array: wp.array) -> None:
@@ -116,14 +115,6 @@ class Buffers:
         copied: NDArray[Any] = self._arrays[name].numpy()
         return copied
 
-    def struct(self, kind: Any) -> Any:
-        """Return a Warp struct of these buffers, by the names of its fields; others stay empty."""
-        if kind.key not in self._structs:
-            filled = self._structs[kind.key] = kind()
-            for name in self._arrays.keys() & kind.vars:
-                setattr(filled, name, self._arrays[name])
-        return self._structs[kind.key]
-
     def launch(self, key: str, kernel: wp.Kernel, dim: int | tuple[int, ...], *args: Any) -> None:
         """Run a kernel: recorded at its first use, replayed afterwards.
 
@@ -131,14 +122,25 @@ class Buffers:
             key: Stands for kernel, size and arguments, which must not change between calls.
             kernel: The kernel.
             dim: Number of threads.
-            args: Kernel arguments; a string names one of the buffers.
+            args: Kernel arguments; a string names one of the buffers, and a type of struct is made
+                of the buffers that are named as its fields, the others empty.
         """
         if key not in self._launches:
-            inputs = [self._arrays[a] if isinstance(a, str) else a for a in args]
+            inputs = [
+                self._arrays[a] if isinstance(a, str) else self._struct(a) if callable(a) else a
+                for a in args
+            ]
             self._launches[key] = wp.launch(
                 kernel, dim, inputs=inputs, device=self.device, record_cmd=True
             )
         self._launches[key].launch()
+
+    def _struct(self, kind: Any) -> Any:
+        """Make a struct of the buffers that are named as its fields."""
+        made = kind()
+        for name in self._arrays.keys() & kind.vars:
+            setattr(made, name, self._arrays[name])
+        return made
 
 
 _uploads: WeakKeyDictionary[Robot | Fleet, dict[str, tuple[wp.array, wp.array]]] = (

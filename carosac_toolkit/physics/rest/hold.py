@@ -178,7 +178,7 @@ def _shapes(size: int, n: int, count: int) -> dict[str, tuple[Any, Any]]:
         "lower": (per_cable, wp.float64), "upper": (per_cable, wp.float64),
         "low": (per_cable, wp.float64), "high": (per_cable, wp.float64),
         "kept": (per_cable, wp.float64), "column": (per_unknown, vec6d),
-        "solution": (per_unknown, wp.float64), "margin": (size, wp.float64),
+        "wanted": (per_unknown, wp.float64), "margin": (size, wp.float64),
         "gap": (size, wp.float64), "status": (size, int), "steps": (size, int),
         "stiffness": (size, mat66d), "residual": (size, wp.float64),
         "closure": (size, wp.float64), "stable": (size, int),

@@ -18,8 +18,13 @@ from carosac_toolkit.physics.cable.catenary_kernels import (
     vec6d,
 )
 from carosac_toolkit.physics.cable.tension_kernels import LEAST_TENSION_FACTOR, Pulling, pull
-from carosac_toolkit.physics.rest.forward_kernels import load_cables
-from carosac_toolkit.physics.rest.inverse_kernels import first_tensions, scaled_wrench, set_limits
+from carosac_toolkit.physics.rest.inverse_kernels import (
+    first_tensions,
+    judge_pose,
+    scaled_force,
+    scaled_wrench,
+    set_limits,
+)
 from carosac_toolkit.physics.rest.margin_kernels import (
     MARGIN_SOLVED,
     MARGIN_UNSOLVED,
@@ -32,33 +37,26 @@ from carosac_toolkit.physics.rest.platform_kernels import (
     StaticBody,
     anchor_of,
     cross_matrix,
-    factorise,
     orthonormal,
     rotation_of,
-    scaled_norm,
 )
-from carosac_toolkit.physics.rest.start_kernels import cold_start, straight_to
+from carosac_toolkit.physics.rest.start_kernels import (
+    POSITION_FIT_ROUNDS,
+    START_TILT_RAD,
+    fit_straight,
+)
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-HOLD_FIT_ROUNDS = wp.constant(4)  # of fitting straight cables to the position
 HOLD_STEPS_MAX = wp.constant(40)
 HOLD_ATTEMPTS = wp.constant(5)  # rotations to start from: home, then tilted ones if none was solved
 RANK_STABLE = wp.constant(2)  # best rank of an answer; 1: solved, 0: not solved
-HOLD_TILT_RAD = wp.constant(wp.float64(0.7))  # [rad]
 TRUST_RADIUS_RAD = wp.constant(wp.float64(0.3))  # [rad] first trust region
 HOLD_RESIDUAL_PER_WEIGHT = wp.constant(wp.float64(1.0e-11))  # wrench left, of the weight
 MARGIN_GAIN_PER_WEIGHT = wp.constant(wp.float64(1.0e-9))  # margin still to be gained, of the weight
 STEP_PORTION_MIN = wp.constant(wp.float64(1.0e-3))  # part of a step
 GAIN_NOISE_PER_WEIGHT = wp.constant(wp.float64(1.0e-10))  # of the weight
 WRENCH_PENALTY = wp.constant(wp.float64(1.0))  # N of margin that a N of wrench left costs
-
-
-@wp.func
-def scaled_force(force: wp.vec3d, moment: wp.vec3d, arm: wp.float64) -> vec6d:
-    """Return a wrench with its moment divided by the typical lever arm [N]."""
-    m = moment / arm
-    return vec6d(force[0], force[1], force[2], m[0], m[1], m[2])
 
 
 @wp.struct
@@ -148,12 +146,12 @@ def go(b: int, n: int, free: int, start: wp.mat33d, weight: wp.float64, poses: P
     """Take the step, scaled down if it turns too far; return the rotation after it."""
     turn = wp.vec3d()
     for j in range(free):
-        turn[j] = poses.solution[b, n + j] / weight
+        turn[j] = poses.wanted[b, n + j] / weight
     scale = wp.min(ONE, wp.float64(0.5) / (wp.length(turn) + DIVISION_FLOOR))
     for i in range(n):
         t = poses.tension[b, i]
         poses.kept[b, i] = t
-        poses.tension[b, i] = t + scale * (poses.solution[b, i] - t)
+        poses.tension[b, i] = t + scale * (poses.wanted[b, i] - t)
     return orthonormal(rotation_of(scale * turn) * start)
 
 
@@ -176,18 +174,18 @@ def step_back(b: int, n: int, portion: wp.float64, poses: Poses):
     """Take a smaller portion of the step from the tensions before it."""
     for i in range(n):
         t = poses.kept[b, i]
-        poses.tension[b, i] = t + portion * (poses.solution[b, i] - t)
+        poses.tension[b, i] = t + portion * (poses.wanted[b, i] - t)
 
 
 @wp.func
 def aim(b: int, wrench: vec6d, poses: Poses) -> vec6d:
-    """Return the target for the columns; `solution` gets the present tensions and no rotation."""
+    """Return the target for the columns; `wanted` gets the present tensions and no rotation."""
     n = poses.tension.shape[1]
     target = -wrench
     for j in range(poses.column.shape[1]):
-        poses.solution[b, j] = ZERO
+        poses.wanted[b, j] = ZERO
     for i in range(n):
-        poses.solution[b, i] = poses.tension[b, i]
+        poses.wanted[b, i] = poses.tension[b, i]
         target = target + poses.tension[b, i] * poses.column[b, i]
     return target
 
@@ -218,9 +216,7 @@ def come_to_rest(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Static
                 out.status = MARGIN_SOLVED
             else:
                 target = aim(b, wrench, poses)
-                balanced = nearest_balance(
-                    poses.column, b, count, target, line, work, poses.solution
-                )
+                balanced = nearest_balance(poses.column, b, count, target, line, work, poses.wanted)
                 out.rotation = go(b, n, count - n, out.rotation, body.weight, poses)
     keep_weights(line, b, n, poses, work)
     return out
@@ -274,7 +270,7 @@ def seek(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, st
             target = aim(b, wrench, poses)
             best = largest_margin(
                 poses.column, b, n, count, target, reach * body.weight, poses.lower, poses.upper,
-                line, work, poses.solution,
+                line, work, poses.wanted,
             )  # fmt: skip
             penalty = wp.max(penalty, TWO * (margin - best.margin) / (left + DIVISION_FLOOR))
             promised = best.margin - margin + penalty * left
@@ -302,29 +298,14 @@ def seek(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, st
 def start_cold(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
                first: wp.mat33d, poses: Poses) -> wp.mat33d:  # fmt: skip
     """Return the rotation of a rest of straight cables near the position; set its tensions."""
-    p = poses.position[b]
     r = first
     n = poses.tension.shape[1]
     if poses.column.shape[1] > n:
-        for _round in range(HOLD_FIT_ROUNDS):
-            for i in range(n):
-                s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
-                poses.unstrained_length[b, i] = s.length
-            nearby = cold_start(cables, row, b, body, p, r, poses)
-            r = nearby.rotation
+        r = fit_straight(cables, row, b, body, poses.position[b], first, poses)
     else:
         for i in range(n):
             poses.tension[b, i] = body.weight
     return r
-
-
-@wp.func
-def begin(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, r: wp.mat33d,
-          poses: Poses):  # fmt: skip
-    """Start from straight cables at the tensions of the pose, clipped to the limits."""
-    p = poses.position[b]
-    set_limits(cables, row, b, body, p, r, LEAST_TENSION_FACTOR, poses)
-    first_tensions(cables, row, b, p, r, poses)
 
 
 @wp.func
@@ -345,33 +326,29 @@ def tilted(attempt: int, rotation: wp.mat33d) -> wp.mat33d:
     """Return the rotation itself, then four tilted ones."""
     tilt = wp.vec3d()
     if attempt > 0:
-        tilt[attempt % 2] = wp.where(attempt > 2, -HOLD_TILT_RAD, HOLD_TILT_RAD)
+        tilt[attempt % 2] = wp.where(attempt > 2, -START_TILT_RAD, START_TILT_RAD)
     return rotation_of(tilt) * rotation
 
 
 @wp.func
 def judge_rest(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, r: wp.mat33d,
                external: vec6d, poses: Poses) -> int:  # fmt: skip
-    """Judge a rest by its lengths alone; 1 where it is stable."""
+    """Judge a rest by its lengths alone, its tensions kept; 1 where it is stable."""
     for i in range(poses.tension.shape[1]):
         poses.kept[b, i] = poses.tension[b, i]
-    here = load_cables(
-        cables, row, b, body, poses.position[b], r, wp.float64(1.0e-13) * body.size, poses
-    )
-    f = factorise(here.balance.stiffness)
-    poses.stiffness[b] = here.balance.stiffness
-    poses.residual[b] = scaled_norm(here.balance.wrench + external, body.arm)
-    poses.closure[b] = here.gap
+    stable = judge_pose(cables, row, b, body, r, external, poses)
     for i in range(poses.tension.shape[1]):
         poses.tension[b, i] = poses.kept[b, i]
-    return wp.where(f.pivot_min > ZERO, 1, 0)
+    return stable
 
 
 @wp.func
 def try_from(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, r: wp.mat33d,
              external: vec6d, line: int, poses: Poses, work: MarginWork) -> int:  # fmt: skip
     """Search once, store the answer with the pose and return its rank, RANK_STABLE at best."""
-    begin(cables, row, b, body, r, poses)
+    p = poses.position[b]
+    set_limits(cables, row, b, body, p, r, LEAST_TENSION_FACTOR, poses)
+    first_tensions(cables, row, b, p, r, poses)
     out = seek(cables, row, b, body, r, external, line, poses, work)
     steps = out.steps
     changed = limits_moved(cables, row, b, body, out.rotation, poses)
@@ -382,7 +359,7 @@ def try_from(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody
         out = seek(cables, row, b, body, out.rotation, external, line, poses, work)
         steps += out.steps
         rounds += 1
-        changed = rounds < HOLD_FIT_ROUNDS and limits_moved(
+        changed = rounds < POSITION_FIT_ROUNDS and limits_moved(
             cables, row, b, body, out.rotation, poses
         )
     out.steps = steps

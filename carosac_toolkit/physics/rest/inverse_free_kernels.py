@@ -33,22 +33,24 @@ from carosac_toolkit.physics.rest.inverse_kernels import (
 from carosac_toolkit.physics.rest.platform_kernels import (
     Poses,
     StaticBody,
-    anchor_of,
     mat66d,
     orthonormal,
     rotation_of,
     scaled_norm,
 )
-from carosac_toolkit.physics.rest.start_kernels import Straight, cold_start, straight_to
+from carosac_toolkit.physics.rest.start_kernels import (
+    START_TILT_RAD,
+    Straight,
+    fit_straight,
+    straight_to,
+)
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 mat99d = wp.types.matrix((9, 9), wp.float64)
 vec9d = wp.types.vector(9, wp.float64)
 
-FREE_FIT_ROUNDS = wp.constant(4)  # of fitting straight cables to the position
 FREE_ATTEMPTS = wp.constant(6)  # rotations to start from, the later ones only where the first fails
-FREE_TILT_RAD = wp.constant(wp.float64(0.7))  # [rad]
 
 
 @wp.func
@@ -341,7 +343,7 @@ def start_rotation(attempt: int, rotation: wp.mat33d) -> wp.mat33d:
     """Return the initial rotation, twice, then four tilted ones."""
     tilt = wp.vec3d()
     if attempt > 1:
-        tilt[attempt % 2] = wp.where(attempt > 3, -FREE_TILT_RAD, FREE_TILT_RAD)
+        tilt[attempt % 2] = wp.where(attempt > 3, -START_TILT_RAD, START_TILT_RAD)
     return rotation_of(tilt) * rotation
 
 
@@ -361,14 +363,8 @@ def inverse_free(cables: wp.array2d(dtype=Cable), bodies: wp.array(dtype=StaticB
     steps = int(0)
     attempt = int(0)
     while attempt < FREE_ATTEMPTS and out.status != STATUS_CONVERGED:
-        r = start_rotation(attempt, first_rotation)
+        r = fit_straight(cables, row, b, body, p, start_rotation(attempt, first_rotation), poses)
         margin = wp.where(attempt == 1, LEAST_TENSION_FACTOR_WIDE, LEAST_TENSION_FACTOR)
-        for _round in range(FREE_FIT_ROUNDS):
-            for i in range(poses.tension.shape[1]):
-                s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
-                poses.unstrained_length[b, i] = s.length
-            nearby = cold_start(cables, row, b, body, p, r, poses)
-            r = nearby.rotation
         set_limits(cables, row, b, body, p, r, margin, poses)
         first_tensions(cables, row, b, p, r, poses)
         for i in range(poses.tension.shape[1]):

@@ -38,6 +38,13 @@ STATUS_INFEASIBLE = wp.constant(2)
 
 
 @wp.func
+def scaled_force(force: wp.vec3d, moment: wp.vec3d, arm: wp.float64) -> vec6d:
+    """Return a wrench with its moment divided by the typical lever arm [N]."""
+    m = moment / arm
+    return vec6d(force[0], force[1], force[2], m[0], m[1], m[2])
+
+
+@wp.func
 def pull_cables(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, p: wp.vec3d,
                 r: wp.mat33d, poses: Poses) -> PoseLoad:  # fmt: skip
     """Evaluate cables of known tension at a pose: wrench, stiffness at that tension, columns.
@@ -59,9 +66,7 @@ def pull_cables(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticB
         out.balance = add_lever(
             out.balance.stiffness, out.balance.wrench, arm, g.hanging.force, g.stiffness
         )
-        t = g.force_t
-        m = wp.cross(arm, t) / body.arm
-        poses.column[b, i] = vec6d(t[0], t[1], t[2], m[0], m[1], m[2])
+        poses.column[b, i] = scaled_force(g.force_t, wp.cross(arm, g.force_t), body.arm)
     return out
 
 
@@ -144,18 +149,23 @@ def inverse_held(cables: wp.array2d(dtype=Cable), bodies: wp.array(dtype=StaticB
     poses.steps[b] = count
 
 
+@wp.func
+def judge_pose(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, r: wp.mat33d,
+               external: vec6d, poses: Poses) -> int:  # fmt: skip
+    """Set wrench left, closure, stiffness of a pose from its lengths alone; 1 if it is stable."""
+    loose = wp.float64(1.0e-13) * body.size
+    here = load_cables(cables, row, b, body, poses.position[b], r, loose, poses)
+    f = factorise(here.balance.stiffness)
+    poses.stiffness[b] = here.balance.stiffness
+    poses.residual[b] = scaled_norm(here.balance.wrench + external, body.arm)
+    poses.closure[b] = here.gap
+    return wp.where(f.pivot_min > ZERO, 1, 0)
+
+
 @wp.kernel
 def evaluate(cables: wp.array2d(dtype=Cable), bodies: wp.array(dtype=StaticBody), poses: Poses):
-    """Judge a pose by its lengths alone: wrench left, closure, stiffness, stability."""
+    """Judge one pose per thread by its lengths alone."""
     b = wp.tid()
     row = wp.min(b, cables.shape[0] - 1)
     body = bodies[wp.min(b, bodies.shape[0] - 1)]
-    here = load_cables(
-        cables, row, b, body, poses.position[b], poses.rotation[b],
-        wp.float64(1.0e-13) * body.size, poses,
-    )  # fmt: skip
-    f = factorise(here.balance.stiffness)
-    poses.stiffness[b] = here.balance.stiffness
-    poses.residual[b] = scaled_norm(here.balance.wrench, body.arm)
-    poses.closure[b] = here.gap
-    poses.stable[b] = wp.where(f.pivot_min > ZERO, 1, 0)
+    poses.stable[b] = judge_pose(cables, row, b, body, poses.rotation[b], vec6d(), poses)

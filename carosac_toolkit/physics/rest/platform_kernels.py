@@ -53,13 +53,12 @@ class Poses:
     lower: wp.array2d(dtype=wp.float64)  # limits of the tensions [N]
     upper: wp.array2d(dtype=wp.float64)
     middle: wp.array2d(dtype=wp.float64)  # tensions to stay close to [N]
-    wanted: wp.array2d(dtype=wp.float64)  # tensions after a step [N]
+    wanted: wp.array2d(dtype=wp.float64)  # tensions after a step [N], or unknowns (B, unknowns)
     column: wp.array2d(dtype=vec6d)  # d scaled wrench / d unknown, (B, unknowns)
     twist: wp.array2d(dtype=wp.vec3d)  # dual gradient of each cable
     bound: wp.array2d(dtype=int)  # 1: held at the lower limit, 2: at the upper one
     low: wp.array2d(dtype=wp.float64)  # multipliers of the lower limits
     high: wp.array2d(dtype=wp.float64)
-    solution: wp.array2d(dtype=wp.float64)  # (B, unknowns), of a linear program
     kept: wp.array2d(dtype=wp.float64)  # tensions before a step [N]
     margin: wp.array(dtype=wp.float64)  # [N]
     gap: wp.array(dtype=wp.float64)  # of the margin [N]

@@ -26,6 +26,8 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 MULTIPLIER_ROUNDS_MAX = wp.constant(12)
 SOFT_STEPS_MAX = wp.constant(25)
+POSITION_FIT_ROUNDS = wp.constant(4)  # of fitting straight cables to a position
+START_TILT_RAD = wp.constant(wp.float64(0.7))  # of further rotations to start from
 STRETCH_UNDER_WEIGHT = wp.constant(
     wp.float64(0.03)
 )  # stretch under the weight, as a share of cable length
@@ -143,3 +145,17 @@ def cold_start(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBo
             break
         k = k * TWO
     return out
+
+
+@wp.func
+def fit_straight(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, p: wp.vec3d,
+                 first: wp.mat33d, poses: Poses) -> wp.mat33d:  # fmt: skip
+    """Return the rotation of a rest of straight cables near a position; set its tensions."""
+    r = first
+    for _round in range(POSITION_FIT_ROUNDS):
+        for i in range(poses.tension.shape[1]):
+            s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
+            poses.unstrained_length[b, i] = s.length
+        nearby = cold_start(cables, row, b, body, p, r, poses)
+        r = nearby.rotation
+    return r

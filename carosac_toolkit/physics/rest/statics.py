@@ -113,7 +113,7 @@ def forward_kinematics(
         warm = _put_guess(robot, buffers, guess)
         buffers.launch(
             f"forward{warm}", forward_kernels.forward, size, cables, bodies, warm,
-            buffers.struct(Poses),
+            Poses,
         )  # fmt: skip
         return _equilibrium(robot, buffers)
 
@@ -171,7 +171,7 @@ def _launch_inverse(
     robot: Robot | Fleet, buffers: Buffers, size: int, free: bool, device: str
 ) -> None:
     """Solve, then judge the answer by its lengths alone."""
-    inputs = (*device_robot(robot, device), buffers.struct(Poses))
+    inputs = (*device_robot(robot, device), Poses)
     if free:
         buffers.launch("free", inverse_free_kernels.inverse_free, size, *inputs)
     else:
