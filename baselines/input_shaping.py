@@ -221,7 +221,7 @@ class InputShaping:
             row = int((~rest.converged).argmax())
             raise UnreachableReference(
                 f"input_shaping: position {position[row].round(4)} m: "
-                f"{statics.REASONS[rest.status[row]]}"
+                f"{statics.STATUS_REASONS[rest.status[row]]}"
             )
         return rest
 
@@ -247,7 +247,7 @@ def _slow_modes(robot: Robot, frequency_max: float) -> int:
     """
     rest = statics.inverse_kinematics(robot, robot.home_position[None])
     if not rest.converged[0]:
-        reason = statics.REASONS[rest.status[0]]
+        reason = statics.STATUS_REASONS[rest.status[0]]
         raise UnreachableReference(f"input_shaping: {robot.name} at home: {reason}")
     frequency = sway_modes(robot, rest, 6).frequency[0]
     return int((frequency < frequency_max).sum())

@@ -30,6 +30,6 @@ class KinematicSolverController(AheadController):
             row = int((~rest.converged).argmax())
             raise UnreachableReference(
                 f"kinematic_solver: position {position[row].round(4)} m: "
-                f"{statics.REASONS[rest.status[row]]}"
+                f"{statics.STATUS_REASONS[rest.status[row]]}"
             )
         return Command(time=belief.time, unstrained_length=rest.unstrained_length)

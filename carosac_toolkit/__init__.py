@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from carosac_toolkit.studies.compare.study import Study
     from carosac_toolkit.validation import validate
 
-_HOME = {
+_MODULE_OF_NAME = {
     "Belief": "loop.values",
     "CarosacError": "base.errors",
     "Command": "loop.values",
@@ -36,26 +36,26 @@ _HOME = {
     "Measurement": "loop.values",
     "Pose": "loop.values",
     "PoseSamples": "recordings.poses",
-    "Recording": "recordings.recording",
+    "Recording": "recording",
     "RecordingMetadata": "recordings.metadata",
-    "Reference": "loop.values",
-    "Robot": "robot.robot",
-    "State": "loop.values",
-    "Study": "studies.compare.study",
-    "StudyResults": "studies.compare.results",
-    "list_robots": "robot.file",
-    "load_recording": "recordings.recording",
-    "load_robot": "robot.file",
-    "structure_matrix": "physics.rest.structure",
+    "Reference": "values",
+    "Robot": "robot",
+    "State": "values",
+    "Study": "studies.study",
+    "StudyResults": "studies.results",
+    "list_robots": "robot_file",
+    "load_recording": "recording",
+    "load_robot": "robot_file",
+    "structure_matrix": "physics.structure",
     "validate": "validation",
 }
-_MODULES = {
-    "catenary": "physics.cable.catenary",
+_MODULE_OF_NAMESPACE = {
+    "catenary": "physics.catenary",
     "loop": "loop",
-    "modes": "physics.rest.modes",
-    "statics": "physics.rest.statics",
-    "straight_line": "physics.cable.straight_line",
-    "tension_distribution": "physics.rest.tension_distribution",
+    "modes": "physics.modes",
+    "statics": "physics.statics",
+    "straight_line": "physics.straight_line",
+    "tension_distribution": "physics.tension_distribution",
     "trajectories": "trajectories",
     "workspace": "workspace",
 }
@@ -94,10 +94,10 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import a public name at its first use."""
-    if name in _MODULES:
-        return import_module(f"{__name__}.{_MODULES[name]}")
-    if name in _HOME:
-        return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    if name in _MODULE_OF_NAMESPACE:
+        return import_module(f"{__name__}.{_MODULE_OF_NAMESPACE[name]}")
+    if name in _MODULE_OF_NAME:
+        return getattr(import_module(f"{__name__}.{_MODULE_OF_NAME[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

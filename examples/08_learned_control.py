@@ -21,7 +21,7 @@ from baselines.dynamic_estimator import DynamicEstimator
 from baselines.kinematic_solver_controller import KinematicSolverController
 from carosac_toolkit import trajectories
 from carosac_toolkit.loop.loop import run
-from carosac_toolkit.robot.perturbations import CONDITIONS, draw_plant
+from carosac_toolkit.robot.perturbations import CONDITIONS_BY_NAME, draw_plant
 from learned.policy_controller import PolicyController, PolicySettings
 from sim_warp import SimDriver, SimDriverSettings
 
@@ -30,7 +30,7 @@ LATE = 2.0  # [s] after the move
 COLORS = ("tab:red", "tab:orange", "tab:blue")
 
 robot = ct.load_robot("carosac")
-condition = CONDITIONS["nominal-1"]
+condition = CONDITIONS_BY_NAME["nominal-1"]
 plant = draw_plant(robot, condition, np.random.default_rng(SEED))
 start, goal = (0.9, -1.8, 2.6), (-0.3, -1.8, 3.0)  # [m]
 path = trajectories.line(start, goal, speed_max=1.5, acceleration_max=2.0)

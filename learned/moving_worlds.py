@@ -40,7 +40,7 @@ class MovingSettings:
         estimated: Share of the worlds in which it is, one at least. They have the sensors of driver
             `simulator`: their encoders and belief err as these do.
         suite: Sensors that the estimator measures with, one of
-            `carosac_toolkit.drivers.sensors.SUITES`.
+            `carosac_toolkit.drivers.sensors.SENSOR_SUITES`.
     """
 
     cables: Literal["particles", "catenary"] = "catenary"

@@ -41,7 +41,7 @@ class Sensing:
         Args:
             robot: The nominal one, which the estimator knows.
             simulator: With the plants; it may have more worlds.
-            suite: One of `carosac_toolkit.drivers.sensors.SUITES`.
+            suite: One of `carosac_toolkit.drivers.sensors.SENSOR_SUITES`.
             estimator: By its name as a plug-in; its beliefs hold all that it remembers.
             count: In how many worlds.
             seed: Of the sensors.

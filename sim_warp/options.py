@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_not_negative, check_positive, check_whole
-from carosac_toolkit.physics.motion.dynamics import CABLE_DRAG
+from carosac_toolkit.physics.motion.dynamics import CABLE_DRAG_PER_S
 from sim_warp.simulator import SEGMENTS_MAX, Cables
 
 
@@ -27,7 +27,7 @@ class CableOptions:
     cables: Cables = "particles"
     segments: int = 16
     time_step: float | None = None
-    cable_drag: float = CABLE_DRAG
+    cable_drag: float = CABLE_DRAG_PER_S
     device: str = "cpu"
 
     def __post_init__(self) -> None:

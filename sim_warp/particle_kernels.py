@@ -25,11 +25,11 @@ import warp as wp
 from carosac_toolkit.physics.cable.catenary_kernels import HALF, ONE, ZERO, Cable, density_of
 from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.motion.body_kernels import (
-    ROUGH,
-    SMOOTH,
+    FAST_MOTION_SHARE,
+    FAST_MOTION_SHARE_ROUGH,
+    BodyMotion,
+    DynamicBody,
     Gusts,
-    Motion,
-    RigidBody,
     Scheme,
     System,
     attach,
@@ -44,8 +44,8 @@ from carosac_toolkit.physics.motion.body_kernels import (
     solve_system,
 )
 from carosac_toolkit.physics.motion.world_kernels import (
-    LIMIT,
-    STEP,
+    NEWTON_STEP_MIN_M,
+    NEWTON_STEPS_MAX,
     Plants,
     Worlds,
     clock_after,
@@ -110,7 +110,7 @@ class Lane:
 class WorldState:
     """State of one world within a call, the same in all of its threads."""
 
-    motion: Motion
+    motion: BodyMotion
     gusts: Gusts
     last: wp.float64  # size of the last step [s]
     rough: int  # steps to go since the active set has changed
@@ -393,7 +393,7 @@ def sweep_up(chains: Chains, b: int, s: int, i: int, scheme: Scheme,
 
 @wp.func
 def load_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, row: int,
-                body: RigidBody, trial: Motion, system: System, scheme: Scheme, lane: Lane,
+                body: DynamicBody, trial: BodyMotion, system: System, scheme: Scheme, lane: Lane,
                 ) -> System:  # fmt: skip
     """Add forces and stiffnesses of all chains to the system of the platform."""
     total = System()
@@ -426,8 +426,8 @@ def load_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, 
 
 
 @wp.func
-def move_chains(plants: Plants, chains: Chains, b: int, s: int, row: int, body: RigidBody,
-                trial: Motion, scheme: Scheme, move: wp.vec3d, turn: wp.vec3d, lane: Lane,
+def move_chains(plants: Plants, chains: Chains, b: int, s: int, row: int, body: DynamicBody,
+                trial: BodyMotion, scheme: Scheme, move: wp.vec3d, turn: wp.vec3d, lane: Lane,
                 ) -> int:  # fmt: skip
     """Move all nodes with the platform; return the number of threads where one moved far."""
     square_max = wp.float64(0.0)
@@ -451,7 +451,7 @@ def predict_velocities(chains: Chains, b: int, s: int, n: int, h: wp.float64, la
 
 @wp.func
 def accept_chains(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, row: int,
-                  body: RigidBody, motion: Motion, scheme: Scheme,
+                  body: DynamicBody, motion: BodyMotion, scheme: Scheme,
                   lane: Lane) -> bool:  # fmt: skip
     """Accept the trial as the end of a time step; return True if the active set has changed."""
     changed = wp.float64(0.0)
@@ -492,9 +492,9 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
     body = plants.bodies[row]
     start = world.motion
     gusts = blow(plants.winds[row], world.gusts, world.time + h, worlds.seed[b])
-    left = SMOOTH
+    left = FAST_MOTION_SHARE
     if world.rough > 0:
-        left = ROUGH
+        left = FAST_MOTION_SHARE_ROUGH
     scheme = scheme_of(h, world.last, False, left)
     velocity = start.velocity + h * start.velocity_rate
     omega = start.angular_velocity + h * start.angular_rate
@@ -503,7 +503,7 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
     count = int(0)
     solved = bool(False)
     size = wp.float64(0.0)
-    while count < LIMIT and not solved:
+    while count < NEWTON_STEPS_MAX and not solved:
         system = inertial_system(body, start, trial, scheme, gusts.force)
         system = load_chains(plants, worlds, chains, b, s, row, body, trial, system, scheme, lane)
         newton = solve_system(system)
@@ -515,7 +515,7 @@ def time_step(plants: Plants, worlds: Worlds, chains: Chains, b: int, s: int, ro
         trial = moved(start, scheme, velocity, omega)
         count += 1
         size = wp.length(newton.move) + body.arm * wp.length(newton.turn)
-        solved = size < STEP and far == 0
+        solved = size < NEWTON_STEP_MIN_M and far == 0
     out = world
     out.accepted = 0
     if solved or ticks == 1:

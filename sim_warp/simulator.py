@@ -5,8 +5,7 @@ Four models of the cables share one interface:
 * ``particles``: chains of masses and unilateral springs, advanced by implicit Newton steps
   (`sim_warp.particle_kernels`): sag, sway, slack and waves.
 * ``catenary``: quasi-static elastic catenaries on a rigid platform
-  (`carosac_toolkit.physics.motion.dynamics`): sag, sway and slack without waves, several times
-  faster.
+  (`carosac_toolkit.physics.motion.dynamics`): sag, sway and slack without waves, several times faster.
 * ``straight``: straight massless springs: the baseline without sag.
 * ``xpbd``: chains by extended position-based dynamics (`sim_warp.xpbd_kernels`), the method of game
   engines, for comparison.
@@ -28,9 +27,9 @@ from carosac_toolkit.base.numbers import check_not_negative, check_positive, che
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.device import check_call
 from carosac_toolkit.physics.fleet import Fleet
-from carosac_toolkit.physics.motion.dynamics import CABLE_DRAG, NodelessDynamics
+from carosac_toolkit.physics.motion.dynamics import CABLE_DRAG_PER_S, NodelessDynamics
 from carosac_toolkit.physics.motion.winch import WinchSettings
-from carosac_toolkit.physics.motion.worlds import STATE, allocate_worlds, upload_plants
+from carosac_toolkit.physics.motion.worlds import STATE_FIELDS, allocate_worlds, upload_plants
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.robot.perturbations import Condition, draw_plant, find_condition
@@ -70,7 +69,7 @@ class Simulator:
         perturbation: str = "none",
         wind_force: float | None = None,
         wind_time: float | None = None,
-        cable_drag: float = CABLE_DRAG,
+        cable_drag: float = CABLE_DRAG_PER_S,
         winch: WinchSettings | None = None,
         iterations: int = 20,
     ) -> None:
@@ -304,7 +303,7 @@ class Simulator:
 
     def _named(self) -> dict[str, wp.array]:
         """Return the device arrays of everything that changes, by name."""
-        shared = {name: getattr(self._worlds, name) for name in STATE}
+        shared = {name: getattr(self._worlds, name) for name in STATE_FIELDS}
         return shared | {f"cable_{name}": array for name, array in self._dynamics.arrays.items()}
 
     def _advance(self, command: ArrayLike | wp.array, duration: float, *, follow: bool) -> None:
@@ -381,7 +380,9 @@ class Simulator:
         sound = rest.converged & rest.stable
         if not sound.all():
             k = int(np.argmin(sound))
-            reason = statics.REASONS[rest.status[k]] if not rest.converged[k] else "not stable"
+            reason = (
+                statics.STATUS_REASONS[rest.status[k]] if not rest.converged[k] else "not stable"
+            )
             robot = f"the robot of world {which[k]}" if self._size > 1 else "the robot"
             allowed = f"where {robot} can rest ({reason})"
             raise InvalidField(f"{name}[{k}]", given[k], allowed)

@@ -21,7 +21,7 @@ from carosac_toolkit.physics.cable.catenary_kernels import (
     inverse33,
 )
 from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
-from carosac_toolkit.physics.motion.body_kernels import Motion, RigidBody, blow, world_inertia
+from carosac_toolkit.physics.motion.body_kernels import BodyMotion, DynamicBody, blow, world_inertia
 from carosac_toolkit.physics.motion.world_kernels import (
     Plants,
     Worlds,
@@ -57,8 +57,8 @@ class LoadedBody:
 
 
 @wp.func
-def loaded_body(plants: Plants, worlds: Worlds, chains: Chains, b: int, row: int, body: RigidBody,
-                motion: Motion) -> LoadedBody:  # fmt: skip
+def loaded_body(plants: Plants, worlds: Worlds, chains: Chains, b: int, row: int, body: DynamicBody,
+                motion: BodyMotion) -> LoadedBody:  # fmt: skip
     """Combine platform and half segments into one rigid body."""
     mass = body.mass
     moment = wp.vec3d()
@@ -84,7 +84,7 @@ def loaded_body(plants: Plants, worlds: Worlds, chains: Chains, b: int, row: int
 
 
 @wp.func
-def half_mass(cable: Cable, length: wp.float64, arc: wp.float64, body: RigidBody,
+def half_mass(cable: Cable, length: wp.float64, arc: wp.float64, body: DynamicBody,
               segments: int) -> wp.float64:  # fmt: skip
     """Return the mass of half a segment [kg]."""
     return HALF * density_of(cable, body.gravity) * (length - arc) / wp.float64(segments)
@@ -105,7 +105,7 @@ def predict_nodes(chains: Chains, b: int, s: int, n: int, gravity: wp.float64, h
 
 @wp.func
 def project_segment(chains: Chains, cable: Cable, mesh: CableMesh, b: int, s: int, i: int, k: int,
-                    platform: LoadedBody, start: LoadedBody, body: RigidBody,
+                    platform: LoadedBody, start: LoadedBody, body: DynamicBody,
                     h: wp.float64) -> LoadedBody:  # fmt: skip
     """Project the constraint of one segment: pull its ends together within its compliance."""
     out = platform

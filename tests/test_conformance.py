@@ -122,10 +122,10 @@ BROKEN = [
 
 @pytest.mark.parametrize(("kind", "name", "check"), OURS)
 def test_our_plug_in_keeps_its_contract(kind, name, check):
-    found = registry.load(kind, name)
-    build = found.build
+    loaded = registry.load(kind, name)
+    build = loaded.build
     if name == "td3":  # the policy that it takes by default needs an estimator with a twist
-        build = partial(found.build, settings=found.Settings(policy="carosac-settle"))
+        build = partial(loaded.build, settings=loaded.Settings(policy="carosac-settle"))
     check(build, ct.load_robot("carosac"))
 
 

@@ -30,8 +30,8 @@ KNOWN = [
 def test_catenary_gives_the_published_tensions(span, rise, length, ea, w, h, low, up, digits):
     horizontal, vertical = reference.catenary(span, rise, length, w, ea)
     unit = 0.51 * 10.0**-digits  # the published figures are rounded
-    for found, known in ((horizontal, h), (vertical, low), (vertical + w * length, up)):
-        assert found == pytest.approx(known, rel=1e-9, abs=unit)
+    for result, known in ((horizontal, h), (vertical, low), (vertical + w * length, up)):
+        assert result == pytest.approx(known, rel=1e-9, abs=unit)
 
 
 @pytest.mark.parametrize("case", KNOWN)
@@ -92,11 +92,11 @@ def test_equilibrium_of_stiff_light_cables_keeps_their_straight_lengths():
     position = np.array([0.4, -1.8, 2.2])
     length = np.linalg.norm(robot.exit_points - position - robot.anchor_points, axis=1)
     length[3] += 0.01
-    found = reference.equilibrium(robot, length, position, np.eye(3))
-    anchor = found.position + robot.anchor_points @ found.rotation.T
-    taut = found.tension > 1.0
+    equilibrium = reference.equilibrium(robot, length, position, np.eye(3))
+    anchor = equilibrium.position + robot.anchor_points @ equilibrium.rotation.T
+    taut = equilibrium.tension > 1.0
     assert taut.all()  # three would hold it: it tilts until the long cable carries too
-    assert found.residual < 1e-12
+    assert equilibrium.residual < 1e-12
     distance = np.linalg.norm(robot.exit_points - anchor, axis=1)
     assert distance == pytest.approx(length, abs=1e-8)
 
@@ -133,7 +133,7 @@ def test_tensions_of_osqp_and_of_least_distance_programming_agree():
     rng = np.random.default_rng(4)
     robot = eight_cable_robot()
     lower, upper = np.full(8, 5.0), np.full(8, 500.0)
-    found = 0
+    result = 0
     for _ in range(30):
         position = rng.uniform(robot.workspace_min, robot.workspace_max)
         arm = robot.anchor_points @ reference.random_rotation(rng, 0.1).T
@@ -145,10 +145,10 @@ def test_tensions_of_osqp_and_of_least_distance_programming_agree():
         two = reference.tension_distribution_nnls(structure, wrench, lower, upper)
         assert (one is None) == (two is None)
         if one is not None:
-            found += 1
+            result += 1
             assert one == pytest.approx(two, abs=1e-7)
             assert np.abs(structure @ two + wrench).max() < 1e-10
-    assert found > 10
+    assert result > 10
 
 
 def test_mass_matrix_gives_kinetic_energy_of_the_centre_of_mass():

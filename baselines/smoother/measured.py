@@ -17,7 +17,7 @@ from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Pose
-from carosac_toolkit.recordings.columns import POSES_WANTED
+from carosac_toolkit.recordings.columns import POSE_COLUMNS_TEXT
 from carosac_toolkit.recordings.encoders import calibrated
 from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.recordings.recording import Recording
@@ -144,7 +144,7 @@ def _check(run: Recording, settings: SmootherSettings) -> None:
         allowed = "'unstrained': relative lengths fix no pose; calibrate the robot first"
         raise InvalidField("length_kind", repr(run.metadata.length_kind), allowed)
     if settings.poses != "withheld" and run.poses is None:
-        raise InvalidField("poses", "none in the recording", POSES_WANTED)
+        raise InvalidField("poses", "none in the recording", POSE_COLUMNS_TEXT)
 
 
 def _believed(run: Recording, robot: Robot, settings: SmootherSettings) -> tuple[Recording, int]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.rotations import to_matrix
-from carosac_toolkit.recordings.columns import POSES_WANTED
+from carosac_toolkit.recordings.columns import POSE_COLUMNS_TEXT
 from carosac_toolkit.recordings.recording import Recording
 
 GAP_MAX = 0.5  # [s]: across a longer one nothing is interpolated
@@ -51,7 +51,7 @@ class PosePath:
         from scipy.interpolate import CubicSpline
 
         if recording.poses is None:
-            raise InvalidField("poses", None, POSES_WANTED)
+            raise InvalidField("poses", None, POSE_COLUMNS_TEXT)
         poses = recording.poses
         self._time = poses.time
         quaternion = poses.quaternion / np.linalg.norm(poses.quaternion, axis=1, keepdims=True)

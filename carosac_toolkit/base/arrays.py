@@ -1,4 +1,4 @@
-"""Read-only float64 arrays, checked once where they enter; even choices of their rows."""
+"""Read-only float64 arrays, checked once on entry; evenly spread row indices."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def check_rotations(name: str, rotation: Array) -> None:
     bad = (np.abs(product - np.eye(3)).max(axis=(1, 2)) > 1e-6) | (np.linalg.det(rotation) < 0.0)
     if bad.any():
         index = int(np.argmax(bad))
-        raise InvalidField(f"{name}[{index}]", "no rotation matrix", "R R^T = 1, det +1")
+        raise InvalidField(f"{name}[{index}]", "not a rotation matrix", "R R^T = 1, det +1")
 
 
 def rotations(name: str, value: ArrayLike, size: int) -> Array:
@@ -99,5 +99,5 @@ def set_frozen(instance: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
 
 
 def evenly(count: int, most: int) -> NDArray[np.int64]:
-    """At most so many of `count` indices, evenly spread, first and last among them."""
+    """Return at most so many of `count` indices, evenly spread, first and last among them."""
     return np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)

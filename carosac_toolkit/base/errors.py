@@ -1,4 +1,4 @@
-"""Every deliberate error of the toolkit: it names the field, the value and what is allowed."""
+"""Deliberate errors of the toolkit: each names the field, the value and the allowed values."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class InvalidField(CarosacError):
     Attributes:
         field: Name of the field or argument, with an index where it has one: ``tension_min[3]``.
         value: The value as the user wrote it, with its unit.
-        allowed: What would have been accepted.
+        allowed: Accepted values.
     """
 
     def __init__(self, field: str, value: object, allowed: str) -> None:
@@ -69,7 +69,7 @@ def did_you_mean(name: object, names: Sequence[str]) -> str:
 def _restored(
     kind: type[CarosacError], args: tuple[Any, ...], attributes: dict[str, Any]
 ) -> CarosacError:
-    """An error as it was pickled."""
+    """Rebuild a pickled error."""
     error = kind.__new__(kind, *args)
     error.__dict__.update(attributes)
     return error

@@ -1,4 +1,4 @@
-"""Range checks of numbers that somebody set; messages name field, value and what is allowed."""
+"""Range checks of settings; messages name field, value and allowed values."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from carosac_toolkit.base.errors import InvalidField
 
 
 def check_positive(name: str, value: object, unit: str = "") -> None:
-    """Refuse what is no positive finite number."""
+    """Refuse anything but a positive finite number."""
     if not is_number(value) or not 0.0 < value < np.inf:  # type: ignore[operator]
-        raise InvalidField(name, _said(value, unit), f"{name} > 0, finite")
+        raise InvalidField(name, _shown(value, unit), f"{name} > 0, finite")
 
 
 def check_not_negative(name: str, value: object, unit: str = "") -> None:
-    """Refuse what is no finite number from zero."""
+    """Refuse anything but a finite number >= 0."""
     if not is_number(value) or not 0.0 <= value < np.inf:  # type: ignore[operator]
-        raise InvalidField(name, _said(value, unit), f"{name} >= 0, finite")
+        raise InvalidField(name, _shown(value, unit), f"{name} >= 0, finite")
 
 
 def check_fraction(name: str, value: object) -> None:
-    """Refuse what is no number between 0 and 1, both excluded."""
+    """Refuse anything but a number between 0 and 1, both excluded."""
     if not is_number(value) or not 0.0 < value < 1.0:  # type: ignore[operator]
-        raise InvalidField(name, _said(value, ""), f"0 < {name} < 1")
+        raise InvalidField(name, _shown(value, ""), f"0 < {name} < 1")
 
 
 def check_whole(name: str, value: object, lowest: int, highest: int | None = None) -> None:
-    """Refuse what is no whole number in a range."""
+    """Refuse anything but a whole number in a range."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or value < lowest or (highest is not None and value > highest):  # type: ignore[operator]
         top = "" if highest is None else f" to {highest}"
@@ -52,10 +52,10 @@ def check_fields(
 
 
 def is_number(value: object) -> bool:
-    """Whether something is one number; True and False are none."""
+    """Return True for a single number; True and False are none."""
     return isinstance(value, int | float | np.number) and not isinstance(value, bool)
 
 
-def _said(value: object, unit: str) -> str:
-    """A value for a message."""
+def _shown(value: object, unit: str) -> str:
+    """Format a value for a message."""
     return f"{value} {unit}".rstrip() if is_number(value) else repr(value)

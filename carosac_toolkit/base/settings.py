@@ -10,7 +10,7 @@ from carosac_toolkit.base.errors import InvalidField
 
 
 def filled(where: str, settings: Any, values: Mapping[str, Any]) -> Any:
-    """Settings with some fields replaced; fields that are settings themselves are filled too."""
+    """Replace some fields of settings; fields that are settings themselves are filled too."""
     known = {field.name for field in fields(settings)}
     chosen: dict[str, Any] = {}
     for name, value in values.items():

@@ -11,7 +11,7 @@ import re
 
 from carosac_toolkit.base.errors import CarosacError
 
-_TABLE: dict[str, tuple[str, dict[str, float]]] = {
+_UNIT_TABLE: dict[str, tuple[str, dict[str, float]]] = {
     "m": ("length", {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3}),
     "m^2": ("area or variance", {"mm^2": 1e-6, "cm^2": 1e-4, "m^2": 1.0}),
     "kg": ("mass", {"g": 1e-3, "kg": 1.0, "t": 1e3}),
@@ -33,9 +33,11 @@ _TABLE: dict[str, tuple[str, dict[str, float]]] = {
     "N*m*s/rad": ("angular damping", {"N*m*s/rad": 1.0, "N*m*s": 1.0}),
     "1": ("pure number", {}),
 }
-_OWNER = {name: kind for kind, units in _TABLE.values() for name in units}
-_NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?:\s+(.*?)|(\D.*?))?\s*")
-_SPELLING = str.maketrans({"·": "*", "⋅": "*", "²": "^2", "³": "^3", "µ": "u"})
+_KIND_OF_UNIT = {name: kind for kind, units in _UNIT_TABLE.values() for name in units}
+_QUANTITY_PATTERN = re.compile(
+    r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?:\s+(.*?)|(\D.*?))?\s*"
+)
+_UNIT_SPELLINGS = str.maketrans({"·": "*", "⋅": "*", "²": "^2", "³": "^3", "µ": "u"})
 
 
 class InvalidQuantity(CarosacError, ValueError):
@@ -43,7 +45,7 @@ class InvalidQuantity(CarosacError, ValueError):
 
     Attributes:
         value: The value as the user wrote it.
-        allowed: What would have been accepted.
+        allowed: Accepted values.
     """
 
     def __init__(self, value: object, allowed: str) -> None:
@@ -53,8 +55,8 @@ class InvalidQuantity(CarosacError, ValueError):
 
 
 def describe(unit: str) -> str:
-    """Say what a field in this SI unit accepts: ``a length in m (or mm, cm, km)``."""
-    kind, units = _TABLE[unit]
+    """Describe the values of a field in this SI unit: ``a length in m (or mm, cm, km)``."""
+    kind, units = _UNIT_TABLE[unit]
     article = "an" if kind[0] in "aeiou" else "a"
     others = [name for name in units if name != unit]
     if unit == "1":
@@ -79,7 +81,7 @@ def parse_quantity(value: object, unit: str) -> float:
     if isinstance(value, int | float) and not isinstance(value, bool):
         number, suffix = float(value), ""
     else:
-        match = _NUMBER.fullmatch(value) if isinstance(value, str) else None
+        match = _QUANTITY_PATTERN.fullmatch(value) if isinstance(value, str) else None
         if match is None:
             raise InvalidQuantity(value, describe(unit))
         number, suffix = float(match[1]), match[2] or match[3] or ""
@@ -89,24 +91,24 @@ def parse_quantity(value: object, unit: str) -> float:
 
 
 def is_quantity(value: object) -> bool:
-    """Tell whether a value of a file is a number, with or without something like a unit."""
+    """Return True if a value of a file is a number, with or without a unit."""
     if isinstance(value, bool):
         return False
     return isinstance(value, int | float) or (
-        isinstance(value, str) and _NUMBER.fullmatch(value) is not None
+        isinstance(value, str) and _QUANTITY_PATTERN.fullmatch(value) is not None
     )
 
 
 def _factor(value: object, suffix: str, unit: str) -> float:
     """Find the factor from the written unit to the SI unit."""
-    units = _TABLE[unit][1]
+    units = _UNIT_TABLE[unit][1]
     written = _normal(suffix)
     if not written:
         return 1.0
     if written in units:
         return units[written]
-    if written in _OWNER:
-        kind = _OWNER[written]
+    if written in _KIND_OF_UNIT:
+        kind = _KIND_OF_UNIT[written]
         article = "an" if kind[0] in "aeiou" else "a"
         raise InvalidQuantity(value, f"{describe(unit)}; {written} is {article} {kind}")
     near = _nearest(written, units)
@@ -115,7 +117,7 @@ def _factor(value: object, suffix: str, unit: str) -> float:
 
 def _normal(suffix: str) -> str:
     """Bring the spelling of a unit to that of the table: ``N s/m`` and ``N·s/m`` are one."""
-    text = suffix.strip().replace("°", "deg").translate(_SPELLING).replace("**", "^")
+    text = suffix.strip().replace("°", "deg").translate(_UNIT_SPELLINGS).replace("**", "^")
     text = re.sub(r"\s*([*/^])\s*", r"\1", text)
     return re.sub(r"\s+", "*", text)
 

@@ -39,7 +39,7 @@ from carosac_toolkit.live.real_time import quick_threads, take_priority
 from carosac_toolkit.live.rehearsal import rehearse
 from carosac_toolkit.live.statistics import Statistics
 from carosac_toolkit.live.steering import place, steered
-from carosac_toolkit.loop.loop import Path as Followed
+from carosac_toolkit.loop.loop import ReferenceSource as Followed
 from carosac_toolkit.loop.loop import run as run_loop
 from carosac_toolkit.loop.plugin_builder import build_controller, build_estimator
 from carosac_toolkit.loop.plugin_settings import chosen_settings

@@ -20,7 +20,7 @@ from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.keyboard import check_input
 from carosac_toolkit.live.sequence import START_TOLERANCE_M, with_approach
 from carosac_toolkit.loop import plugins
-from carosac_toolkit.loop.loop import Path as Followed
+from carosac_toolkit.loop.loop import ReferenceSource as Followed
 from carosac_toolkit.loop.plugin_settings import check_types
 from carosac_toolkit.loop.protocols import NamedPlugin, replays
 from carosac_toolkit.recordings.crash_safe import CrashSafeRecorder

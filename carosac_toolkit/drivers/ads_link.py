@@ -21,7 +21,7 @@ from carosac_toolkit.drivers.ads_block import Answer, Request
 from carosac_toolkit.drivers.ads_reading import LinkCounters, Reading
 from carosac_toolkit.drivers.clock_offset import ClockOffset
 from carosac_toolkit.plc.machine_blocks import TRUTH, truth
-from carosac_toolkit.robot.hardware import TCP_PORT, AdsAddress
+from carosac_toolkit.robot.hardware import ADS_TCP_PORT, AdsAddress
 
 _AGAIN = 0.2  # [s] between two attempts to connect
 _REOPEN = 4  # calls in a row that failed, after which the connection is opened anew
@@ -328,7 +328,7 @@ class AdsLink:
         address = self._address
         try:
             # The library has no time limit of its own for a host that does not answer.
-            socket.create_connection((address.ip, TCP_PORT), max(self._timeout, 0.2)).close()
+            socket.create_connection((address.ip, ADS_TCP_PORT), max(self._timeout, 0.2)).close()
             plc = pyads.Connection(address.net_id, address.port, address.ip)
             plc.open()
         except Exception as error:

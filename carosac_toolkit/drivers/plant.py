@@ -1,4 +1,4 @@
-"""What a simulated driver needs of a simulation: the robot behind winches and sensors."""
+"""Contract between a simulated driver and its simulation: the robot behind winches and sensors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Plant(Protocol):
     Attributes:
         robot: Its limits and gravity count for all B robots; n cables.
         size: B.
-        inertial: Whether there are a twist and an `acceleration`, without which there is no IMU.
+        inertial: True if it has a twist and an `acceleration`, as an IMU needs.
     """
 
     robot: Robot
@@ -34,7 +34,7 @@ class Plant(Protocol):
         ...
 
     def advance(self, command: Array, duration: float) -> None:
-        """Let time pass while the winches follow a constant command.
+        """Advance time while the winches follow a constant command.
 
         Args:
             command: Unstrained lengths asked of the winches [m], shape (B, n).
@@ -43,11 +43,11 @@ class Plant(Protocol):
         ...
 
     def truth(self) -> State:
-        """The state now; its `time` is ignored."""
+        """Return the current state; its `time` is ignored."""
         ...
 
     def acceleration(self) -> Array:
-        """Acceleration of the platform now; only asked of what is `inertial`.
+        """Return the current acceleration of the platform; called only if `inertial`.
 
         Returns:
             Linear [m/s^2], then angular [rad/s^2], in W at the platform origin, shape (B, 6).
@@ -55,7 +55,7 @@ class Plant(Protocol):
         ...
 
     def read_lengths(self) -> Array:
-        """What perfect encoders say, by the drums that the drives believe in [m], (B, n)."""
+        """Return readings of perfect encoders on the drums as the drives know them [m], (B, n)."""
         ...
 
 
@@ -64,7 +64,7 @@ class Shaped(Protocol):
     """A plant that knows more of the shapes of its cables than their lengths and the pose say."""
 
     def cable_points(self) -> Array:
-        """Where the cables are now.
+        """Return points along the cables.
 
         Returns:
             Points in W [m], shape (B, n, samples, 3), from tangent point to anchor point.

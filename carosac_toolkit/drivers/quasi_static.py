@@ -15,7 +15,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.drivers.simulated import SimulatedDriver, SimulatedSettings
 from carosac_toolkit.loop.values import State
-from carosac_toolkit.physics.motion.winch import Winches, WinchSettings
+from carosac_toolkit.physics.motion.winch import WinchBatch, WinchSettings
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 
@@ -57,9 +57,9 @@ class QuasiStaticPlant:
         if not rest.converged.all():
             row = int(np.argmin(rest.converged))
             where = "start_position" if self.size == 1 else f"start_position[{row}]"
-            reason = statics.REASONS[rest.status[row]]
-            raise InvalidField(where, position[row], f"a position of rest ({reason})")
-        self._winches = Winches(self.robot, rest.unstrained_length, self._winch)
+            reason = statics.STATUS_REASONS[rest.status[row]]
+            raise InvalidField(where, position[row], f"a position with an equilibrium ({reason})")
+        self._winches = WinchBatch(self.robot, rest.unstrained_length, self._winch)
         self._rest = rest
         self._settled = False
         self._time = 0.0
@@ -71,7 +71,7 @@ class QuasiStaticPlant:
         self._time += duration
 
     def truth(self) -> State:
-        """The poses at which the platforms rest on the wound lengths.
+        """Return the poses at which the platforms rest on the wound lengths.
 
         Raises:
             CarosacError: There is no pose of rest; the winches have pulled a robot apart.
@@ -81,9 +81,7 @@ class QuasiStaticPlant:
             rest = statics.forward_kinematics(self.robot, length, guess=self._rest)
             if not rest.converged.all():
                 row = int(np.argmin(rest.converged))
-                raise CarosacError(
-                    f"no pose of rest at lengths {length[row]} m, {self._time:.3f} s"
-                )
+                raise CarosacError(f"no equilibrium at lengths {length[row]} m, {self._time:.3f} s")
             self._rest = rest
             self._settled = True
         return State(
@@ -95,7 +93,7 @@ class QuasiStaticPlant:
         )
 
     def acceleration(self) -> Array:
-        """There is none.
+        """Refuse: a platform at rest has no acceleration to measure.
 
         Raises:
             CarosacError: Always.
@@ -103,7 +101,7 @@ class QuasiStaticPlant:
         raise CarosacError("quasi_static: no inertia, so no acceleration")
 
     def read_lengths(self) -> Array:
-        """What perfect encoders say [m], shape (B, n)."""
+        """Return readings of perfect encoders [m], shape (B, n)."""
         return self._winches.read()
 
 

@@ -1,4 +1,4 @@
-"""A recording as a driver: it measures what was measured and sends what was sent."""
+"""A recording as a driver: it returns the recorded measurements and commands."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ class ReplaySettings:
 
 
 class ReplayDriver:
-    """Steps sample by sample; a command changes nothing and the recorded one is returned.
+    """Driver that replays a recording; a command changes nothing and the recorded one is returned.
 
-    What the recording has as poses is its truth. Readings are converted by what the robot says of
+    Poses of the recording are its truth. Readings are converted by what the robot file says of
     its sensors (`carosac_toolkit.recordings.encoders`).
     """
 
@@ -66,7 +66,7 @@ class ReplayDriver:
 
     @property
     def recording(self) -> Recording:
-        """What is played."""
+        """Recording that is played."""
         return self._recording
 
     def connect(self) -> None:
@@ -74,15 +74,15 @@ class ReplayDriver:
         self._index = 0
 
     def measure(self) -> Measurement:
-        """The sample of this cycle."""
+        """Return the sample of this cycle."""
         index = self._here()
         measurement = self._recording.measurement(index)
         if "imu" not in self._suite:
             measurement = replace(measurement, imu=None)
         if "pose" not in self._suite:
             return measurement
-        found = self._recording.pose_at(self._recording.time[index : index + 1])
-        return replace(measurement, pose=found.pose if found.valid[0] else None)
+        sample = self._recording.pose_at(self._recording.time[index : index + 1])
+        return replace(measurement, pose=sample.pose if sample.valid[0] else None)
 
     def command(self, command: Command) -> Command:
         """Return the command that was recorded for this cycle, or the lengths if none was."""
@@ -108,25 +108,25 @@ class ReplayDriver:
         return True
 
     def stop(self, reason: str) -> None:
-        """Nothing moves."""
+        """Do nothing: a recording cannot be stopped."""
 
     def close(self) -> None:
-        """Let go."""
+        """Release the recording."""
         self._index = None
 
     def truth(self) -> State | None:
-        """The recorded pose of this sample, or None where there is none."""
+        """Return the recorded pose of this sample, or None if it has none."""
         index = self._here()
         time = self._recording.time[index : index + 1]
         if self._recording.poses is None:
             return None
-        found = self._recording.pose_at(time)
-        if not found.valid[0]:
+        sample = self._recording.pose_at(time)
+        if not sample.valid[0]:
             return None
-        return State(time=time, position=found.pose.position, rotation=found.pose.rotation)
+        return State(time=time, position=sample.pose.position, rotation=sample.pose.rotation)
 
     def _here(self) -> int:
-        """Index of the sample."""
+        """Return the index of the sample."""
         if self._index is None:
             raise CarosacError("replay: not connected; call connect() first")
         return self._index

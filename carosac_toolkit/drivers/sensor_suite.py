@@ -1,4 +1,4 @@
-"""The sensors of simulated robots: what they sample, when it arrives, and what they get wrong."""
+"""Sensors of simulated robots: sampling, delay, noise and bias."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from carosac_toolkit.drivers.sensors import DelayLine, SensorSettings, check_sui
 from carosac_toolkit.loop.values import Imu, Measurement, Pose, Stamped, State
 
 # Random streams in a fixed order: a new one comes last, so that the others keep their draws.
-STREAMS = ("encoder_bias", "encoders", "pose", "imu_bias", "imu", "tension_bias", "tension")
+RANDOM_STREAMS = ("encoder_bias", "encoders", "pose", "imu_bias", "imu", "tension_bias", "tension")
 
 
 class SensorSuite:
     """The sensors of B simulated robots, each with its own rate, delay and random stream.
 
-    Another sensor, or more of its samples, never changes what this one says.
+    Another sensor, or more of its samples, never changes the readings of this one.
 
     Attributes:
-        encoder_bias: What the encoders say too much [m], shape (B, n).
+        encoder_bias: Bias of the encoders [m], shape (B, n).
     """
 
     def __init__(
@@ -33,7 +33,7 @@ class SensorSuite:
         """Draw the biases; nothing is sampled yet.
 
         Args:
-            suite: One of `SUITES`.
+            suite: One of `SENSOR_SUITES`.
             settings: Their numbers.
             plant: At rest where it starts, at time 0.
             seed: Of biases and noise: one for all robots together, or one for each, which then has
@@ -53,11 +53,11 @@ class SensorSuite:
 
     @property
     def next_due(self) -> float:
-        """When the next sample of any sensor is to be taken [s]."""
+        """Time at which the next sample of any sensor is due [s]."""
         return min(line.next_due for line in self._lines.values())
 
     def steps(self, now: float, duration: float) -> Iterator[float]:
-        """Parts of a time that begins now, each up to where the next sample is due or to its end.
+        """Split a duration that begins now at the times at which samples are due.
 
         Advance the plant by each and take the samples before asking for the next one [s].
         """
@@ -80,7 +80,7 @@ class SensorSuite:
                 self._lines[name].put(now, self._sampled(name, state, plant))
 
     def renew(self, rows: NDArray[Any]) -> None:
-        """Give some robots other sensors of the same make: their biases are drawn anew.
+        """Replace the sensors of some robots by others of the same type: draw new biases.
 
         Call `restart` before the next sample, once these robots have been set down.
         """
@@ -89,7 +89,7 @@ class SensorSuite:
             bias[rows] = drawn[rows]
 
     def restart(self, rows: NDArray[Any], plant: Plant, now: float) -> None:
-        """Let the sensors of some robots forget all before now: they rest where they were set down.
+        """Clear the samples of some robots before now: they rest where they were placed.
 
         Others go on, but all draw noise. The next measurement, at the same time, is for the robots
         that were set down alone: it may have samples for all that the others have had before.
@@ -103,11 +103,11 @@ class SensorSuite:
         self._measured = None
 
     def newest_lengths(self, now: float) -> Array:
-        """Newest lengths that have arrived [m], shape (B, n)."""
+        """Return the newest lengths that have arrived [m], shape (B, n)."""
         return self._lines["encoders"].newest(now)[1][:, : self._n]
 
     def measure(self, now: float) -> Measurement:
-        """Newest samples that have arrived; of the IMU all that came since the last measurement.
+        """Return the newest samples that have arrived; of the IMU all since the last measurement.
 
         Measuring again at the same time gives the same measurement.
         """
@@ -123,13 +123,13 @@ class SensorSuite:
         return self._measured
 
     def _draw(self, stream: str, count: int) -> Array:
-        """Standard normal numbers of a stream, shape (B, count)."""
+        """Draw standard normal numbers of a stream, shape (B, count)."""
         parts = self._rng[stream]
         rows = self._size // len(parts)
         return np.concatenate([rng.standard_normal((rows, count)) for rng in parts])
 
     def _biases(self) -> tuple[Array, Array, Array]:
-        """Of encoders [m], (B, n), tension sensors [N], (B, n), and IMU, (B, 6); drawn."""
+        """Draw biases of encoders [m], (B, n), tension sensors [N], (B, n), and IMU, (B, 6)."""
         sensors = self._settings
         scale = np.repeat([sensors.angular_rate_bias, sensors.specific_force_bias], 3)
         return (
@@ -139,7 +139,7 @@ class SensorSuite:
         )
 
     def _sampled(self, name: str, state: State, plant: Plant) -> Array:
-        """What a sensor says now, with noise and bias."""
+        """Sample a sensor with noise and bias."""
         if name == "encoders":
             return self._lengths(plant)
         if name == "pose":
@@ -147,12 +147,12 @@ class SensorSuite:
         return self._imu(state, plant) if name == "imu" else self._tension(state)
 
     def _encoded(self, plant: Plant, noise: Array | float = 0.0) -> Array:
-        """What the encoders read of the plant [m], shape (B, n)."""
-        said = plant.read_lengths() + self.encoder_bias + noise
-        return quantised(said, self._settings.encoder_resolution)
+        """Return the encoder readings of the plant [m], shape (B, n)."""
+        reading = plant.read_lengths() + self.encoder_bias + noise
+        return quantised(reading, self._settings.encoder_resolution)
 
     def _lengths(self, plant: Plant) -> Array:
-        """Readings of the encoders [m], then their rates [m/s], shape (B, 2 n)."""
+        """Return the encoder readings [m], then their rates [m/s], shape (B, 2 n)."""
         sensors = self._settings
         reading = self._encoded(plant, sensors.encoder_noise * self._draw("encoders", self._n))
         # The rate is what two readings say, their noise included.
@@ -161,7 +161,7 @@ class SensorSuite:
         return np.concatenate([reading, rate], axis=1)
 
     def _pose(self, state: State) -> Array:
-        """Position [m] and rotation of motion capture, shape (B, 12)."""
+        """Return position [m] and rotation of motion capture, shape (B, 12)."""
         import pinocchio
 
         sensors = self._settings
@@ -172,9 +172,9 @@ class SensorSuite:
         return np.concatenate([position, rotation], axis=1)
 
     def _imu(self, state: State, plant: Plant) -> Array:
-        """Angular rate [rad/s] and specific force [m/s^2] at the platform origin in P, (B, 6)."""
+        """Return angular rate [rad/s], specific force [m/s^2] at the origin, in P, (B, 6)."""
         if state.twist is None:
-            raise CarosacError("sensors: a plant that is inertial must say its twist")
+            raise CarosacError("sensors: an inertial plant must provide its twist")
         sensors = self._settings
         scale = np.repeat([sensors.angular_rate_noise, sensors.specific_force_noise], 3)
         force = plant.acceleration()[:, :3] + np.array([0.0, 0.0, plant.robot.gravity])
@@ -183,50 +183,52 @@ class SensorSuite:
         return true + self._imu_bias + scale * self._draw("imu", 6)
 
     def _tension(self, state: State) -> Array:
-        """Tensions at the platform [N], shape (B, n)."""
+        """Return tensions at the platform [N], shape (B, n)."""
         if state.tension is None:
-            raise InvalidField("tension", "True", "False: this plant knows no tensions")
+            raise InvalidField("tension", "True", "False: this plant has no tensions")
         noise = self._settings.tension_noise * self._draw("tension", self._n)
         return state.tension + self._tension_bias + noise
 
     def _stamped(self, sensor: str, now: float, first: int = 0) -> Stamped:
-        """Newest sample of a sensor from a column on."""
-        taken, packed = self._lines[sensor].newest(now)
-        return Stamped(time=np.full(self._size, taken), value=packed[:, first:])
+        """Return the newest sample of a sensor from a column on."""
+        taken_at, packed = self._lines[sensor].newest(now)
+        return Stamped(time=np.full(self._size, taken_at), value=packed[:, first:])
 
     def _measured_pose(self, now: float) -> Pose:
-        """Newest pose that has arrived."""
-        taken, packed = self._lines["pose"].newest(now)
+        """Return the newest pose that has arrived."""
+        taken_at, packed = self._lines["pose"].newest(now)
         return Pose(
             position=packed[:, :3],
             rotation=packed[:, 3:].reshape(self._size, 3, 3),
-            time=np.full(self._size, taken),
+            time=np.full(self._size, taken_at),
         )
 
     def _measured_imu(self, now: float) -> Imu | None:
-        """Inertial samples that came since the last measurement; None where none did."""
-        found = self._lines["imu"].arrived(now)
-        if not found:
+        """Return the inertial samples since the last measurement, or None."""
+        arrived = self._lines["imu"].arrived(now)
+        if not arrived:
             return None
-        samples = np.stack([packed for _, packed in found], axis=1)  # (B, K, 6)
-        time = np.tile([taken for taken, _ in found], (self._size, 1))
+        samples = np.stack([packed for _, packed in arrived], axis=1)  # (B, K, 6)
+        time = np.tile([taken_at for taken_at, _ in arrived], (self._size, 1))
         return Imu(time=time, angular_rate=samples[..., :3], specific_force=samples[..., 3:])
 
 
 def _streams(seed: int | Sequence[int], size: int) -> dict[str, list[np.random.Generator]]:
-    """Generators of each stream: one for all robots, or one for each."""
+    """Return the generators of each stream: one for all robots, or one for each."""
     seeds = [seed] if isinstance(seed, int | np.integer) else list(seed)
     if len(seeds) not in (1, size):
         raise InvalidField("seed", f"{len(seeds)} seeds", f"one, or {size}: one for each robot")
-    streams = zip(*(np.random.SeedSequence(one).spawn(len(STREAMS)) for one in seeds), strict=True)
+    streams = zip(
+        *(np.random.SeedSequence(one).spawn(len(RANDOM_STREAMS)) for one in seeds), strict=True
+    )
     return {
         name: [np.random.default_rng(part) for part in parts]
-        for name, parts in zip(STREAMS, streams, strict=True)
+        for name, parts in zip(RANDOM_STREAMS, streams, strict=True)
     }
 
 
 def _delay_lines(suite: str, settings: SensorSettings) -> Mapping[str, DelayLine]:
-    """The sensors of a suite by name, always in the same order."""
+    """Return the sensors of a suite by name, always in the same order."""
     parts = suite.split("+")
     lines = {"encoders": DelayLine(settings.encoder_rate, settings.encoder_delay)}
     if "pose" in parts:

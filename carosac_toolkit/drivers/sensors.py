@@ -13,32 +13,32 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields
 
-SUITES = ("lengths", "lengths+imu", "lengths+pose", "lengths+imu+pose")
+SENSOR_SUITES = ("lengths", "lengths+imu", "lengths+pose", "lengths+imu+pose")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SensorSettings:
-    """Numbers of the sensors, one standard deviation where they are random.
+    """Rates, errors and delays of the sensors; random errors as one standard deviation.
 
     Attributes:
-        encoder_rate: [Hz].
-        encoder_noise: [m].
-        encoder_resolution: [m].
+        encoder_rate: Sampling rate of the encoders [Hz].
+        encoder_noise: Noise per sample [m].
+        encoder_resolution: Length per count [m].
         encoder_bias: Constant, drawn once per cable [m].
         encoder_delay: From the sample to its arrival [s].
-        pose_rate: Motion capture [Hz].
+        pose_rate: Sampling rate of motion capture [Hz].
         position_noise: Per axis [m].
         rotation_noise: Per axis [rad].
         pose_delay: From the sample to its arrival [s].
-        imu_rate: [Hz].
+        imu_rate: Sampling rate of the IMU [Hz].
         angular_rate_noise: Per axis and sample [rad/s].
         angular_rate_bias: Constant, drawn once per axis [rad/s].
         specific_force_noise: Per axis and sample [m/s^2].
         specific_force_bias: Constant, drawn once per axis [m/s^2].
         imu_delay: From the sample to its arrival [s].
-        tension: Whether there are tension sensors at the platform, in any suite.
-        tension_rate: [Hz].
-        tension_noise: [N].
+        tension: True to add tension sensors at the platform, in any suite.
+        tension_rate: Sampling rate of the tension sensors [Hz].
+        tension_noise: Noise per sample [N].
         tension_bias: Constant, drawn once per cable [N].
         tension_delay: From the sample to its arrival [s].
     """
@@ -68,13 +68,13 @@ class SensorSettings:
         """Refuse negative numbers and rates of zero."""
         if not isinstance(self.tension, bool):
             raise InvalidField("tension", repr(self.tension), "True or False")
-        others = [name for name in vars(self) if name not in (*_RATES, "tension")]
-        check_fields(self, positive=_RATES, not_negative=others)
+        others = [name for name in vars(self) if name not in (*_RATE_FIELDS, "tension")]
+        check_fields(self, positive=_RATE_FIELDS, not_negative=others)
 
 
-_RATES = ("encoder_rate", "pose_rate", "imu_rate", "tension_rate")
+_RATE_FIELDS = ("encoder_rate", "pose_rate", "imu_rate", "tension_rate")
 
-PERFECT = SensorSettings(
+PERFECT_SENSORS = SensorSettings(
     encoder_noise=0.0,
     encoder_resolution=0.0,
     encoder_bias=0.0,
@@ -109,11 +109,11 @@ class DelayLine:
 
     @property
     def next_due(self) -> float:
-        """When the next sample is to be taken [s]."""
+        """Time at which the next sample is due [s]."""
         return self._count * self._period
 
     def due(self, now: float) -> bool:
-        """Whether a sample is to be taken at this time."""
+        """Return True if a sample is due at this time."""
         return now >= self.next_due - 1e-9
 
     def put(self, now: float, sample: Array) -> None:
@@ -122,14 +122,14 @@ class DelayLine:
         self._count += 1
 
     def overwrite(self, rows: NDArray[Any], now: float, sample: Array) -> None:
-        """Let some robots have one sample in place of all that are on the way, and one at least."""
+        """Replace all pending samples of some robots by one sample, at least one."""
         if not self._samples:
             self._samples.append((now, sample))
         for _, kept in self._samples:
             kept[rows] = sample[rows]
 
     def newest(self, now: float) -> tuple[float, Array]:
-        """Newest sample that has arrived: when it was taken [s], and what it says.
+        """Return the newest sample that has arrived: when it was taken [s], and its values.
 
         Before the first one arrives, the first one: the robot has been at rest before time 0.
         """
@@ -139,21 +139,21 @@ class DelayLine:
 
     def arrived(self, now: float) -> list[tuple[float, Array]]:
         """Take out all samples that have arrived, the oldest first."""
-        found = []
+        samples = []
         while self._samples and self._samples[0][0] + self._delay <= now + 1e-9:
-            found.append(self._samples.popleft())
-        return found
+            samples.append(self._samples.popleft())
+        return samples
 
 
 def check_suite(suite: str, *, inertial: bool) -> None:
-    """Refuse a suite that there is not, or an IMU where nothing has inertia.
+    """Refuse an unknown suite, or an IMU on a plant without inertia.
 
     Raises:
         InvalidField: Names ``suite``.
     """
-    allowed = [name for name in SUITES if inertial or "imu" not in name]
+    allowed = [name for name in SENSOR_SUITES if inertial or "imu" not in name]
     if suite not in allowed:
-        why = "" if inertial else ": no inertia here"
+        why = "" if inertial else ": this plant has no inertia"
         raise InvalidField("suite", repr(suite), f"one of {allowed}{why}")
 
 

@@ -1,4 +1,4 @@
-"""What all simulated drivers share: clock, sensors, command limits and the controlled stop.
+"""Base of all simulated drivers: clock, sensors, command limits and the controlled stop.
 
 A `Plant` is the simulation behind them. Time passes in `wait` alone; the plant is advanced from
 one sample of a sensor to the next.
@@ -33,14 +33,14 @@ class SimulatedSettings:
     """Settings that all simulated drivers share.
 
     Attributes:
-        suite: One of `carosac_toolkit.drivers.sensors.SUITES`; an IMU needs inertia.
-        sensors: Their numbers.
-        limits: Of the commands.
-        winch: How the drives control the winches; for the plant.
+        suite: One of `carosac_toolkit.drivers.sensors.SENSOR_SUITES`; an IMU needs inertia.
+        sensors: Rates, noise, bias and delays of the sensors.
+        limits: Limits of the commands.
+        winch: Control of the winches by their drives, in the plant.
         period: Time between two commands [s].
         start_position: Platform origin at the start in W [m], one for all robots or one each; None
             is the home position.
-        real_time: Whether `wait` also waits for the wall clock.
+        real_time: True if `wait` also waits for the wall clock.
     """
 
     inertial: ClassVar[bool] = True
@@ -54,7 +54,7 @@ class SimulatedSettings:
     real_time: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse an unknown suite, and a switch that is none."""
+        """Refuse an unknown suite, and a switch that is not a bool."""
         check_suite(self.suite, inertial=self.inertial)
         if not isinstance(self.real_time, bool):
             raise InvalidField("real_time", repr(self.real_time), "True or False")
@@ -66,7 +66,7 @@ class SimulatedDriver:
     In real time `wait` returns at the ticks of an absolute schedule of one period, which starts at
     `connect` and does not drift. Where the cycle took longer than a period, it waits for the next
     tick that lies ahead and counts those missed in `overruns`. Simulated time goes on by one period
-    a cycle all the same: it then stays behind the wall clock, and no burst of cycles makes up.
+    a cycle all the same: it falls behind the wall clock, and no burst of cycles catches up.
     """
 
     Settings: ClassVar[type[SimulatedSettings]] = SimulatedSettings
@@ -108,7 +108,7 @@ class SimulatedDriver:
         self._ticks = TickSchedule(settings.period)
 
     def measure(self) -> Measurement:
-        """Newest samples that have arrived; the same again at the same time."""
+        """Return the newest samples that have arrived; at the same time the same ones again."""
         self._check_connected()
         return self._sensors.measure(self._time)
 
@@ -120,7 +120,7 @@ class SimulatedDriver:
         """
         self._check_connected()
         if self._sent and not self._stopping:
-            raise CarosacError(f"{self.name}: one command a cycle; call wait() before the next")
+            raise CarosacError(f"{self.name}: one command per cycle; call wait() before the next")
         if self._stopping:
             self._brake()
             return Command(time=command.time, unstrained_length=self._command)
@@ -130,7 +130,7 @@ class SimulatedDriver:
         return sent
 
     def wait(self, duration: float) -> bool:
-        """Let one period pass; the winches follow the command of this cycle.
+        """Simulate one period; the winches follow the command of this cycle.
 
         A cycle without a command holds the last one, within the limits.
 
@@ -156,21 +156,21 @@ class SimulatedDriver:
         self._stopping = True
 
     def close(self) -> None:
-        """Let go."""
+        """Release the plant."""
         self._connected = False
 
     @property
     def plant(self) -> Plant:
-        """What is behind winches and sensors."""
+        """Robot behind winches and sensors."""
         return self._plant
 
     def truth(self) -> State:
-        """The state of the plant now."""
+        """Return the current state of the plant."""
         self._check_connected()
         return replace(self._plant.truth(), time=np.full(self._plant.size, self._time))
 
     def _start(self) -> Array:
-        """Where the platforms start in W [m], shape (B, 3)."""
+        """Return the initial positions of the platforms in W [m], shape (B, 3)."""
         plant, asked = self._plant, self._settings.start_position
         if asked is None:
             return np.tile(plant.robot.home_position, (plant.size, 1))
@@ -180,7 +180,7 @@ class SimulatedDriver:
 
     def _pass_time(self, duration: float) -> None:
         """Advance the plant, with a stop at each sample."""
-        # A winch closes its loop on its own encoder: what that says too much is missing.
+        # A winch closes its loop on its own encoder, so the bias of that shortens the cable.
         asked = self._command - self._sensors.encoder_bias
         for step in self._sensors.steps(self._time, duration):
             self._plant.advance(asked, step)

@@ -1,4 +1,4 @@
-"""Ticks of the clock on the wall, one a period from a start on, that do not drift."""
+"""Absolute schedule of wall-clock ticks, one per period, without drift."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import time
 
 
 class TickSchedule:
-    """Waits for the next tick that lies ahead; those that passed are counted and not made up.
+    """Absolute schedule of ticks; missed ones are counted and not made up.
 
     Attributes:
-        origin: When it began, by `time.monotonic` [s].
-        missed: Ticks that passed while nobody waited.
+        origin: Start time, by `time.monotonic` [s].
+        missed: Ticks that passed outside `wait`.
     """
 
     def __init__(self, period: float, *, forgiving: bool = False) -> None:
@@ -19,7 +19,7 @@ class TickSchedule:
 
         Args:
             period: Between two ticks [s].
-            forgiving: Whether any time may pass before the first wait without a tick being missed.
+            forgiving: True if no tick counts as missed before the first wait.
         """
         self._period, self._forgiving = period, forgiving
         self.origin = time.monotonic()
@@ -32,7 +32,7 @@ class TickSchedule:
         return time.monotonic() - self.origin
 
     def since(self, moment: float) -> float:
-        """When something was, from the start on [s]; `moment` is by `time.monotonic` [s]."""
+        """Return the time from the start to `moment` [s], which is by `time.monotonic` [s]."""
         return moment - self.origin
 
     def wait(self) -> None:

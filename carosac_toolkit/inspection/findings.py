@@ -1,4 +1,4 @@
-"""Why a robot cannot work at home, and what in its file looks like a mistake, in words."""
+"""Reasons why a robot cannot work at home, and suspected mistakes in its file, in words."""
 
 from __future__ import annotations
 
@@ -15,57 +15,65 @@ if TYPE_CHECKING:
     from carosac_toolkit.inspection.report import RobotReport
     from carosac_toolkit.physics.rest.statics import Equilibrium
 
-FAR = 20.0  # times the median distance: a point that far from the others has the wrong unit
-DEEP_SAG = 0.1  # of the length: a cable that sags more is hardly a cable of a robot
-RANK = 1e-6  # of the largest singular value: smaller ones count as none
-TINY = 1e-6  # [Hz]: a slower motion does not oscillate
-UPSET = 60.0  # [deg]: a platform that hangs more tilted at home was meant to hang otherwise
-EDGE = 1e-6  # [N]: what rounding may exceed a tension limit by
+FAR_DISTANCE_RATIO = (
+    20.0  # times the median distance: a point that far from the others has the wrong unit
+)
+DEEP_SAG_RATIO = 0.1  # of the length: a cable that sags more is hardly a cable of a robot
+RANK_TOLERANCE = 1e-6  # of the largest singular value: smaller ones count as none
+FREQUENCY_MIN_HZ = 1e-6  # [Hz]: a slower motion does not oscillate
+HOME_TILT_MAX_DEG = (
+    60.0  # [deg]: a platform that hangs more tilted at home was meant to hang otherwise
+)
+TENSION_ROUNDING_N = 1e-6  # [N]: what rounding may exceed a tension limit by
 
 
 def problems(report: RobotReport) -> list[str]:
-    """Say why the robot cannot stay at home; empty where it can.
+    """Explain why the robot cannot stay at home; empty if it can.
 
     Args:
-        report: The robot and how it hangs at home.
+        report: The robot and its equilibrium at home.
     """
-    found = [*_inside_pulley(report)]
+    findings = [*_inside_pulley(report)]
     home = report.equilibrium
     if not home.converged[0]:
-        found += _no_equilibrium(report)
+        findings += _no_equilibrium(report)
     elif not home.stable[0]:
-        found.append(_unstable(report))
-    return [*found, *_tension_limits(report, home), *_winch_range(report)]
+        findings.append(_unstable(report))
+    return [*findings, *_tension_limits(report, home), *_winch_range(report)]
 
 
 def warnings(report: RobotReport) -> list[str]:
-    """Say what looks like a mistake, though the robot may work.
+    """List suspected mistakes of a robot that may still work.
 
     Args:
-        report: The robot and how it hangs at home.
+        report: The robot and its equilibrium at home.
     """
-    found = [*_far_points(report), *_low_rank(report), *_deep_sag(report), *_long_wrap(report)]
+    findings = [*_far_points(report), *_low_rank(report), *_deep_sag(report), *_long_wrap(report)]
     tilt = float(np.degrees(report.tilt))
-    if report.equilibrium.converged[0] and tilt > UPSET:
-        found.append(f"the platform tilts by {tilt:.0f} degrees at home: is center_of_mass right?")
+    if report.equilibrium.converged[0] and tilt > HOME_TILT_MAX_DEG:
+        findings.append(
+            f"the platform tilts by {tilt:.0f} degrees at home: is center_of_mass right?"
+        )
     if report.file is not None:
-        found += [f"{name} is used by no chain" for name in unused_parts(report.file)]
-    return found
+        findings += [f"{name} is used by no chain" for name in unused_parts(report.file)]
+    return findings
 
 
 def _unstable(report: RobotReport) -> str:
-    """What it means that an equilibrium is not stable."""
-    growing = [f"{value:.3g} Hz" for value in report.frequencies if value < -TINY]
+    """Explain an equilibrium that is not stable."""
+    growing = [f"{value:.3g} Hz" for value in report.frequencies if value < -FREQUENCY_MIN_HZ]
     if growing:
         return (
             "the equilibrium is not stable: a motion of negative natural frequency grows instead "
             f"of oscillating, here {', '.join(growing)}"
         )
-    return "the equilibrium is not stable: a natural frequency is zero, nothing turns it back"
+    return (
+        "the equilibrium is not stable: a natural frequency is zero, so no force restores the pose"
+    )
 
 
 def _inside_pulley(report: RobotReport) -> Iterator[str]:
-    """Anchor points where no cable can go."""
+    """Find anchor points inside their pulley."""
     for i in np.flatnonzero(~report.straight.valid[0]):
         radius = report.robot.pulley_radius[i]
         name = report.robot.cable_names[i]
@@ -73,10 +81,10 @@ def _inside_pulley(report: RobotReport) -> Iterator[str]:
 
 
 def _no_equilibrium(report: RobotReport) -> Iterator[str]:
-    """Why nothing balances at home."""
-    from carosac_toolkit.physics.rest.statics import REASONS
+    """Explain why nothing balances at home."""
+    from carosac_toolkit.physics.rest.statics import STATUS_REASONS
 
-    yield REASONS[report.equilibrium.status[0]]
+    yield STATUS_REASONS[report.equilibrium.status[0]]
     yield from _outside(report)
     needed = _without_limits(report)
     if needed is not None:
@@ -86,7 +94,7 @@ def _no_equilibrium(report: RobotReport) -> Iterator[str]:
 
 
 def _without_limits(report: RobotReport) -> Equilibrium | None:
-    """Equilibrium at home with as few tension limits lifted as possible, upper ones first."""
+    """Solve for rest at home with as few tension limits lifted as possible, upper ones first."""
     from carosac_toolkit.physics.rest import statics
 
     robot = report.robot
@@ -106,20 +114,20 @@ def _without_limits(report: RobotReport) -> Equilibrium | None:
 
 
 def _tension_limits(report: RobotReport, home: Equilibrium) -> Iterator[str]:
-    """Tensions that the robot does not allow."""
+    """Find tensions beyond the limits of the robot."""
     if not home.converged[0]:
         return
     robot = report.robot
     for i, tension in enumerate(home.tension[0]):
         needs = f"cable {robot.cable_names[i]} would need {tension:.1f} N at home"
-        if tension > robot.tension_max[i] + EDGE:
+        if tension > robot.tension_max[i] + TENSION_ROUNDING_N:
             yield f"{needs}, its maximum is {robot.tension_max[i]:g} N"
-        elif tension < robot.tension_min[i] - EDGE:
+        elif tension < robot.tension_min[i] - TENSION_ROUNDING_N:
             yield f"{needs}, its minimum is {robot.tension_min[i]:g} N"
 
 
 def _winch_range(report: RobotReport) -> Iterator[str]:
-    """Lengths at home that the winches cannot wind."""
+    """Find lengths at home beyond the range of the winches."""
     robot, known = report.robot, report.equilibrium.converged[0]
     lengths = report.equilibrium.unstrained_length[0] if known else report.straight.length[0]
     for i in np.flatnonzero((lengths < robot.length_min) | (lengths > robot.length_max)):
@@ -132,7 +140,7 @@ def _winch_range(report: RobotReport) -> Iterator[str]:
 
 
 def _outside(report: RobotReport) -> Iterator[str]:
-    """Homes that no cable pulls to."""
+    """Find a home that no cable pulls to."""
     from scipy.spatial import ConvexHull, QhullError
 
     robot = report.robot
@@ -153,7 +161,7 @@ def _outside(report: RobotReport) -> Iterator[str]:
 
 
 def _far_points(report: RobotReport) -> Iterator[str]:
-    """Points in another unit than the rest."""
+    """Find points given in another unit than the rest."""
     robot = report.robot
     for kind, points, middle in (
         ("exit point", robot.exit_points, robot.home_position),
@@ -161,7 +169,7 @@ def _far_points(report: RobotReport) -> Iterator[str]:
     ):
         distance = np.linalg.norm(points - middle, axis=1)
         usual = float(np.median(distance))
-        for i in np.flatnonzero((distance > FAR * usual) & (usual > 0.0)):
+        for i in np.flatnonzero((distance > FAR_DISTANCE_RATIO * usual) & (usual > 0.0)):
             whence = "home" if kind == "exit point" else "the platform's origin"
             yield (
                 f"the {kind} of cable {robot.cable_names[i]} is {distance[i]:.4g} m from {whence}, "
@@ -170,7 +178,7 @@ def _far_points(report: RobotReport) -> Iterator[str]:
 
 
 def _low_rank(report: RobotReport) -> Iterator[str]:
-    """Cables that leave the platform free to move although there are enough of them."""
+    """Find cables that leave the platform free to move although there are enough of them."""
     from carosac_toolkit.physics.rest.structure import structure_matrix
 
     robot = report.robot
@@ -180,7 +188,7 @@ def _low_rank(report: RobotReport) -> Iterator[str]:
     size = float(np.linalg.norm(robot.anchor_points, axis=1).max()) or 1.0
     scaled = matrix / np.array([1.0, 1.0, 1.0, size, size, size])[:, None]
     values = np.linalg.svd(scaled, compute_uv=False)
-    rank, full = int((values > RANK * values[0]).sum()), min(6, robot.n)
+    rank, full = int((values > RANK_TOLERANCE * values[0]).sum()), min(6, robot.n)
     if rank < full:
         yield (
             f"the structure matrix at home has rank {rank} of {full}: "
@@ -189,19 +197,19 @@ def _low_rank(report: RobotReport) -> Iterator[str]:
 
 
 def _cause(anchors: Array) -> str:
-    """What makes cables dependent."""
+    """Explain why cables are dependent."""
     spread = np.linalg.svd(anchors - anchors.mean(axis=0), compute_uv=False)
     if spread[0] < 1e-9:
         return "anchor points coincide"
-    if len(spread) > 1 and spread[1] < RANK * spread[0]:
+    if len(spread) > 1 and spread[1] < RANK_TOLERANCE * spread[0]:
         return "anchor points lie on one line"
     return "the cables' lines of action depend on each other"
 
 
 def _deep_sag(report: RobotReport) -> Iterator[str]:
-    """Cables that hang through."""
+    """Find cables that sag deeply."""
     lengths = report.equilibrium.unstrained_length[0]
-    for i in np.flatnonzero(report.sag > DEEP_SAG * lengths):
+    for i in np.flatnonzero(report.sag > DEEP_SAG_RATIO * lengths):
         yield (
             f"cable {report.robot.cable_names[i]} sags {report.sag[i]:.4g} m at home, more than a "
             f"tenth of its {lengths[i]:.4g} m: are its weight, length and tension_min right?"
@@ -209,7 +217,7 @@ def _deep_sag(report: RobotReport) -> Iterator[str]:
 
 
 def _long_wrap(report: RobotReport) -> Iterator[str]:
-    """Cables that go round their pulley the wrong way."""
+    """Find cables that wrap their pulley the wrong way."""
     robot = report.robot
     for i in np.flatnonzero(report.wrap > np.pi):
         yield (

@@ -1,4 +1,4 @@
-"""What a robot is and how it hangs at home, as numbers."""
+"""Numbers of a robot: its description, and its equilibrium at home."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ class CalibratedParameter(NamedTuple):
     unit: str
 
 
-class Sensors(NamedTuple):
-    """What the robot file says of its sensors.
+class SensorReport(NamedTuple):
+    """Sensor calibration in the robot file.
 
     Attributes:
-        offset: What length sensors read at unstrained length 0 [m], (n,); None: not calibrated.
-        scale: What they read more per unstrained length, (n,); None: not calibrated.
+        offset: Reading of length sensors at unstrained length 0 [m], (n,); None: not calibrated.
+        scale: Change of the reading per unstrained length, (n,); None: not calibrated.
         delay: By how much their readings lead poses [s]; None: not calibrated.
         tilt: Of the frame of measured poses about x and y of W [rad], (2,); None: it is W.
         turn: Of that frame about z, before the tilt [rad].
@@ -62,7 +62,7 @@ class RobotReport:
 
     Attributes:
         robot: The robot.
-        equilibrium: How it hangs at home, B = 1; look at `feasible` first.
+        equilibrium: Equilibrium at home, B = 1; check `feasible` first.
         shape: Points along each cable at home in W [m], shape (n, samples, 3); straight lines
             where there is no equilibrium.
         sag: Largest distance of each cable to its chord at home [m], shape (n,); NaN where there
@@ -99,22 +99,22 @@ class RobotReport:
 
     @property
     def suspended(self) -> bool:
-        """Whether every cable pulls up at home, so that only gravity keeps the cables taut."""
+        """True if every cable pulls up at home, so that only gravity keeps the cables taut."""
         return is_suspended(self.robot, self.equilibrium.position, self.equilibrium.rotation)
 
     @cached_property
     def problems(self) -> tuple[str, ...]:
-        """Why the robot cannot stay at home, in words; empty where it can."""
+        """Reasons why the robot cannot stay at home, in words; empty if it can."""
         return tuple(findings.problems(self))
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """What looks like a mistake though the robot may work, in words."""
+        """Suspected mistakes of a robot that may still work, in words."""
         return tuple(findings.warnings(self))
 
     @property
     def feasible(self) -> bool:
-        """Whether the robot can stay at home: stable, within the limits of tension and length."""
+        """True if the robot can stay at home: stable, within the limits of tension and length."""
         return not self.problems
 
     @property
@@ -135,8 +135,8 @@ class RobotReport:
         )
 
     @property
-    def sensors(self) -> Sensors | None:
-        """What the robot file says of its sensors; None where it says nothing."""
+    def sensors(self) -> SensorReport | None:
+        """Sensor calibration in the robot file, or None."""
         robot = self.robot
         known = (robot.length_offset, robot.length_scale, robot.length_delay, robot.pose_rotation)
         if all(value is None for value in known):
@@ -147,10 +147,10 @@ class RobotReport:
             rest = with_values(robot, ("pose_tilt.x", "pose_tilt.y"), np.zeros(2)).pose_rotation
             assert rest is not None
             turn = float(np.arctan2(rest[1, 0], rest[0, 0]))
-        return Sensors(robot.length_offset, robot.length_scale, robot.length_delay, tilt, turn)
+        return SensorReport(robot.length_offset, robot.length_scale, robot.length_delay, tilt, turn)
 
     def data(self) -> dict[str, Any]:
-        """All numbers under names with units, ready for JSON; NaN is unknown."""
+        """Return all numbers under names with units, ready for JSON; NaN is unknown."""
         robot = self.robot
         return {
             "name": robot.name,
@@ -178,8 +178,12 @@ class RobotReport:
             "home": self._home_data(),
             "sensors": self._sensor_data(),
             "calibration": {
-                found.name: {"value": found.value, "sigma": found.sigma, "unit": found.unit}
-                for found in self.calibration
+                estimate.name: {
+                    "value": estimate.value,
+                    "sigma": estimate.sigma,
+                    "unit": estimate.unit,
+                }
+                for estimate in self.calibration
             },
             "problems": self.problems,
             "warnings": self.warnings,
@@ -187,7 +191,7 @@ class RobotReport:
         }
 
     def _cable_data(self) -> list[dict[str, Any]]:
-        """One mapping per cable."""
+        """Return one mapping per cable."""
         robot, home = self.robot, self.equilibrium
         known = 1.0 if home.converged[0] else np.nan
         pulley = robot.pulley_radius > 0.0
@@ -214,7 +218,7 @@ class RobotReport:
         ]
 
     def _sensor_data(self) -> dict[str, Any] | None:
-        """What the robot file says of its sensors."""
+        """Return the sensor calibration of the robot file."""
         sensors = self.sensors
         if sensors is None:
             return None
@@ -227,7 +231,7 @@ class RobotReport:
         }
 
     def _home_data(self) -> dict[str, Any]:
-        """How it hangs at home; null where there is no equilibrium to speak of."""
+        """Return the equilibrium at home; null if there is none."""
         home = self.equilibrium
         converged = bool(home.converged[0])
         known = 1.0 if converged else np.nan
@@ -244,14 +248,14 @@ class RobotReport:
 
 
 def report_robot(robot: Robot, file: RobotFile | None = None) -> RobotReport:
-    """Work out how a robot hangs at home.
+    """Solve for the equilibrium of a robot at home.
 
     Args:
         robot: The robot, n cables.
         file: The checked file that it comes from, if any.
 
     Returns:
-        The report; `RobotReport.feasible` says whether it can stay at home.
+        The report; `RobotReport.feasible` is True if it can stay at home.
     """
     from carosac_toolkit.physics.cable import straight_line
     from carosac_toolkit.physics.rest import modes, statics
@@ -284,7 +288,7 @@ def report_robot(robot: Robot, file: RobotFile | None = None) -> RobotReport:
 
 
 def _value(robot: Robot, name: str) -> float:
-    """Value of a parameter; NaN where the cables that share it differ."""
+    """Return the value of a parameter; NaN if the cables that share it differ."""
     try:
         return float(values_of(robot, [name])[0])
     except InvalidField:
@@ -292,7 +296,7 @@ def _value(robot: Robot, name: str) -> float:
 
 
 def _wrap(robot: Robot, equilibrium: Equilibrium) -> Array:
-    """Angle of contact of each hanging cable [rad], shape (n,); 0 without a pulley.
+    """Return the angle of contact of each hanging cable [rad], shape (n,); 0 without a pulley.
 
     The cable comes along the swivel axis k and leaves along cos(wrap) k + sin(wrap) e, where e
     points from the axis to the anchor point; it lies in that vertical or tilted plane.
@@ -310,7 +314,7 @@ def _wrap(robot: Robot, equilibrium: Equilibrium) -> Array:
 
 
 def is_suspended(robot: Robot, position: Array, rotation: Array) -> bool:
-    """Tell whether every cable pulls up at these poses.
+    """Return True if every cable pulls up at these poses.
 
     Args:
         robot: The robot, n cables.

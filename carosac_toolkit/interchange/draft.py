@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.robot.schema import SCHEMA
+from carosac_toolkit.robot.schema import ROBOT_SCHEMA
 
 FAR = 300.0  # [m] from the origin; points farther away than this are more likely in mm
 
@@ -25,7 +25,7 @@ class Draft:
     """
 
     source: str
-    data: dict[str, Any] = field(default_factory=lambda: {"schema": SCHEMA})
+    data: dict[str, Any] = field(default_factory=lambda: {"schema": ROBOT_SCHEMA})
     provenance: dict[str, str] = field(default_factory=dict)
     dropped: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)

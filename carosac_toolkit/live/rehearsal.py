@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.loop.loop import Path
+from carosac_toolkit.loop.loop import ReferenceSource
 from carosac_toolkit.loop.protocols import Controller, Estimator
 from carosac_toolkit.loop.values import Command, Imu, Measurement, Stamped, State
 from carosac_toolkit.physics.rest.homing import homing_lengths
@@ -17,7 +17,7 @@ IMU_PERIOD_S = 0.005
 
 
 def rehearse(
-    robot: Robot, estimator: Estimator, controller: Controller, path: Path, *, suite: str
+    robot: Robot, estimator: Estimator, controller: Controller, path: ReferenceSource, *, suite: str
 ) -> None:
     """Run estimator and controller on a robot at rest at home; nothing is sent anywhere.
 

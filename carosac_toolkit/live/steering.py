@@ -12,14 +12,14 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.keyboard import listening
 from carosac_toolkit.live.messages import say
-from carosac_toolkit.loop.loop import Path
+from carosac_toolkit.loop.loop import ReferenceSource
 from carosac_toolkit.safety.guard import GuardedDriver
 
 POLL_INTERVAL_S = 0.05  # after the end of the input, until the target is reached
 
 
 @contextlib.contextmanager
-def steered(path: Path, guard: GuardedDriver) -> Iterator[None]:
+def steered(path: ReferenceSource, guard: GuardedDriver) -> Iterator[None]:
     """Follow what is typed until the block ends, where the path is a hand target.
 
     Where the input ends the run goes on to the target, and ends.

@@ -9,9 +9,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from carosac_toolkit.loop.loop import BadPlugin, Log, Path, Step, run
+    from carosac_toolkit.loop.loop import BadPlugin, Log, ReferenceSource, Step, run
 
-__all__ = ["BadPlugin", "Log", "Path", "Step", "run"]
+__all__ = ["BadPlugin", "Log", "ReferenceSource", "Step", "run"]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,4 +1,4 @@
-r"""Whether an estimator is as good as it says: NEES, NIS and the bands they should be in.
+r"""Consistency of an estimator with its stated covariance: NEES, NIS and their confidence bands.
 
 With the error e of a belief whose covariance P says how large it should be, the normalised
 estimation error squared is e^T P^-1 e, which is chi-squared with as many degrees of freedom as e
@@ -27,15 +27,15 @@ POSE_SIZE = 6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Innovations:
-    """What the measurements since the last belief said against it.
+    """Normalised squared innovations of the measurements since the last belief.
 
     The memory of a belief carries it under the name ``innovations``, if its estimator has any.
 
     Attributes:
         squares: Sum of the normalised innovations squared, shape (B,); those that were too far off
-            to be believed are left out.
+            to be used are left out.
         dof: Sum of their degrees of freedom, shape (B,); 0 where nothing was measured.
-        rejected: Measurements that were too far off to be believed as they are, shape (B,).
+        rejected: Number of measurements too far off to be used as they are, shape (B,).
     """
 
     squares: Array
@@ -44,7 +44,7 @@ class Innovations:
 
 
 def state_error(truth: State, belief: Belief) -> Array:
-    """Error of a belief, in the order of its covariance: truth minus belief.
+    """Return the error of a belief, in the order of its covariance: truth minus belief.
 
     Args:
         truth: With a twist, or only the pose is compared.
@@ -64,7 +64,7 @@ def state_error(truth: State, belief: Belief) -> Array:
 
 
 def normalised_square(error: Array, covariance: Array) -> Array:
-    """The square e^T P^-1 e over its degrees of freedom.
+    """Return the square e^T P^-1 e over its degrees of freedom.
 
     Args:
         error: Shape (..., k).
@@ -79,13 +79,13 @@ def normalised_square(error: Array, covariance: Array) -> Array:
     try:
         root = np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError as wrong:
-        raise InvalidField("covariance", "a matrix", "positive definite ones") from wrong
+        raise InvalidField("covariance", "not positive definite", "positive definite") from wrong
     white = np.linalg.solve(root, error[..., None])[..., 0]
     return np.asarray((white**2).mean(axis=-1))
 
 
 def band(dof: float, count: float = 1.0, *, level: float = 0.95) -> tuple[float, float]:
-    """Where the mean of independent normalised squares is, with a given probability.
+    """Return the interval that holds the mean of independent normalised squares.
 
     Args:
         dof: Degrees of freedom of each, > 0.

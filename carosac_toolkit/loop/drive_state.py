@@ -9,7 +9,7 @@ from enum import StrEnum
 
 
 class DriveState(StrEnum):
-    """Where the drive system stands; only `FOLLOWING` moves on command."""
+    """State of the drive system; only `FOLLOWING` moves on command."""
 
     DISCONNECTED = "disconnected"  # nothing is known
     CONNECTED = "connected"  # measures; no length is known to belong to a pose
@@ -22,17 +22,17 @@ class DriveState(StrEnum):
 
     @property
     def number(self) -> int:
-        """What the PLC sends."""
+        """Number that the PLC sends."""
         return list(DriveState).index(self)
 
     @property
     def moves(self) -> bool:
-        """Whether the winches may turn."""
+        """True if the winches may turn."""
         return self in (DriveState.FOLLOWING, DriveState.STOPPING)
 
 
 class Fault(StrEnum):
-    """Why the winches were stopped."""
+    """Reason why the winches were stopped."""
 
     NONE = "none"
     DRIVE_TRIP = "drive_trip"
@@ -55,33 +55,33 @@ class Fault(StrEnum):
 
     @property
     def number(self) -> int:
-        """What the PLC sends."""
+        """Number that the PLC sends."""
         return list(Fault).index(self)
 
     @property
     def meaning(self) -> str:
-        """What happened, in one sentence."""
-        return _TEXTS[self][0]
+        """Cause, in one sentence."""
+        return _FAULT_TEXTS[self][0]
 
     @property
     def remedy(self) -> str:
-        """What to do about it, in one sentence."""
-        return _TEXTS[self][1]
+        """Remedy, in one sentence."""
+        return _FAULT_TEXTS[self][1]
 
 
 def state_of(number: int) -> DriveState:
-    """The state that a PLC means; `FAULT` for a number that has no name."""
+    """Return the state for a number of the PLC; `FAULT` for a number that has no name."""
     states = list(DriveState)
     return states[number] if 0 <= number < len(states) else DriveState.FAULT
 
 
 def fault_of(number: int) -> Fault:
-    """The fault that a PLC means; `UNKNOWN` for a number that has no name."""
+    """Return the fault for a number of the PLC; `UNKNOWN` for a number that has no name."""
     faults = list(Fault)
     return faults[number] if 0 <= number < len(faults) else Fault.UNKNOWN
 
 
-_TEXTS: dict[Fault, tuple[str, str]] = {
+_FAULT_TEXTS: dict[Fault, tuple[str, str]] = {
     Fault.NONE: ("No fault.", "Nothing to do."),
     Fault.DRIVE_TRIP: (
         "The drive of a winch switched itself off.",
@@ -96,7 +96,7 @@ _TEXTS: dict[Fault, tuple[str, str]] = {
         "Check that the PLC program runs and the network answers, then reset.",
     ),
     Fault.FOLLOWING_ERROR: (
-        "A winch is not where it was told to be.",
+        "A winch does not follow its command.",
         "Look for a blocked drum, an overload or a wrong sign or scale, then reset.",
     ),
     Fault.CLOSURE: (
@@ -132,7 +132,7 @@ _TEXTS: dict[Fault, tuple[str, str]] = {
         "Lower the rate or the load of the host, then reset.",
     ),
     Fault.OVER_LIMIT: (
-        "The PLC was asked for more than its own limits allow and ramped to rest.",
+        "A command exceeded the limits of the PLC, which ramped to rest.",
         "Make the limits of the robot file no wider than those of the PLC, then reset.",
     ),
     Fault.OWNER: (
@@ -140,7 +140,7 @@ _TEXTS: dict[Fault, tuple[str, str]] = {
         "Close the other host, then connect again.",
     ),
     Fault.UNKNOWN: (
-        "A fault without a name here.",
+        "An unknown fault.",
         "Look its number up in the PLC program, if it came from there, then reset.",
     ),
     Fault.WORKSPACE: (
@@ -148,7 +148,7 @@ _TEXTS: dict[Fault, tuple[str, str]] = {
         "Bring it back with the panel of the PLC, check path and home pose, then reset.",
     ),
     Fault.RECORDING: (
-        "The run could no longer be recorded, so that nobody could explain it.",
+        "The run could no longer be recorded.",
         "Free the disk or record on a local one, then reset.",
     ),
 }

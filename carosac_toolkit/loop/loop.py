@@ -23,8 +23,8 @@ class BadPlugin(CarosacError):
     """A controller or estimator that returned something the loop cannot use."""
 
 
-class Path(Protocol):
-    """What a run follows: a `carosac_toolkit.trajectories.Trajectory`, or what somebody steers."""
+class ReferenceSource(Protocol):
+    """Source of references of a run: a `Trajectory`, or a target moved by hand."""
 
     @property
     def duration(self) -> float:
@@ -32,7 +32,7 @@ class Path(Protocol):
         ...
 
     def window(self, time: float, horizon: float, period: float) -> Reference:
-        """What to follow from `time` [s] after the start on; times do not go back."""
+        """Return the reference from `time` [s] after the start on; times never decrease."""
         ...
 
 
@@ -41,12 +41,12 @@ class Step:
     """One cycle of the loop.
 
     Attributes:
-        measurement: What the sensors said.
-        belief: What the estimator made of it.
-        reference: What the platform should do, now and ahead, by the driver's clock.
-        asked: What the controller asked for.
-        command: What was really sent.
-        truth: The state at the same time, where the driver knows it.
+        measurement: Measurement of the sensors.
+        belief: Belief of the estimator after it.
+        reference: Reference now and ahead, by the driver's clock.
+        asked: Command of the controller.
+        command: Command really sent.
+        truth: State at the same time, or None if the driver does not know it.
         latency: Wall time of estimator and controller together [s].
     """
 
@@ -61,27 +61,27 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Log:
-    """What happened in T cycles of B worlds with n cables.
+    """Record of T cycles of B worlds with n cables.
 
     Attributes:
         time: By the driver's clock, from the first measurement [s], shape (T,).
         reference: Platform origin that was asked for in W [m], shape (T, B, 3).
-        position: True platform origin in W [m], shape (T, B, 3); None where nobody knows it.
+        position: True platform origin in W [m], shape (T, B, 3), or None if unknown.
         rotation: True rotation from P to W, shape (T, B, 3, 3), or None.
         tension: True tension at the platform [N], shape (T, B, n), or None.
-        belief_position: Believed platform origin in W [m], shape (T, B, 3).
-        belief_rotation: Believed rotation, shape (T, B, 3, 3).
+        belief_position: Estimated platform origin in W [m], shape (T, B, 3).
+        belief_rotation: Estimated rotation, shape (T, B, 3, 3).
         unstrained_length: Measured [m], shape (T, B, n).
         asked: Unstrained lengths that the controller asked for [m], shape (T, B, n).
         command: Unstrained lengths really sent [m], shape (T, B, n).
         latency: Wall time of estimator and controller per cycle [s], shape (T,).
         limited: Every limit that changed a command, with the index of its cycle.
-        completed: Whether the driver went on to the end.
+        completed: True if the driver went on to the end.
         twist: True twist in W at the platform origin [m/s, rad/s], shape (T, B, 6), or None.
-        belief_twist: Believed twist, shape (T, B, 6); None where the estimator has none.
+        belief_twist: Estimated twist, shape (T, B, 6); None where the estimator has none.
         belief_covariance: Of the belief, as `Belief.covariance`, shape (T, B, 12, 12), or None.
-        innovations: What measurements said against the beliefs, each of shape (T, B); None where
-            the estimator has none.
+        innovations: Normalised innovations of the measurements, each of shape (T, B); None if the
+            estimator has none.
     """
 
     time: Array
@@ -103,7 +103,7 @@ class Log:
     innovations: Innovations | None = None
 
     def world(self, row: int, cycles: int) -> Log:
-        """The first cycles of one of the B worlds, as a log of its own.
+        """Return the first cycles of one of the B worlds, as a log of its own.
 
         The latencies stay those of the whole batch.
         """
@@ -121,7 +121,7 @@ class Log:
 
 
 def run(
-    driver: Driver, estimator: Estimator, controller: Controller, trajectory: Path, *,
+    driver: Driver, estimator: Estimator, controller: Controller, trajectory: ReferenceSource, *,
     duration: float | None = None, watch: Callable[[Step], None] | None = None,
     keep: int | None = None, by_clock: bool = False,
 ) -> Log:  # fmt: skip
@@ -134,10 +134,10 @@ def run(
         estimator: Sees applied commands and measurements only.
         controller: Its `period` is the cycle time.
         trajectory: Starts at the driver's first measurement.
-        duration: How long [s]; None: to the end of the trajectory and one second of rest.
+        duration: Length of the run [s]; None: to the end of the trajectory and one second of rest.
         watch: Called after each command, before the wait.
-        keep: How many of the last cycles the log holds; None: all of them.
-        by_clock: Whether `duration` counts by the clock of the driver, also where it misses ticks;
+        keep: Number of last cycles in the log; None: all of them.
+        by_clock: True to count `duration` by the clock of the driver, also where it misses ticks;
             else by cycles, one period each.
 
     Returns:
@@ -172,7 +172,7 @@ def run(
 
 
 def _cycles(
-    driver: Driver, estimator: Estimator, controller: Controller, trajectory: Path,
+    driver: Driver, estimator: Estimator, controller: Controller, trajectory: ReferenceSource,
     over: Callable[[int, float], bool], steps: MutableSequence[Step],
     watch: Callable[[Step], None] | None,
 ) -> bool:  # fmt: skip
@@ -190,12 +190,12 @@ def _cycles(
         began = time.perf_counter()
         first = belief is None
         with _blamed(driver, "estimator"):
-            found = (
+            estimate = (
                 estimator.reset(measurement)
                 if belief is None
                 else estimator.update(belief, applied, measurement)
             )
-            belief = checked_belief(found, measurement)
+            belief = checked_belief(estimate, measurement)
         if isinstance(driver, Supervisor):
             driver.believe(belief)
         with _blamed(driver, "controller"):
@@ -219,7 +219,7 @@ def _cycles(
 
 @dataclass(frozen=True)
 class _Over:
-    """Whether a cycle is the last: the `cycles`-th, or the first at `time` [s] or after it."""
+    """End of a run: the `cycles`-th cycle, or the first at `time` [s] or after it."""
 
     cycles: int
     time: float | None
@@ -230,7 +230,7 @@ class _Over:
 
 @contextmanager
 def _blamed(driver: Driver, part: str) -> Iterator[None]:
-    """Tell a driver that watches who raised an error."""
+    """Tell a supervising driver which part raised an error."""
     try:
         yield
     except Exception as error:
@@ -246,14 +246,16 @@ def _kept(keep: int) -> int:
     return keep
 
 
-def _reference(trajectory: Path, controller: Controller, now: float, start: float) -> Reference:
-    """Window of the trajectory `now` seconds after its start, by the driver's clock."""
+def _reference(
+    trajectory: ReferenceSource, controller: Controller, now: float, start: float
+) -> Reference:
+    """Return the window of references `now` seconds after the start, by the driver's clock."""
     window = trajectory.window(now, controller.horizon, controller.period)
     return window if start == 0.0 else replace(window, time=window.time + start)
 
 
 def _positive(name: str, value: object) -> float:
-    """Refuse zero, negative, NaN and what is no number."""
+    """Refuse zero, negative values, NaN and anything but a number."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.floating):
         raise InvalidField(name, repr(value), "a number of seconds")
     if not 0.0 < value < np.inf:
@@ -262,7 +264,7 @@ def _positive(name: str, value: object) -> float:
 
 
 def checked_belief(belief: object, measurement: Measurement) -> Belief:
-    """Refuse what an estimator must not return; the arrays of a Belief are finite by construction.
+    """Refuse an invalid result of an estimator; arrays of a Belief are finite by construction.
 
     Raises:
         BadPlugin: No Belief, or one of another batch or number of cables.
@@ -313,7 +315,7 @@ def _log(steps: list[Step], completed: bool) -> Log:
 
 
 def _truth(truths: list[State | None]) -> dict[str, Array | None]:
-    """The truth over all cycles; None where it is not known in each of them."""
+    """Return the truth over all cycles; None unless it is known in each of them."""
     known = [truth for truth in truths if truth is not None]
     names = ("position", "rotation", "twist", "tension")
     if len(known) < len(truths):
@@ -322,15 +324,15 @@ def _truth(truths: list[State | None]) -> dict[str, Array | None]:
 
 
 def _stacked(values: list[Array | None]) -> Array | None:
-    """Values of all cycles, shape (T, ...), or None where some have none."""
+    """Stack the values of all cycles, shape (T, ...); None if any is missing."""
     known = [value for value in values if value is not None]
     return np.stack(known) if len(known) == len(values) else None
 
 
 def _innovations(beliefs: list[Belief]) -> Innovations | None:
-    """Innovations of all cycles, where the memory of any belief has some; none count as 0."""
-    found = [getattr(belief.memory, "innovations", None) for belief in beliefs]
-    if not any(isinstance(one, Innovations) for one in found):
+    """Stack the innovations of all cycles if any belief has some; none count as 0."""
+    innovations = [getattr(belief.memory, "innovations", None) for belief in beliefs]
+    if not any(isinstance(one, Innovations) for one in innovations):
         return None
     size = len(beliefs[0].position)
     names = ("squares", "dof", "rejected")
@@ -338,7 +340,7 @@ def _innovations(beliefs: list[Belief]) -> Innovations | None:
         name: np.stack(
             [
                 np.broadcast_to(np.asarray(getattr(one, name, 0.0), dtype=float), (size,))
-                for one in found
+                for one in innovations
             ]
         )
         for name in names

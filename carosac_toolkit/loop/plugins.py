@@ -20,11 +20,11 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
 Kind = Literal["controllers", "estimators", "drivers", "commands", "figures"]
 
 OUR_PACKAGES = ("baselines", "learned", "sim_warp", "calibration")
-_MARKER = "__carosac__"
+_PACKAGE_MARKER = "__carosac__"
 
 
 def names(kind: Kind) -> list[str]:
-    """Installed plug-ins of a kind, sorted; imports none of them."""
+    """Return the names of installed plug-ins of a kind, sorted, without importing them."""
     return sorted(_installed(kind))
 
 
@@ -33,11 +33,11 @@ def load(kind: Kind, name: str) -> Any:
 
     Args:
         kind: ``"controllers"``, ``"estimators"``, ``"drivers"``, ``"commands"`` or ``"figures"``.
-        name: A name from `names`, or ``module:Class`` for what is importable but not installed;
+        name: A name from `names`, or ``module:Class`` for what is not installed but importable;
             modules are looked for in the working folder as well, after all other places.
 
     Returns:
-        What the name stands for: a class, or a module for most commands and figures.
+        The object of that name: a class, or a module for most commands and figures.
 
     Raises:
         InvalidField: There is no such plug-in; the message lists those there are.
@@ -50,14 +50,14 @@ def load(kind: Kind, name: str) -> Any:
     installed = _installed(kind)
     if name not in installed:
         raise InvalidField(kind[:-1], repr(name), _allowed(name, sorted(installed)))
-    found = installed[name]
-    if len(found) > 1:
-        claims = ", ".join(sorted(f"{_owner(point)} ({point.value})" for point in found))
+    entries = installed[name]
+    if len(entries) > 1:
+        claims = ", ".join(sorted(f"{_owner(point)} ({point.value})" for point in entries))
         raise CarosacError(
             f"{kind[:-1]} '{name}' is claimed by several installed distributions: {claims}; "
             "uninstall one, or name yours as 'module:Class'"
         )
-    return _resolve(kind, name, found[0])
+    return _resolve(kind, name, entries[0])
 
 
 def name_of(plugin: str | type[Any]) -> str:
@@ -85,7 +85,7 @@ def name_of(plugin: str | type[Any]) -> str:
 
 
 def entry_points_of(group: str) -> EntryPoints:
-    """Entry points of a group, read again only where something was installed meanwhile."""
+    """Return the entry points of a group, read again only after an installation."""
     return _read(group, tuple((folder, _changed(folder)) for folder in sys.path))
 
 
@@ -104,7 +104,7 @@ def check_package(package: str) -> None:
         )
     cause: ImportError | None = None
     try:
-        if getattr(import_module(package), _MARKER, False) is True:
+        if getattr(import_module(package), _PACKAGE_MARKER, False) is True:
             return
     except ImportError as error:  # ours imports nothing
         cause = error
@@ -117,24 +117,24 @@ def check_package(package: str) -> None:
 
 
 def _group(kind: Kind) -> str:
-    """Entry-point group of a kind."""
+    """Return the entry-point group of a kind."""
     if kind not in get_args(Kind):
         raise InvalidField("kind", repr(kind), f"one of {list(get_args(Kind))}")
     return f"carosac.{kind}"
 
 
 def _installed(kind: Kind) -> dict[str, list[EntryPoint]]:
-    """Entry points of a kind by name; more than one where distributions clash."""
-    found: dict[str, list[EntryPoint]] = {}
+    """Return entry points of a kind by name; more than one where distributions clash."""
+    entries: dict[str, list[EntryPoint]] = {}
     for point in entry_points_of(_group(kind)):
-        claims = found.setdefault(point.name, [])
+        claims = entries.setdefault(point.name, [])
         if all(point.value != other.value for other in claims):
             claims.append(point)
-    return found
+    return entries
 
 
 def _changed(folder: str) -> int:
-    """When entries of a folder of the Python path last came or went [ns]; 0: it is not there."""
+    """Return when entries of a folder of the Python path last changed [ns]; 0: absent."""
     try:
         return os.stat(folder or ".").st_mtime_ns
     except OSError:
@@ -143,30 +143,30 @@ def _changed(folder: str) -> int:
 
 @lru_cache(maxsize=16)
 def _read(group: str, state: tuple[tuple[str, int], ...]) -> EntryPoints:
-    """Entry points of a group, for a state of the Python path."""
+    """Read the entry points of a group, for a state of the Python path."""
     return entry_points(group=group)
 
 
 def _look_in_working_folder() -> None:
-    """Let modules that lie there be found, as ``python -m`` does; also by workers started later."""
+    """Add the folder to the import path, as ``python -m`` does; also for workers started later."""
     here = os.getcwd()
     if here not in sys.path and "" not in sys.path:
         sys.path.append(here)
 
 
 def _owner(point: EntryPoint) -> str:
-    """Distribution that an entry point belongs to."""
+    """Return the distribution of an entry point."""
     return point.dist.name if point.dist is not None else "unknown distribution"
 
 
 def _allowed(name: str, installed: list[str]) -> str:
-    """What could have been written instead."""
+    """Describe the allowed names."""
     text = f"one of {installed}, or 'module:Class'"
     return text + did_you_mean(name, installed)
 
 
 def _resolve(kind: Kind, name: str, point: EntryPoint) -> Any:
-    """Import what an entry point or ``module:Class`` refers to."""
+    """Import the target of an entry point or ``module:Class``."""
     if point.pattern.match(point.value) is None:
         raise InvalidField(kind[:-1], repr(name), "a name, or 'module:Class'")
     package = point.module.partition(".")[0]

@@ -20,7 +20,7 @@ from carosac_toolkit.loop.values import Belief, Command, Measurement, Reference,
 
 
 class Estimator(Protocol):
-    """Turns applied commands and measurements into a belief over the platform state.
+    """Estimator of the platform state from applied commands and measurements.
 
     One that takes B robots at once, gives each row what it would have alone, and draws nothing from
     its seed, may say so by a class attribute ``batched = True``; studies then run seeds together.
@@ -43,11 +43,11 @@ class Estimator(Protocol):
 
 
 class Controller(Protocol):
-    """Turns a belief and the reference ahead into cable lengths; ``batched`` as for estimators.
+    """Controller of cable lengths from belief and reference; ``batched`` as for estimators.
 
     Attributes:
         period: Time between two commands [s].
-        horizon: How far ahead of now the reference must reach [s].
+        horizon: Time ahead of now that the reference must cover [s].
     """
 
     period: float
@@ -207,7 +207,7 @@ class MotionDriver(
 
 @runtime_checkable
 class Supervisor(Protocol):
-    """A driver that watches those who command it; the loop tells it what they do."""
+    """A driver that supervises estimator and controller; the loop reports to it."""
 
     def believe(self, belief: Belief) -> None:
         """Take the newest belief, before the controller sees it."""
@@ -215,7 +215,7 @@ class Supervisor(Protocol):
     def fail(self, part: str, error: BaseException) -> None:
         """Take an error of the ``"estimator"``, ``"controller"`` or ``"program"`` around them.
 
-        `stop` follows. The program comes last: it repeats what one of the two has raised.
+        `stop` follows. The program comes last: it repeats the error of one of the two.
         """
 
 
@@ -226,7 +226,7 @@ def replays(driver: object) -> bool:
 
 @runtime_checkable
 class TruthSource(Protocol):
-    """A driver that knows the truth. Only the loop's logger and the scoring ask."""
+    """A driver that knows the truth. Only the loop's logger and the scoring call it."""
 
     def truth(self) -> State | None:
         """Return the state now, or None where it is not known at this instant."""

@@ -25,8 +25,8 @@ class Stamped:
     """A measured quantity with its own time stamps.
 
     Attributes:
-        time: When it was measured [s], shape (B,).
-        value: What was measured, shape (B, n), in the unit of its channel.
+        time: Time of measurement [s], shape (B,).
+        value: Measured value, shape (B, n), in the unit of its channel.
     """
 
     time: Array
@@ -45,7 +45,7 @@ class Pose:
     Attributes:
         position: Platform origin [m], shape (B, 3).
         rotation: Rotation from P to W, shape (B, 3, 3).
-        time: When it was measured [s], shape (B,), or None.
+        time: Time of measurement [s], shape (B,), or None.
     """
 
     position: Array
@@ -81,7 +81,7 @@ class Imu:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Measurement:
-    """What the sensors said.
+    """Measurement of the sensors at one time.
 
     Attributes:
         time: Time of this cycle, by the driver's clock [s], shape (B,).
@@ -107,7 +107,7 @@ class Measurement:
         _freeze(self, time=shape[:1], unstrained_length=shape)
 
     def lengths_of(self, size: int, n: int) -> Array:
-        """The unstrained lengths, once they are those of so many robots and cables [m], (B, n).
+        """Return unstrained lengths [m], (B, n); refuse those of other robots or cables.
 
         Raises:
             InvalidField: Another shape, or a length that is not positive.
@@ -128,8 +128,8 @@ class LimitHit:
     Attributes:
         limit: Name of the limit.
         cable: Index of the cable, or None where the limit concerns the platform.
-        asked: What was asked for, in the unit of the limit.
-        sent: What was sent instead.
+        asked: Value asked for, in the unit of the limit.
+        sent: Value sent instead.
         row: Which of the B robots.
     """
 
@@ -142,7 +142,7 @@ class LimitHit:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Command:
-    """What the winches are asked for.
+    """Lengths that the winches are asked for.
 
     Attributes:
         time: [s], shape (B,).
@@ -164,7 +164,7 @@ class Command:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Belief:
-    """What an estimator believes about the platform.
+    """Estimate of the platform state.
 
     Attributes:
         time: [s], shape (B,).
@@ -174,9 +174,9 @@ class Belief:
             None where the estimator has none.
         covariance: Of [dp; log(R R_hat^T); dv; dw] in W, shape (B, 12, 12), or None.
         tension: At the platform [N], shape (B, n), or None where the estimator has no forces.
-        center_of_mass: Of the platform in P [m], shape (B, 3), or None where nothing was measured
-            of it and that of the robot file is taken for granted.
-        memory: What the estimator keeps for itself, such as biases.
+        center_of_mass: Of the platform in P [m], shape (B, 3), or None if it is
+            not estimated and that of the robot file holds.
+        memory: Internal values of the estimator, such as biases.
     """
 
     time: Array
@@ -198,7 +198,7 @@ class Belief:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reference:
-    """The next N samples of what the platform should do; row 0 is now.
+    """The next N samples of the desired platform motion; row 0 is now.
 
     Attributes:
         time: [s], shape (B, N).
@@ -223,7 +223,7 @@ class Reference:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class State:
-    """The truth, which only a driver's world and the scoring see.
+    """True state, seen only by a driver's world and the scoring.
 
     Attributes:
         time: [s], shape (B,).

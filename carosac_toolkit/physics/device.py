@@ -17,15 +17,15 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable.catenary_kernels import Cable
 from carosac_toolkit.physics.fleet import Fleet
-from carosac_toolkit.physics.rest.platform_kernels import Body
+from carosac_toolkit.physics.rest.platform_kernels import StaticBody
 from carosac_toolkit.robot.robot import Robot
 
-KEPT = 12  # sets of buffers remembered per robot
-KEPT_SIZE = 4096  # larger batches allocate anew: their solve takes far longer
+BUFFER_SETS_MAX = 12  # sets of buffers remembered per robot
+KEPT_BATCH_MAX = 4096  # larger batches allocate anew: their solve takes far longer
 
 
 def cable_records(robot: Robot) -> NDArray[Any]:
-    """The cables of a robot as an array of `Cable` structs, shape (n,)."""
+    """Return the cables of a robot as an array of `Cable` structs, shape (n,)."""
     records = np.zeros(robot.n, dtype=Cable.numpy_dtype())
     for name in (
         "exit_point", "swivel_axis", "anchor_point", "pulley_radius", "run_length",
@@ -37,8 +37,8 @@ def cable_records(robot: Robot) -> NDArray[Any]:
 
 
 def body_record(robot: Robot) -> NDArray[Any]:
-    """The platform of a robot as one `Body` struct, shape ()."""
-    record = np.zeros((), dtype=Body.numpy_dtype())
+    """Return the platform of a robot as one `StaticBody` struct, shape ()."""
+    record = np.zeros((), dtype=StaticBody.numpy_dtype())
     record["weight"] = robot.weight
     record["center_of_mass"] = robot.center_of_mass
     record["arm"] = lever(robot)
@@ -48,18 +48,18 @@ def body_record(robot: Robot) -> NDArray[Any]:
 
 
 def lever(robot: Robot) -> float:
-    """Typical lever arm that makes moments comparable with forces [m]."""
+    """Return the typical lever arm that makes moments comparable with forces [m]."""
     arms = np.vstack([robot.anchor_points, robot.center_of_mass[None]])
     return float(max(np.sqrt((arms**2).sum(axis=1).max()), 1e-2))
 
 
 def upload_robots(robots: Sequence[Robot], device: str) -> tuple[wp.array, wp.array]:
-    """Cables (B, n) and bodies (B,) of one robot per world; one robot serves a whole batch."""
+    """Upload cables (B, n) and bodies (B,) of one robot per world; one robot serves a batch."""
     cables = np.stack([cable_records(robot) for robot in robots])
     bodies = np.stack([body_record(robot) for robot in robots])
     return (
         wp.array(cables, dtype=Cable, device=device),
-        wp.array(bodies, dtype=Body, device=device),
+        wp.array(bodies, dtype=StaticBody, device=device),
     )
 
 
@@ -88,14 +88,14 @@ class Buffers:
         self.length_scale = 1.0  # typical cable length of the robot [m]
 
     def add(self, name: str, array: wp.array) -> None:
-        """Take over an array that somebody else has made."""
+        """Add an existing array."""
         self._arrays[name] = array
         if wp.get_device(self.device).is_cpu:
             self._views[name] = array.numpy()
 
     @property
     def launched(self) -> bool:
-        """Whether any kernel has run on these buffers."""
+        """True if any kernel has run on these buffers."""
         return bool(self._launches)
 
     def put(self, name: str, value: Array) -> None:
@@ -112,8 +112,8 @@ class Buffers:
         if self._views:
             view: NDArray[Any] = self._views[name]
             return view.copy()
-        found: NDArray[Any] = self._arrays[name].numpy()
-        return found
+        copied: NDArray[Any] = self._arrays[name].numpy()
+        return copied
 
     def launch(self, key: str, kernel: wp.Kernel, dim: int | tuple[int, ...], *args: Any) -> None:
         """Run a kernel: recorded at its first use, replayed afterwards.
@@ -122,14 +122,25 @@ class Buffers:
             key: Stands for kernel, size and arguments, which must not change between calls.
             kernel: The kernel.
             dim: Number of threads.
-            args: Kernel arguments; a string names one of the buffers.
+            args: Kernel arguments; a string names one of the buffers, and a type of struct is made
+                of the buffers that are named as its fields, the others empty.
         """
         if key not in self._launches:
-            inputs = [self._arrays[a] if isinstance(a, str) else a for a in args]
+            inputs = [
+                self._arrays[a] if isinstance(a, str) else self._struct(a) if callable(a) else a
+                for a in args
+            ]
             self._launches[key] = wp.launch(
                 kernel, dim, inputs=inputs, device=self.device, record_cmd=True
             )
         self._launches[key].launch()
+
+    def _struct(self, kind: Any) -> Any:
+        """Make a struct of the buffers that are named as its fields."""
+        made = kind()
+        for name in self._arrays.keys() & kind.vars:
+            setattr(made, name, self._arrays[name])
+        return made
 
 
 _uploads: WeakKeyDictionary[Robot | Fleet, dict[str, tuple[wp.array, wp.array]]] = (
@@ -140,7 +151,7 @@ _lock = threading.Lock()
 
 
 def check_call(robot: Robot | Fleet, device: str) -> None:
-    """Refuse what is no robot, and a device that is not there.
+    """Refuse anything but a robot, and a device that does not exist.
 
     Raises:
         InvalidField: Names the argument.
@@ -151,21 +162,21 @@ def check_call(robot: Robot | Fleet, device: str) -> None:
 
 
 def check_device(device: str) -> None:
-    """Refuse a device that is not there.
+    """Refuse a device that does not exist.
 
     Raises:
         InvalidField: Names those that are.
     """
     if device != "cpu":
         warp_setup.initialise()
-        known = [str(found) for found in wp.get_devices()]
+        known = [str(one) for one in wp.get_devices()]
         if device not in [*known, "cuda"] or (device == "cuda" and len(known) < 2):
             none = "" if len(known) > 1 else "; no CUDA device was found"
             raise InvalidField("device", repr(device), f"one of {known}{none}")
 
 
 def device_robot(robot: Robot | Fleet, device: str) -> tuple[wp.array, wp.array]:
-    """Cables (R, n) and bodies (R,) on a device, uploaded once; one row for one robot."""
+    """Return cables (R, n) and bodies (R,) on a device, uploaded once; one row for one robot."""
     with _lock:
         kept = _uploads.setdefault(robot, {})
         if device not in kept:
@@ -174,14 +185,14 @@ def device_robot(robot: Robot | Fleet, device: str) -> tuple[wp.array, wp.array]
 
 
 def robots_of(robot: Robot | Fleet) -> tuple[Robot, ...]:
-    """The robots of a fleet, or the one robot."""
+    """Return the robots of a fleet, or the one robot."""
     return robot.robots if isinstance(robot, Fleet) else (robot,)
 
 
 def kept_buffers(
     robot: Robot | Fleet, purpose: str, size: int, device: str, shapes: Callable[[], dict[str, Any]]
 ) -> Buffers:
-    """Buffers of a robot for a purpose and batch size; small ones are kept for the next call."""
+    """Return buffers for a purpose and batch size; small ones are kept for the next call."""
 
     def make() -> Buffers:
         buffers = Buffers(device, shapes())
@@ -189,7 +200,7 @@ def kept_buffers(
         buffers.length_scale = float(np.mean(sizes))
         return buffers
 
-    if size > KEPT_SIZE:
+    if size > KEPT_BATCH_MAX:
         return make()
     with _lock:
         kept = _buffers.setdefault(robot, OrderedDict())
@@ -197,6 +208,6 @@ def kept_buffers(
         if key not in kept:
             kept[key] = make()
         kept.move_to_end(key)
-        if len(kept) > KEPT:
+        if len(kept) > BUFFER_SETS_MAX:
             kept.popitem(last=False)
         return kept[key]

@@ -33,7 +33,7 @@ class Fleet:
     """
 
     def __init__(self, robots: Sequence[Robot]) -> None:
-        """Stack them.
+        """Stack the robots.
 
         Raises:
             InvalidField: No robots, or robots that are too different.
@@ -63,10 +63,10 @@ class Fleet:
         return len(self.robots)
 
     def rows(self, which: NDArray[Any]) -> Fleet:
-        """The robots of some rows; a fleet of one serves them all."""
+        """Return the robots of some rows; a fleet of one serves them all."""
         return self if len(self) == 1 else Fleet([self.robots[int(i)] for i in which])
 
     def _stacked(self, name: str) -> Array:
-        """One field of all robots."""
+        """Stack one field of all robots."""
         values: list[ArrayLike] = [getattr(robot, name) for robot in self.robots]
         return np.array(values, dtype=np.float64)

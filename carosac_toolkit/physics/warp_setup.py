@@ -12,7 +12,7 @@ from types import ModuleType
 
 import warp as wp
 
-NOTICE_AFTER = 1.0  # [s] of loading before the user is told
+NOTICE_DELAY_S = 1.0  # [s] of loading before the user is told
 
 _loaded: set[tuple[str, str]] = set()
 _started: list[bool] = []
@@ -30,7 +30,7 @@ def _quiet() -> Iterator[None]:
 
 @contextmanager
 def _without_driver_warning() -> Iterator[None]:
-    """Hold back what native start-up code says about a missing GPU driver; pass on the rest."""
+    """Suppress the native start-up message on a missing GPU driver; pass on the rest."""
     sys.stderr.flush()
     kept = os.dup(2)
     with tempfile.TemporaryFile() as caught:
@@ -69,7 +69,7 @@ def load(module: ModuleType, device: str = "cpu") -> None:
         return
     initialise()
     text = f"Compiling {module.__name__} for {device}, once; later runs use the cache ..."
-    notice = threading.Timer(NOTICE_AFTER, print, [text], {"file": sys.stderr, "flush": True})
+    notice = threading.Timer(NOTICE_DELAY_S, print, [text], {"file": sys.stderr, "flush": True})
     notice.daemon = True
     notice.start()
     try:

@@ -15,7 +15,7 @@ import time
 
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.plc.symbols import Symbols
-from carosac_toolkit.robot.hardware import TCP_PORT
+from carosac_toolkit.robot.hardware import ADS_TCP_PORT
 
 LONGEST = 1 << 16  # bytes of a request; longer ones are no ADS
 _HEADER = struct.Struct("<6sH6sHHHIII")
@@ -44,7 +44,7 @@ class AmsServer:
         requests: Number of requests answered.
     """
 
-    def __init__(self, symbols: Symbols, ip: str, port: int = TCP_PORT) -> None:
+    def __init__(self, symbols: Symbols, ip: str, port: int = ADS_TCP_PORT) -> None:
         """Listen; requests wait until `start`.
 
         Raises:

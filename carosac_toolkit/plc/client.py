@@ -11,7 +11,7 @@ from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.drivers.ads_block import Block
 from carosac_toolkit.plc import machine_blocks
 from carosac_toolkit.plc.machine_blocks import Injection
-from carosac_toolkit.robot.hardware import LOOPBACK, TCP_PORT
+from carosac_toolkit.robot.hardware import ADS_TCP_PORT, LOOPBACK_ADDRESS
 
 _HEADER = struct.Struct("<6sH6sHHHIII")
 _READ, _WRITE, _READ_WRITE = 2, 3, 9
@@ -22,7 +22,7 @@ _PATIENCE = 2.0  # [s]
 class PlcClient:
     """One connection of its own; use it as a context."""
 
-    def __init__(self, n: int, ip: str = LOOPBACK, port: int = TCP_PORT) -> None:
+    def __init__(self, n: int, ip: str = LOOPBACK_ADDRESS, port: int = ADS_TCP_PORT) -> None:
         """Connect.
 
         Args:

@@ -18,7 +18,7 @@ from carosac_toolkit.plc.machine_blocks import Injection
 from carosac_toolkit.plc.settings import PlcSettings, limits_of
 from carosac_toolkit.plc.symbols import Symbols
 from carosac_toolkit.plc.world import World
-from carosac_toolkit.robot.hardware import LOOPBACK, TCP_PORT, Hardware
+from carosac_toolkit.robot.hardware import ADS_TCP_PORT, LOOPBACK_ADDRESS, Hardware
 from carosac_toolkit.robot.robot import Robot
 
 _WARM = 3  # cycles before anybody is heard: the first ones load kernels
@@ -42,7 +42,7 @@ class Emulator:
 
     def __init__(
         self, plant: Robot, nominal: Robot, settings: PlcSettings, *, seed: int = 0,
-        ip: str | None = None, port: int = TCP_PORT,
+        ip: str | None = None, port: int = ADS_TCP_PORT,
     ) -> None:  # fmt: skip
         """Listen, and set the robot down.
 
@@ -96,7 +96,7 @@ class Emulator:
         for _ in range(_WARM):
             self.step()
         named = self.hardware.ads.ip
-        self.ip = ip or (named if named.startswith("127.") else LOOPBACK)
+        self.ip = ip or (named if named.startswith("127.") else LOOPBACK_ADDRESS)
         self.server = AmsServer(self._symbols, self.ip, port)
         self.server.start()
 

@@ -17,7 +17,7 @@ IMU        ``imu_angular_rate_x_rad_per_s`` y z, ``imu_specific_force_x_m_per_s2
 
 A JSON document goes with the table: in Parquet under the key ``carosac`` of the schema's metadata,
 in CSV as comment lines (``# ``) on top. It has ``schema``, ``rows``, ``metadata`` (see
-`RecordingMetadata`), ``exit_points_m`` and, for people, ``units`` and ``rates_hz``. Numbers are
+`RecordingMetadata`), ``exit_points_m`` and, for readers, ``units`` and ``rates_hz``. Numbers are
 float64 in Parquet and the shortest text that reads back to the same float64 in CSV.
 
 A table without that document is read by its column names alone; ``cable_length_1_m`` is then

@@ -7,13 +7,19 @@ from pathlib import Path
 
 from carosac_toolkit.base.errors import InvalidField, did_you_mean
 
-_SUFFIX = ".parquet"
+_RECORDING_SUFFIX = ".parquet"
 
 
 def list_recordings() -> tuple[str, ...]:
     """Name the recordings that come with the toolkit, sorted."""
     names = [entry.name for entry in _folder().iterdir()]
-    return tuple(sorted(name.removesuffix(_SUFFIX) for name in names if name.endswith(_SUFFIX)))
+    return tuple(
+        sorted(
+            name.removesuffix(_RECORDING_SUFFIX)
+            for name in names
+            if name.endswith(_RECORDING_SUFFIX)
+        )
+    )
 
 
 def find_recording(name_or_path: str | Path) -> Path:
@@ -32,7 +38,7 @@ def find_recording(name_or_path: str | Path) -> Path:
         return path
     names = list_recordings()
     if text in names:
-        return _folder() / f"{text}{_SUFFIX}"
+        return _folder() / f"{text}{_RECORDING_SUFFIX}"
     if path.exists():
         return path
     hint = did_you_mean(text, names)
@@ -41,5 +47,5 @@ def find_recording(name_or_path: str | Path) -> Path:
 
 
 def _folder() -> Path:
-    """Where they lie."""
+    """Return the folder of the bundled recordings."""
     return Path(str(files("carosac_toolkit") / "recordings" / "data"))

@@ -6,13 +6,13 @@ import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-PER_CABLE = {
+CABLE_COLUMNS = {
     "unstrained_length": "unstrained_length_{:02d}_m",
     "length_rate": "length_rate_{:02d}_m_per_s",
     "tension": "tension_{:02d}_N",
     "command": "unstrained_length_command_{:02d}_m",
 }
-FIXED = {
+FIXED_COLUMNS = {
     "poses": (
         *(f"position_{axis}_m" for axis in "xyz"),
         *(f"quaternion_{axis}" for axis in "wxyz"),
@@ -22,8 +22,8 @@ FIXED = {
         *(f"imu_specific_force_{axis}_m_per_s2" for axis in "xyz"),
     ),
 }
-TIME = "time_s"
-UNITS = {
+TIME_COLUMN = "time_s"
+CHANNEL_UNITS = {
     "time": "s",
     "unstrained_length": "m",
     "length_rate": "m/s",
@@ -34,29 +34,29 @@ UNITS = {
     "imu_angular_rate": "rad/s",
     "imu_specific_force": "m/s^2",
 }
-_NUMBERED = re.compile(
+_NUMBERED_COLUMN = re.compile(
     r"(unstrained_length|cable_length|length_rate|tension|unstrained_length_command|exit_point)"
     r"_(\d{1,3})_(m|m_per_s|N|x_m|y_m|z_m)"
 )
-_ALIASES = {"cable_length": "unstrained_length"}
-_NAME_SHOWN = 60  # characters of a name that messages show
-POSES_WANTED = (
+_COLUMN_ALIASES = {"cable_length": "unstrained_length"}
+_NAME_LENGTH_SHOWN = 60  # characters of a name that messages show
+POSE_COLUMNS_TEXT = (
     "a recording with measured poses: columns position_x_m, _y_m, _z_m and quaternion_w, _x, _y, _z"
 )
 
 
 def canonical(name: str) -> str:
     """Return the name that the format uses: two digits per cable, ``cable_length`` renamed."""
-    match = _NUMBERED.fullmatch(name.strip())
+    match = _NUMBERED_COLUMN.fullmatch(name.strip())
     if match is None:
         return name.strip()
     stem, number, unit = match.groups()
-    return f"{_ALIASES.get(stem, stem)}_{int(number):02d}_{unit}"
+    return f"{_COLUMN_ALIASES.get(stem, stem)}_{int(number):02d}_{unit}"
 
 
 def cables(names: Iterable[str]) -> int:
     """Return the highest cable number among all columns of cables, 0 without any."""
-    matches = (_NUMBERED.fullmatch(name) for name in names)
+    matches = (_NUMBERED_COLUMN.fullmatch(name) for name in names)
     return max((int(match.group(2)) for match in matches if match), default=0)
 
 
@@ -65,14 +65,14 @@ def spelled(name: str, written: Iterable[str]) -> str:
 
     Args:
         name: Canonical.
-        written: Names as they stand in the file.
+        written: Names as in the file.
     """
     for other in written:
         if canonical(other) == name:
             return other.strip()
-    match = _NUMBERED.fullmatch(name)
+    match = _NUMBERED_COLUMN.fullmatch(name)
     for other in written if match else ():
-        like = _NUMBERED.fullmatch(other.strip())
+        like = _NUMBERED_COLUMN.fullmatch(other.strip())
         if match and like and _kind(match) == _kind(like):
             return f"{like[1]}_{int(match[2]):0{len(like[2])}d}_{match[3]}"
     return name
@@ -80,9 +80,9 @@ def spelled(name: str, written: Iterable[str]) -> str:
 
 def channel_columns(channel: str, n: int) -> tuple[str, ...]:
     """Return the columns of a channel of n cables, in order."""
-    if channel in FIXED:
-        return FIXED[channel]
-    return tuple(PER_CABLE[channel].format(i + 1) for i in range(n))
+    if channel in FIXED_COLUMNS:
+        return FIXED_COLUMNS[channel]
+    return tuple(CABLE_COLUMNS[channel].format(i + 1) for i in range(n))
 
 
 def exit_point_columns(n: int) -> tuple[str, ...]:
@@ -92,9 +92,9 @@ def exit_point_columns(n: int) -> tuple[str, ...]:
 
 def known_columns(n: int) -> tuple[str, ...]:
     """Return every column that a recording of n cables may have."""
-    channels = (*PER_CABLE, *FIXED)
+    channels = (*CABLE_COLUMNS, *FIXED_COLUMNS)
     names = (name for channel in channels for name in channel_columns(channel, n))
-    return (TIME, *names, *exit_point_columns(n))
+    return (TIME_COLUMN, *names, *exit_point_columns(n))
 
 
 def name_faults(written: Iterable[str]) -> list[str]:
@@ -103,18 +103,18 @@ def name_faults(written: Iterable[str]) -> list[str]:
     names = [canonical(name) for name in written]
     n = max(cables(names), 1)
     known = known_columns(n)
-    meant = (*known, *(f"cable_length_{i + 1}_m" for i in range(n)))
+    candidates = (*known, *(f"cable_length_{i + 1}_m" for i in range(n)))
     faults = []
     for name in dict.fromkeys(names):
         if name not in known:
-            close = get_close_matches(name[:_NAME_SHOWN], meant, n=1, cutoff=0.7)
+            close = get_close_matches(name[:_NAME_LENGTH_SHOWN], candidates, n=1, cutoff=0.7)
             hint = _hint(close) or " and refused, as every extra column is: remove or rename it"
             faults.append(f"column {_shown(name)} is unknown{hint}")
         elif names.count(name) > 1:
-            faults.append(f"column {name!r} is there {names.count(name)} times")
+            faults.append(f"column {name!r} appears {names.count(name)} times")
     unknown = [name for name in names if name not in known]
     missing = _missing(names, n)
-    turned = [name for name in FIXED["poses"][3:] if name in missing]
+    turned = [name for name in FIXED_COLUMNS["poses"][3:] if name in missing]
     if len(turned) == 4 and not set(unknown) & set(_near(turned, unknown)):
         missing = [name for name in missing if name not in turned]
         faults.append(
@@ -129,8 +129,8 @@ def name_faults(written: Iterable[str]) -> list[str]:
 
 def _missing(names: list[str], n: int) -> list[str]:
     """Name the columns that n cables and the channels that are begun need, and are not there."""
-    groups = [(TIME,), channel_columns("unstrained_length", n)]
-    optional = (*(c for c in PER_CABLE if c != "unstrained_length"), *FIXED)
+    groups = [(TIME_COLUMN,), channel_columns("unstrained_length", n)]
+    optional = (*(c for c in CABLE_COLUMNS if c != "unstrained_length"), *FIXED_COLUMNS)
     candidates = (*(channel_columns(channel, n) for channel in optional), exit_point_columns(n))
     groups += [group for group in candidates if set(group) & set(names)]
     return [name for group in groups for name in group if name not in names]
@@ -142,13 +142,13 @@ def _near(names: list[str], unknown: list[str]) -> list[str]:
 
 
 def _kind(match: re.Match[str]) -> tuple[str, str]:
-    """What a numbered column holds, whatever it is called."""
-    return _ALIASES.get(match[1], match[1]), match[3]
+    """Return the channel of a numbered column under its canonical name."""
+    return _COLUMN_ALIASES.get(match[1], match[1]), match[3]
 
 
 def _shown(name: str) -> str:
     """Quote a name, cut where it is long."""
-    return repr(name if len(name) <= _NAME_SHOWN else f"{name[:_NAME_SHOWN]}...")
+    return repr(name if len(name) <= _NAME_LENGTH_SHOWN else f"{name[:_NAME_LENGTH_SHOWN]}...")
 
 
 def _hint(close: list[str]) -> str:

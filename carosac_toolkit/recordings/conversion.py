@@ -12,10 +12,10 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField, InvalidFile
 from carosac_toolkit.loop.values import Imu, Stamped
 from carosac_toolkit.recordings.columns import (
-    FIXED,
-    PER_CABLE,
-    TIME,
-    UNITS,
+    CABLE_COLUMNS,
+    CHANNEL_UNITS,
+    FIXED_COLUMNS,
+    TIME_COLUMN,
     cables,
     canonical,
     channel_columns,
@@ -23,18 +23,18 @@ from carosac_toolkit.recordings.columns import (
     name_faults,
 )
 from carosac_toolkit.recordings.metadata import RecordingMetadata
-from carosac_toolkit.recordings.poses import UNIT_TOLERANCE, PoseSamples
-from carosac_toolkit.recordings.recording import STAMPED, Recording
+from carosac_toolkit.recordings.poses import UNIT_NORM_TOLERANCE, PoseSamples
+from carosac_toolkit.recordings.recording import STAMPED_CHANNELS, Recording
 from carosac_toolkit.recordings.table import Table, shortened
 
-SCHEMA = "carosac-recording/1"
+RECORDING_SCHEMA = "carosac-recording/1"
 
 
 def to_table(recording: Recording) -> Table:
     """Lay all channels out on the union of their time stamps."""
     time = np.unique(np.concatenate(list(recording.channel_times.values())))
-    columns = {TIME: time}
-    empty = {TIME: np.zeros(len(time), dtype=np.bool_)}
+    columns = {TIME_COLUMN: time}
+    empty = {TIME_COLUMN: np.zeros(len(time), dtype=np.bool_)}
     for channel, stamps in recording.channel_times.items():
         rows = np.searchsorted(time, stamps)
         values = _channel_values(recording, channel)
@@ -50,11 +50,11 @@ def to_document(recording: Recording, rows: int) -> dict[str, Any]:
     """Return the JSON document that goes with the table."""
     points = recording.exit_points
     return {
-        "schema": SCHEMA,
+        "schema": RECORDING_SCHEMA,
         "rows": rows,
         "metadata": recording.metadata.to_dict(),
         "exit_points_m": None if points is None else points.tolist(),
-        "units": UNITS,
+        "units": CHANNEL_UNITS,
         "rates_hz": dict(recording.rates),
     }
 
@@ -63,7 +63,7 @@ def from_table(table: Table, document: Mapping[str, Any] | None, path: Path) -> 
     """Read a recording out of a table.
 
     Args:
-        table: With column names as they stand in the file.
+        table: With column names as in the file.
         document: Its JSON document, or None for a table that has none.
         path: The file, for messages and as the source of a table without document.
 
@@ -84,7 +84,9 @@ def from_table(table: Table, document: Mapping[str, Any] | None, path: Path) -> 
         written=dict(zip(names, written, strict=True)),
     )
     n = cables(names)
-    present = [c for c in (*PER_CABLE, *FIXED) if channel_columns(c, n)[0] in table.columns]
+    present = [
+        c for c in (*CABLE_COLUMNS, *FIXED_COLUMNS) if channel_columns(c, n)[0] in table.columns
+    ]
     faults = _time_faults(table)
     for channel in present:
         faults += _cell_faults(table, channel_columns(channel, n))
@@ -104,7 +106,9 @@ def _assemble(
     if "unstrained_length" not in channels:
         raise InvalidFile(path, ["the length columns are empty"])
     time, lengths = channels["unstrained_length"]
-    stamped = {c: Stamped(time=t, value=v) for c, (t, v) in channels.items() if c in STAMPED}
+    stamped = {
+        c: Stamped(time=t, value=v) for c, (t, v) in channels.items() if c in STAMPED_CHANNELS
+    }
     poses = imu = None
     if "poses" in channels:
         t, v = channels["poses"]
@@ -142,7 +146,9 @@ def _channel_values(recording: Recording, channel: str) -> Array:
 def _samples(table: Table, names: tuple[str, ...]) -> tuple[Array, Array]:
     """Return time (K,) and values (K, columns) of the rows where a channel has a sample."""
     keep = ~table.empty[names[0]]
-    return table.columns[TIME][keep], np.stack([table.columns[c][keep] for c in names], axis=1)
+    return table.columns[TIME_COLUMN][keep], np.stack(
+        [table.columns[c][keep] for c in names], axis=1
+    )
 
 
 def _exit_points(table: Table, n: int) -> Array | None:
@@ -161,27 +167,27 @@ def _document_faults(document: Mapping[str, Any] | None, rows: int) -> list[str]
     if document is None:
         return []
     schema, written = document.get("schema"), document.get("rows")
-    if schema != SCHEMA:
-        return [f"schema: got {schema!r}; allowed: {SCHEMA!r}"]
+    if schema != RECORDING_SCHEMA:
+        return [f"schema: got {schema!r}; allowed: {RECORDING_SCHEMA!r}"]
     if written is not None and written != rows:
-        return [f"the file is cut: {rows} rows of {written} are there"]
+        return [f"the file is truncated: {rows} of {written} rows are there"]
     return []
 
 
 def _time_faults(table: Table) -> list[str]:
     """Describe time stamps that are empty, not finite or do not increase."""
-    time, empty = table.columns[TIME], table.empty[TIME]
+    time, empty = table.columns[TIME_COLUMN], table.empty[TIME_COLUMN]
     bad = empty | ~np.isfinite(time)
     faults = [
-        f"{table.row_name(int(i))}, column {TIME!r}: got {'nothing' if empty[i] else time[i]}; "
-        "allowed: a finite time"
+        f"{table.row_name(int(i))}, column {TIME_COLUMN!r}: "
+        f"got {'nothing' if empty[i] else time[i]}; allowed: a finite time"
         for i in np.flatnonzero(bad)
     ]
     if faults:
         return faults
     return [
-        f"{table.row_name(int(i) + 1)}, column {TIME!r}: got {time[i + 1]}; allowed: > {time[i]}, "
-        "the time of the row before"
+        f"{table.row_name(int(i) + 1)}, column {TIME_COLUMN!r}: "
+        f"got {time[i + 1]}; allowed: > {time[i]}, the time of the row before"
         for i in np.flatnonzero(np.diff(time) <= 0)
     ]
 
@@ -201,11 +207,11 @@ def _cell_faults(table: Table, names: tuple[str, ...]) -> list[str]:
 
 def _quaternion_faults(table: Table) -> list[str]:
     """Describe quaternions that are no rotation."""
-    names = FIXED["poses"][3:]
+    names = FIXED_COLUMNS["poses"][3:]
     norm = np.linalg.norm(np.stack([table.columns[name] for name in names], axis=1), axis=1)
-    bad = ~table.empty[names[0]] & ~(np.abs(norm - 1.0) <= UNIT_TOLERANCE)
+    bad = ~table.empty[names[0]] & ~(np.abs(norm - 1.0) <= UNIT_NORM_TOLERANCE)
     return [
         f"{table.row_name(int(row))}, columns 'quaternion_w' to 'quaternion_z': got norm "
-        f"{norm[row]:.6g}; allowed: within {UNIT_TOLERANCE:g} of 1"
+        f"{norm[row]:.6g}; allowed: within {UNIT_NORM_TOLERANCE:g} of 1"
         for row in np.flatnonzero(bad)
     ]

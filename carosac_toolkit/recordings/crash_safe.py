@@ -1,8 +1,8 @@
-"""A recording that survives the process: rows of JSON, each handed to the system at once.
+"""A recording that survives the process: rows of JSON, each written at once.
 
-The first row says what the file is. Every other row is complete or it is the last one: the reader
-drops a row that was cut and says so. ``kill -9`` costs no row that was handed over, a power failure
-those since the last ``fsync`` (once a second). A file that is there is never written over.
+The first row identifies the file. Every other row is complete, or it is the last one: the reader
+drops a truncated row and says so. ``kill -9`` costs no row that was written, a power failure those
+since the last ``fsync`` (once a second). An existing file is never overwritten.
 
 A disk may block every call here; the guard calls it from a thread that nobody waits for
 (`carosac_toolkit.safety.guard.row_queue`).
@@ -30,10 +30,10 @@ from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
 
-SCHEMA = "carosac-run/1"
-SUFFIX = ".jsonl"
-SYNC = 1.0  # [s] between two calls of fsync
-PATIENCE = 5.0  # [s] for the disk at the end
+RUN_SCHEMA = "carosac-run/1"
+RUN_SUFFIX = ".jsonl"
+SYNC_INTERVAL_S = 1.0  # [s] between two calls of fsync
+CLOSE_TIMEOUT_S = 5.0  # [s] for the disk at the end
 
 
 class CutRecording(UserWarning):
@@ -57,15 +57,15 @@ class CrashSafeRecorder:
         Args:
             path: Ending in ``.jsonl``, in a folder that exists.
             robot: Name of a bundled robot or path of a robot file.
-            description: What is recorded, for people.
+            description: Text for readers.
 
         Raises:
             InvalidField: Another suffix, or a file that is there already.
         """
         self.path = Path(path)
         self.rows = self.samples = 0
-        if self.path.suffix != SUFFIX:
-            raise InvalidField("recording", f"'{path}'", f"a file name ending in {SUFFIX}")
+        if self.path.suffix != RUN_SUFFIX:
+            raise InvalidField("recording", f"'{path}'", f"a file name ending in {RUN_SUFFIX}")
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | getattr(os, "O_CLOEXEC", 0)
         try:
             self._file = os.open(self.path, flags, 0o644)
@@ -78,12 +78,12 @@ class CrashSafeRecorder:
         metadata = RecordingMetadata(
             robot=robot, description=description, created_by=f"carosac-toolkit {__version__}"
         )
-        self._row({"schema": SCHEMA, "metadata": metadata.to_dict()})
+        self._row({"schema": RUN_SCHEMA, "metadata": metadata.to_dict()})
         self._sync = threading.Thread(target=self._sync_often, name="recording", daemon=True)
         self._sync.start()
 
     def measured(self, measurement: Measurement) -> None:
-        """What the sensors said; a batch of one."""
+        """Record a measurement; a batch of one."""
         rate, tension, pose, imu = (
             measurement.length_rate, measurement.tension, measurement.pose, measurement.imu
         )  # fmt: skip
@@ -108,7 +108,7 @@ class CrashSafeRecorder:
         self.samples += 1
 
     def sent(self, asked: Command | None, sent: Command, *, really: bool) -> None:
-        """What was asked, None in a stop, and what was sent, or would have been."""
+        """Record the command asked for, None in a stop, and the one sent, or held back if dry."""
         row: dict[str, Any] = {
             "row": "sent" if really else "would_send",
             "time": float(sent.time[0]),
@@ -121,7 +121,7 @@ class CrashSafeRecorder:
         self._row(row)
 
     def believed(self, belief: Belief) -> None:
-        """What the estimator said."""
+        """Record the belief of the estimator."""
         row: dict[str, Any] = {
             "row": "believed",
             "time": float(belief.time[0]),
@@ -133,24 +133,24 @@ class CrashSafeRecorder:
         self._row(row)
 
     def event(self, time: float, name: str, text: str) -> None:
-        """A change of state, a fault, a stop."""
+        """Record a change of state, a fault or a stop."""
         self._row({"row": "event", "time": time, "name": name, "text": text})
 
-    def close(self, patience: float = PATIENCE) -> bool:
+    def close(self, patience: float = CLOSE_TIMEOUT_S) -> bool:
         """Bring everything to the disk; safe to call twice.
 
         Args:
-            patience: How long to wait for a disk that blocks [s].
+            patience: Longest wait for a blocked disk [s].
 
         Returns:
-            Whether everything is there.
+            True if everything is on the disk.
         """
         self._closing.set()
         self._sync.join(patience)
         return self._error is None and not self._sync.is_alive()
 
     def discard(self) -> None:
-        """Close, and remove the file: nothing happened that anybody wants to read."""
+        """Close and remove the file of a run without content."""
         self.close()
         self.path.unlink(missing_ok=True)
 
@@ -171,9 +171,9 @@ class CrashSafeRecorder:
             self.rows += 1
 
     def _sync_often(self) -> None:
-        """Until closed, and once more then; a disk that is slow in this must not hold up rows."""
+        """Sync until closed, and once more then; in a thread, so that a slow disk delays no row."""
         try:
-            while not self._closing.wait(SYNC):
+            while not self._closing.wait(SYNC_INTERVAL_S):
                 os.fsync(self._file)
             os.fsync(self._file)
         except OSError as error:
@@ -185,17 +185,17 @@ class CrashSafeRecorder:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedRun:
-    """What `CrashSafeRecorder` wrote.
+    """Contents of a file that `CrashSafeRecorder` wrote.
 
     Attributes:
         recording: Measurements and what was really sent.
         events: Time [s], name and text of each.
         asked: Commanded lengths that a controller asked for [m], (K, n) with their times, or None.
-        would_send: What a dry run would have sent [m], (K, n) with their times, or None.
-        believed: Positions that the estimator believed [m], (K, 3) with their times, or None.
+        would_send: Lengths that a dry run held back [m], (K, n) with their times, or None.
+        believed: Positions that the estimator returned [m], (K, 3) with their times, or None.
         believed_poses: The same with their rotations.
         limited: Every limit hit as time [s], name, cable, value asked and value sent.
-        cut: The row that was cut and dropped, or None where the file is whole.
+        cut: Number of the truncated row that was dropped; None: the file is complete.
     """
 
     recording: Recording
@@ -209,7 +209,7 @@ class RecordedRun:
 
 
 def read_run(path: str | Path) -> RecordedRun:
-    """Read a run, also one whose process was killed.
+    """Read a run, including one whose process was killed.
 
     Raises:
         InvalidFile: Another file, or one with a broken row before the last.
@@ -217,8 +217,8 @@ def read_run(path: str | Path) -> RecordedRun:
     file = Path(path)
     rows, cut = _rows(file)
     head = rows[0] if rows else {}
-    if not isinstance(head, dict) or head.get("schema") != SCHEMA:
-        raise InvalidFile(file, [f"line 1: this is no recorded run; allowed: schema {SCHEMA!r}"])
+    if not isinstance(head, dict) or head.get("schema") != RUN_SCHEMA:
+        raise InvalidFile(file, [f"line 1: not a recorded run; allowed: schema {RUN_SCHEMA!r}"])
     try:
         return _run(head, _by_kind(rows[1:]), cut)
     except (KeyError, TypeError, ValueError, IndexError, InvalidField) as error:
@@ -226,16 +226,16 @@ def read_run(path: str | Path) -> RecordedRun:
 
 
 def read_crash_safe(path: Path) -> Recording:
-    """The recording in a run; warns where the last row was cut."""
+    """Return the recording in a run; warn if the last row was cut."""
     run = read_run(path)
     if run.cut is not None:
-        text = f"{path}: row {run.cut} was cut and is dropped; all before it is there"
+        text = f"{path}: row {run.cut} was truncated and is dropped; all earlier rows are intact"
         warnings.warn(text, CutRecording, stacklevel=2)
     return run.recording
 
 
 def _rows(file: Path) -> tuple[list[dict[str, Any]], int | None]:
-    """All whole rows, and the number of the last one where it was cut."""
+    """Return all complete rows, and the number of the last one if it was cut."""
     lines = file.read_bytes().split(b"\n")
     cut = len(lines) if lines[-1] else None  # a whole row ends with its line
     rows: list[dict[str, Any]] = []
@@ -243,20 +243,20 @@ def _rows(file: Path) -> tuple[list[dict[str, Any]], int | None]:
         try:
             rows.append(json.loads(line))
         except ValueError as error:
-            raise InvalidFile(file, [f"line {number}: this is no row: {error}"]) from error
+            raise InvalidFile(file, [f"line {number}: not a JSON row: {error}"]) from error
     return rows, cut
 
 
 def _by_kind(rows: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
-    """Rows by kind; measurements before the last homing have other offsets and are left out."""
-    found: dict[str, list[dict[str, Any]]] = {}
+    """Group rows by kind; drop measurements before the last homing: their offsets differ."""
+    groups: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
-        found.setdefault(str(row["row"]), []).append(row)
+        groups.setdefault(str(row["row"]), []).append(row)
         if row.get("name") == "home":
-            found["before"] = found.pop("measured", [])
-    if not found.get("measured"):
-        found["measured"] = found.get("before", [])
-    return found
+            groups["before"] = groups.pop("measured", [])
+    if not groups.get("measured"):
+        groups["measured"] = groups.get("before", [])
+    return groups
 
 
 def _run(
@@ -299,29 +299,33 @@ def _run(
 
 
 def _sampled(row: Mapping[str, Any]) -> float:
-    """When the lengths of a row were measured [s]."""
+    """Return the time at which the lengths of a row were measured [s]."""
     return float(row["length_rate"][0] if "length_rate" in row else row["time"])
 
 
 def _stamped(pairs: Sequence[Any]) -> Stamped | None:
-    """Samples in order of their times; of those of one time the last counts."""
-    found = dict(sorted((float(time), value) for time, value in pairs))
-    if not found:
+    """Return samples in order of their times; of several at one time the last counts."""
+    samples = dict(sorted((float(time), value) for time, value in pairs))
+    if not samples:
         return None
-    return Stamped(time=np.array(list(found)), value=np.array(list(found.values()), dtype=float))
+    return Stamped(
+        time=np.array(list(samples)), value=np.array(list(samples.values()), dtype=float)
+    )
 
 
 def _poses(samples: Sequence[Sequence[Any]]) -> PoseSamples | None:
-    """Poses of times, positions and quaternions."""
-    found = _stamped([(time, [*position, *quaternion]) for time, position, quaternion in samples])
-    if found is None:
+    """Return poses from times, positions and quaternions."""
+    stamped = _stamped([(time, [*position, *quaternion]) for time, position, quaternion in samples])
+    if stamped is None:
         return None
-    return PoseSamples(time=found.time, position=found.value[:, :3], quaternion=found.value[:, 3:])
+    return PoseSamples(
+        time=stamped.time, position=stamped.value[:, :3], quaternion=stamped.value[:, 3:]
+    )
 
 
 def _imu(measured: Sequence[Mapping[str, Any]]) -> Imu | None:
-    """All inertial samples."""
-    found = _stamped(
+    """Return all inertial samples."""
+    stamped = _stamped(
         [
             (time, rate + force)
             for row in measured
@@ -329,11 +333,13 @@ def _imu(measured: Sequence[Mapping[str, Any]]) -> Imu | None:
             for time, rate, force in zip(*row["imu"], strict=True)
         ]
     )
-    if found is None:
+    if stamped is None:
         return None
-    return Imu(time=found.time, angular_rate=found.value[:, :3], specific_force=found.value[:, 3:])
+    return Imu(
+        time=stamped.time, angular_rate=stamped.value[:, :3], specific_force=stamped.value[:, 3:]
+    )
 
 
 def _quaternion(rotation: Array) -> list[float]:
-    """Of the first rotation, order w x y z."""
+    """Return the quaternion of the first rotation, order w x y z."""
     return [float(x) for x in from_matrix(rotation[:1])[0]]

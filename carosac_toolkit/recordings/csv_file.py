@@ -38,7 +38,7 @@ def read_csv(path: Path) -> Recording:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InvalidFile(path, [f"this is no text file: {error}"]) from error
+        raise InvalidFile(path, [f"not a text file: {error}"]) from error
     lines = text.splitlines()
     comments = 0
     while comments < len(lines) and lines[comments].startswith("#"):
@@ -47,7 +47,7 @@ def read_csv(path: Path) -> Recording:
     if comments == len(lines):
         raise InvalidFile(path, ["there is no header line with column names"])
     if document is not None and not text.endswith("\n"):
-        raise InvalidFile(path, ["the file is cut: its last line has no end"])
+        raise InvalidFile(path, ["the file is truncated: its last line has no newline"])
     names = _names(lines[comments], path)
     filled = [(i + 1, lines[i]) for i in range(comments + 1, len(lines)) if lines[i].strip()]
     numbers = [number for number, _ in filled]
@@ -65,7 +65,7 @@ def _split(lines: list[str], path: Path) -> list[list[str]]:
     try:
         return [next(csv.reader([line])) for line in lines]
     except csv.Error as error:
-        raise InvalidFile(path, [f"this is no CSV file: {error}"]) from error
+        raise InvalidFile(path, [f"not a CSV file: {error}"]) from error
 
 
 def _names(header: str, path: Path) -> list[str]:
@@ -78,7 +78,7 @@ def _names(header: str, path: Path) -> list[str]:
     names = [name.strip() for name in _split([header], path)[0]]
     double = sorted({name for name in names if names.count(name) > 1})
     if double:
-        raise InvalidFile(path, [f"column {name!r} is there twice" for name in double])
+        raise InvalidFile(path, [f"column {name!r} appears twice" for name in double])
     return names
 
 
@@ -89,12 +89,15 @@ def _document(lines: list[str], path: Path) -> dict[str, Any] | None:
     try:
         document = json.loads("\n".join(line[1:] for line in lines))
     except RecursionError as error:
-        raise InvalidFile(path, ["the comment lines on top are nested too deeply"]) from error
+        raise InvalidFile(path, ["the comment lines at the top are nested too deeply"]) from error
     except json.JSONDecodeError as error:
-        fault = f"line {error.lineno}: the comment lines on top are no JSON document: {error.msg}"
+        fault = (
+            f"line {error.lineno}: the comment lines at the top are not a JSON document: "
+            f"{error.msg}"
+        )
         raise InvalidFile(path, [fault]) from error
     if not isinstance(document, dict):
-        raise InvalidFile(path, ["the comment lines on top are no JSON object"])
+        raise InvalidFile(path, ["the comment lines at the top are not a JSON object"])
     return document
 
 

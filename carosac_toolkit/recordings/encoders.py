@@ -1,4 +1,4 @@
-"""What length sensors read, as calibrated: reading = scale * unstrained length + offset.
+"""Readings of calibrated length sensors: reading = scale * unstrained length + offset.
 
 Inside the toolkit every length is material. Readings live at its edge: a recording holds them as
 they were, and whoever plays or scores it converts them by the robot that it is given.
@@ -19,28 +19,28 @@ from carosac_toolkit.robot.robot import Robot
 
 
 def is_calibrated(robot: Robot) -> bool:
-    """Whether the robot says anything about its length sensors."""
+    """Return True if the robot has a calibration of its length sensors."""
     return robot.length_offset is not None or robot.length_scale is not None
 
 
 def unstrained_lengths(robot: Robot, reading: Array) -> Array:
-    """Unstrained lengths [m] of readings [m]; shapes (..., n)."""
+    """Return unstrained lengths [m] of readings [m]; shapes (..., n)."""
     offset = 0.0 if robot.length_offset is None else robot.length_offset
     scale = 1.0 if robot.length_scale is None else robot.length_scale
-    found: Array = (reading - offset) / scale
-    return found
+    lengths: Array = (reading - offset) / scale
+    return lengths
 
 
 def readings(robot: Robot, unstrained_length: Array) -> Array:
-    """Readings [m] of unstrained lengths [m]; shapes (..., n)."""
+    """Return readings [m] of unstrained lengths [m]; shapes (..., n)."""
     offset = 0.0 if robot.length_offset is None else robot.length_offset
     scale = 1.0 if robot.length_scale is None else robot.length_scale
-    found: Array = scale * unstrained_length + offset
-    return found
+    values: Array = scale * unstrained_length + offset
+    return values
 
 
 def calibrated(recording: Recording, robot: Robot) -> Recording:
-    """A recording of readings as one of unstrained lengths, its poses in W.
+    """Convert a recording of readings to unstrained lengths, and its poses to W.
 
     Time stamps stay: the delay of the readings is up to those who use them.
 
@@ -58,7 +58,7 @@ def calibrated(recording: Recording, robot: Robot) -> Recording:
     scale = 1.0 if robot.length_scale is None else robot.length_scale
     rate, command = recording.length_rate, recording.command
     metadata = recording.metadata
-    if robot.length_offset is not None and robot.length_offset.any():  # 0: nobody looked for it
+    if robot.length_offset is not None and robot.length_offset.any():  # 0: not calibrated
         metadata = replace(metadata, length_kind="unstrained")
     return replace(
         recording,
@@ -76,14 +76,14 @@ def _material(robot: Robot, channel: Stamped) -> Stamped:
 
 
 def _turned(robot: Robot, points: Array | None) -> Array | None:
-    """Points of the frame of measured poses in W, shape (n, 3)."""
+    """Return points of the frame of measured poses in W, shape (n, 3)."""
     if points is None or robot.pose_rotation is None:
         return points
     return np.asarray(points @ robot.pose_rotation.T)
 
 
 def _turned_poses(robot: Robot, poses: PoseSamples | None) -> PoseSamples | None:
-    """Measured poses in W."""
+    """Return measured poses in W."""
     if poses is None or robot.pose_rotation is None:
         return poses
     return PoseSamples(

@@ -1,4 +1,4 @@
-"""Read and write recordings: which format, and a write that is whole or not at all."""
+"""Read and write recordings: choice of format, and atomic writes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from carosac_toolkit.base.errors import InvalidField, InvalidFile, MissingFile, nearest_name
 from carosac_toolkit.base.files import replacing
-from carosac_toolkit.recordings.columns import POSES_WANTED
+from carosac_toolkit.recordings.columns import POSE_COLUMNS_TEXT
 from carosac_toolkit.recordings.csv_file import read_csv, write_csv
 from carosac_toolkit.recordings.parquet_file import read_parquet, write_parquet
 from carosac_toolkit.recordings.recording import Recording
@@ -18,23 +18,23 @@ from carosac_toolkit.recordings.scampi_mat import read_scampi_mat
 
 
 def _read_run(path: Path) -> Recording:
-    """A run that was recorded as it happened."""
+    """Read a run that was recorded live."""
     from carosac_toolkit.recordings.crash_safe import read_crash_safe
 
     return read_crash_safe(path)
 
 
-READERS: dict[str, Callable[[Path], Recording]] = {
+READERS_BY_SUFFIX: dict[str, Callable[[Path], Recording]] = {
     ".parquet": read_parquet,
     ".csv": read_csv,
     ".mat": read_scampi_mat,
     ".jsonl": _read_run,
 }
-WRITERS: dict[str, Callable[[Recording, Path], None]] = {
+WRITERS_BY_SUFFIX: dict[str, Callable[[Recording, Path], None]] = {
     ".parquet": write_parquet,
     ".csv": write_csv,
 }
-_MAGIC = {b"PAR1": ".parquet", b"MATLAB": ".mat"}
+_SUFFIX_BY_MAGIC = {b"PAR1": ".parquet", b"MATLAB": ".mat"}
 
 
 def load(path: str | Path) -> Recording:
@@ -42,20 +42,22 @@ def load(path: str | Path) -> Recording:
     file = Path(path)
     suffix = file.suffix.lower()
     if file.is_dir():
-        raise InvalidFile(file, ["this is a folder; allowed: a file of a recording"])
+        raise InvalidFile(file, ["this is a folder; allowed: a recording file"])
     if not file.is_file():
         raise MissingFile(file, _neighbour(file))
-    if suffix not in READERS:
-        allowed = f"a recording with suffix {', '.join(READERS)}"
+    if suffix not in READERS_BY_SUFFIX:
+        allowed = f"a recording with suffix {', '.join(READERS_BY_SUFFIX)}"
         raise InvalidField("path", f"suffix {file.suffix!r} of {str(file)!r}", allowed)
     with file.open("rb") as stream:
         start = stream.read(8)
     if not start:
         raise InvalidFile(file, ["the file is empty"])
-    found = next((kind for magic, kind in _MAGIC.items() if start.startswith(magic)), suffix)
-    if found != suffix:
-        raise InvalidFile(file, [f"the content is that of a {found} file; rename it"])
-    return READERS[suffix](file)
+    content = next(
+        (kind for magic, kind in _SUFFIX_BY_MAGIC.items() if start.startswith(magic)), suffix
+    )
+    if content != suffix:
+        raise InvalidFile(file, [f"the content is that of a {content} file; rename it"])
+    return READERS_BY_SUFFIX[suffix](file)
 
 
 def save(recording: Recording, path: str | Path) -> None:
@@ -65,9 +67,9 @@ def save(recording: Recording, path: str | Path) -> None:
         InvalidField: Another suffix, or a folder that is not there.
     """
     file = Path(path)
-    writer = WRITERS.get(file.suffix.lower())
+    writer = WRITERS_BY_SUFFIX.get(file.suffix.lower())
     if writer is None:
-        allowed = f"suffix {' or '.join(WRITERS)}"
+        allowed = f"suffix {' or '.join(WRITERS_BY_SUFFIX)}"
         raise InvalidField("path", f"suffix {file.suffix!r} of {str(file)!r}", allowed)
     with _replacing(file) as temporary:
         writer(recording, temporary)
@@ -81,7 +83,7 @@ def export_tum(recording: Recording, path: str | Path) -> None:
     """
     poses = recording.poses
     if poses is None:
-        raise InvalidField("poses", None, POSES_WANTED)
+        raise InvalidField("poses", None, POSE_COLUMNS_TEXT)
     rows = np.column_stack([poses.time, poses.position, poses.quaternion[:, [1, 2, 3, 0]]])
     text = "\n".join(" ".join(map(repr, row)) for row in rows.tolist()) + "\n"
     with _replacing(Path(path)) as temporary:
@@ -99,6 +101,8 @@ def _neighbour(file: Path) -> str:
     """Suggest a file of a similar name in the same folder."""
     if not file.parent.is_dir():
         return f"there is no folder {str(file.parent)!r}"
-    names = [entry.name for entry in file.parent.iterdir() if entry.suffix.lower() in READERS]
+    names = [
+        entry.name for entry in file.parent.iterdir() if entry.suffix.lower() in READERS_BY_SUFFIX
+    ]
     near = nearest_name(file.name, names)
     return f"did you mean {str(file.with_name(near))!r}?" if near else ""

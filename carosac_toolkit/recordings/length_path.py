@@ -7,14 +7,14 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.recordings.recording import Recording
 
-FEWEST = 5  # readings from which on noise can be told from motion
+READINGS_MIN = 5  # readings from which on noise can be told from motion
 
 
 class LengthPath:
     """Readings as a smooth function of time, held before the first and after the last.
 
     Attributes:
-        first: When the first was taken [s].
+        first: Time of the first reading [s].
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -27,11 +27,11 @@ class LengthPath:
 
         self.first, self._last = float(recording.time[0]), float(recording.time[-1])
         columns = recording.unstrained_length.T
-        smooth = len(recording.time) >= FEWEST
+        smooth = len(recording.time) >= READINGS_MIN
         make = make_smoothing_spline if smooth else lambda t, y: make_interp_spline(t, y, k=1)
         self._splines = [make(recording.time, column) for column in columns]
 
     def at(self, time: Array) -> Array:
-        """Readings [m], shape (..., n), at times [s] of shape (...)."""
+        """Return readings [m], shape (..., n), at times [s] of shape (...)."""
         inside = np.clip(time, self.first, self._last)
         return np.stack([spline(inside) for spline in self._splines], axis=-1)

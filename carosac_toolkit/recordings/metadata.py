@@ -1,4 +1,4 @@
-"""What a recording says about itself."""
+"""Metadata of a recording."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, fields
 from carosac_toolkit.base.errors import InvalidField, did_you_mean
 
 LENGTH_KINDS = ("unstrained", "relative")
-FRAMES = (
+FRAMES_TEXT = (
     "positions are of the platform frame's origin, in world frame W (z up); "
     "quaternions rotate from platform frame P to W; IMU channels are in the sensor's own frame"
 )
@@ -20,10 +20,10 @@ class RecordingMetadata:
 
     Attributes:
         robot: Name of a bundled robot or path to a robot file, or None where it is unknown.
-        description: What was recorded, for people.
-        source: Where it comes from: rig, data set, file.
+        description: Text for readers.
+        source: Origin: rig, data set, file.
         licence: Terms of use.
-        citation: What to cite.
+        citation: Publication to cite.
         created_by: Program and version that wrote it.
         frames: The frames of all channels, in words.
         quaternion_order: Always ``wxyz``.
@@ -37,12 +37,12 @@ class RecordingMetadata:
     licence: str = ""
     citation: str = ""
     created_by: str = ""
-    frames: str = FRAMES
+    frames: str = FRAMES_TEXT
     quaternion_order: str = "wxyz"
     length_kind: str = "unstrained"
 
     def __post_init__(self) -> None:
-        """Refuse what is no text, and conventions that do not exist."""
+        """Refuse anything but text, and unknown conventions."""
         for field in fields(self):
             value = getattr(self, field.name)
             if not isinstance(value, str) and not (field.name == "robot" and value is None):

@@ -13,7 +13,7 @@ from carosac_toolkit.recordings.conversion import from_table, to_document, to_ta
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.table import Table
 
-KEY = b"carosac"
+METADATA_KEY = b"carosac"
 
 
 def write_parquet(recording: Recording, path: Path) -> None:
@@ -27,7 +27,9 @@ def write_parquet(recording: Recording, path: Path) -> None:
         for name, column in table.columns.items()
     ]
     document = json.dumps(to_document(recording, table.rows)).encode()
-    schema = pa.schema([(name, pa.float64()) for name in table.columns], metadata={KEY: document})
+    schema = pa.schema(
+        [(name, pa.float64()) for name in table.columns], metadata={METADATA_KEY: document}
+    )
     pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path)
 
 
@@ -52,7 +54,7 @@ def read_parquet(path: Path) -> Recording:
     ]
     names = stored.schema.names
     double = {name for name in names if names.count(name) > 1}
-    faults += [f"column {name!r} is there twice" for name in sorted(double)]
+    faults += [f"column {name!r} appears twice" for name in sorted(double)]
     if faults:
         raise InvalidFile(path, faults)
     columns, empty = {}, {}
@@ -65,7 +67,7 @@ def read_parquet(path: Path) -> Recording:
             fault = f"column {name!r}: {str(error).splitlines()[0]}"
             raise InvalidFile(path, [fault]) from error
         columns[name] = np.array(values, dtype=np.float64)
-    document = _document((stored.schema.metadata or {}).get(KEY), path)
+    document = _document((stored.schema.metadata or {}).get(METADATA_KEY), path)
     return from_table(Table(columns=columns, empty=empty), document, path)
 
 
@@ -76,8 +78,8 @@ def _document(text: bytes | None, path: Path) -> dict[str, Any] | None:
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
-        fault = f"metadata 'carosac' is no JSON document: {error}"
+        fault = f"metadata 'carosac' is not a JSON document: {error}"
         raise InvalidFile(path, [fault]) from error
     if not isinstance(document, dict):
-        raise InvalidFile(path, ["metadata 'carosac' is no JSON object"])
+        raise InvalidFile(path, ["metadata 'carosac' is not a JSON object"])
     return document

@@ -1,4 +1,4 @@
-"""Measured poses of the platform, with their time stamps, and what lies between them."""
+"""Measured poses of the platform with their time stamps, and interpolation between them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from carosac_toolkit.base.arrays import Array, batch, frozen_array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Pose
 
-UNIT_TOLERANCE = 1e-3  # rounded quaternions are accepted, and normalised where they are used
+UNIT_NORM_TOLERANCE = 1e-3  # rounded quaternions are accepted, and normalised where they are used
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,10 +50,10 @@ class PoseSamples:
             array = frozen_array(f"poses.{name}", getattr(self, name), shape)
             object.__setattr__(self, name, array)
         norm = np.linalg.norm(self.quaternion, axis=1)
-        bad = ~(np.abs(norm - 1.0) <= UNIT_TOLERANCE)
+        bad = ~(np.abs(norm - 1.0) <= UNIT_NORM_TOLERANCE)
         if bad.any():
             index = int(np.argmax(bad))
-            allowed = f"a norm within {UNIT_TOLERANCE:g} of 1"
+            allowed = f"a norm within {UNIT_NORM_TOLERANCE:g} of 1"
             raise InvalidField(f"poses.quaternion[{index}]", f"norm {norm[index]:.6g}", allowed)
 
     @classmethod
@@ -63,11 +63,11 @@ class PoseSamples:
         """Make samples from rotation matrices P to W, shape (M, 3, 3)."""
         matrix = batch("poses.rotation", rotation, (3, 3))
         product = matrix @ matrix.swapaxes(1, 2)
-        bad = np.abs(product - np.eye(3)).max(axis=(1, 2)) > UNIT_TOLERANCE
+        bad = np.abs(product - np.eye(3)).max(axis=(1, 2)) > UNIT_NORM_TOLERANCE
         bad |= np.linalg.det(matrix) < 0
         if bad.any():
             where = f"poses.rotation[{int(np.argmax(bad))}]"
-            raise InvalidField(where, "a matrix that is no rotation", "R R^T = 1, det +1")
+            raise InvalidField(where, "not a rotation matrix", "R R^T = 1, det +1")
         return cls(
             time=np.asarray(time, dtype=np.float64),
             position=np.asarray(position, dtype=np.float64),

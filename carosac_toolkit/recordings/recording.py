@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike
 from carosac_toolkit.base.arrays import Array, frozen_array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Imu, Measurement, Stamped
-from carosac_toolkit.recordings.columns import POSES_WANTED
+from carosac_toolkit.recordings.columns import POSE_COLUMNS_TEXT
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseInterpolation, PoseSamples
 from carosac_toolkit.robot.robot import Robot
 
-STAMPED = ("length_rate", "tension", "command")
+STAMPED_CHANNELS = ("length_rate", "tension", "command")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,7 +58,7 @@ class Recording:
         if self.exit_points is not None:
             frozen = frozen_array("exit_points", self.exit_points, (n, 3))
             object.__setattr__(self, "exit_points", frozen)
-        for name in STAMPED:
+        for name in STAMPED_CHANNELS:
             self._check_stamped(name)
         for name, time in self.channel_times.items():
             _check_increasing("time" if name == "unstrained_length" else f"{name}.time", time)
@@ -76,7 +76,7 @@ class Recording:
     def channel_times(self) -> Mapping[str, Array]:
         """Time stamps [s] of each channel that is there, by name; lengths come first."""
         times = {"unstrained_length": self.time}
-        for name in (*STAMPED, "poses", "imu"):
+        for name in (*STAMPED_CHANNELS, "poses", "imu"):
             channel = getattr(self, name)
             if channel is not None:
                 times[name] = channel.time
@@ -96,7 +96,7 @@ class Recording:
         return float(self.time[-1] - self.time[0])
 
     def measurement(self, index: int) -> Measurement:
-        """What a driver would have measured at length sample `index`; poses are withheld.
+        """Return the measurement of a driver at length sample `index`; poses are withheld.
 
         The optional channels hold only what is new since the previous length sample: the latest
         length rate and tension, and all inertial samples.
@@ -120,7 +120,7 @@ class Recording:
         )
 
     def pose_at(self, time: ArrayLike, *, gap_max: float = 0.5) -> PoseInterpolation:
-        """Measured poses at other times: positions linear, rotations along the great arc.
+        """Interpolate measured poses: positions linearly, rotations along the great arc.
 
         Args:
             time: When [s], shape (B,).
@@ -130,11 +130,11 @@ class Recording:
             The poses, and a mask that is False outside the range and inside longer gaps.
         """
         if self.poses is None:
-            raise InvalidField("poses", None, POSES_WANTED)
+            raise InvalidField("poses", None, POSE_COLUMNS_TEXT)
         return self.poses.at(time, gap_max=gap_max)
 
     def slice(self, start: int = 0, stop: int | None = None) -> Recording:
-        """Cut out length samples start <= i < stop, and of the others what lies in that time.
+        """Cut out length samples start <= i < stop, and all other samples of that time.
 
         Args:
             start: First length sample.

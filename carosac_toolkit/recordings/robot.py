@@ -1,4 +1,4 @@
-"""Which robot a recording is of: the one that it names, or the one with its exit points."""
+"""Robot of a recording: the one that it names, or the one with its exit points."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.file import list_robots, load_robot
 from carosac_toolkit.robot.robot import Robot
 
-NEAR = 0.01  # [m]: exit points nearer than this are those of the robot
+EXIT_MATCH_MAX_M = 0.01  # [m]: exit points nearer than this are those of the robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ def find_robot(recording: Recording, path: Path, asked: str | None = None) -> Fo
         recording: The recording.
         path: Its file: a path that its metadata name is looked for in that folder first, then
             in the current one.
-        asked: Bundled name or path that overrides whatever the recording says.
+        asked: Bundled name or path that overrides that of the recording.
 
     Raises:
         CarosacError: None is known, or its file is missing or faulty.
@@ -54,16 +54,16 @@ def find_robot(recording: Recording, path: Path, asked: str | None = None) -> Fo
         robot, *others = near
         names = tuple(other.name for other in others)
         return FoundRobot(robot=robot, name=robot.name, source="exit points", others=names)
-    allowed = f"the recording names no robot, so say one of {list(list_robots())} or a YAML file"
+    allowed = f"the recording names no robot; choose one of {list(list_robots())} or a YAML file"
     raise InvalidField("--robot", "nothing", allowed)
 
 
 def _named(name: str, path: Path) -> FoundRobot:
     """Load the robot that a recording names."""
     beside = path.parent / name
-    found = str(beside) if name not in list_robots() and beside.is_file() else name
+    named = str(beside) if name not in list_robots() and beside.is_file() else name
     try:
-        return FoundRobot(robot=load_robot(found), name=found, source="recording")
+        return FoundRobot(robot=load_robot(named), name=named, source="recording")
     except CarosacError as error:
         raise CarosacError(
             f"{error}\n  (the recording {str(path)!r} names {name!r} as its robot; a path is "
@@ -72,7 +72,7 @@ def _named(name: str, path: Path) -> FoundRobot:
 
 
 def _nearest(recording: Recording) -> list[Robot]:
-    """Bundled robots with the exit points that were measured in a run, the nearest first."""
+    """List bundled robots by distance to the exit points measured in a run, nearest first."""
     points = recording.exit_points
     if points is None:
         return []
@@ -82,5 +82,5 @@ def _nearest(recording: Recording) -> list[Robot]:
         for robot in robots
         if robot.exit_points.shape == points.shape
     }
-    near = [robot for robot in robots if away.get(robot.name, np.inf) < NEAR]
+    near = [robot for robot in robots if away.get(robot.name, np.inf) < EXIT_MATCH_MAX_M]
     return sorted(near, key=lambda robot: away[robot.name])

@@ -15,15 +15,20 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidFile, did_you_mean
-from carosac_toolkit.recordings.columns import FIXED, TIME, channel_columns, exit_point_columns
-from carosac_toolkit.recordings.conversion import SCHEMA, from_table
+from carosac_toolkit.recordings.columns import (
+    FIXED_COLUMNS,
+    TIME_COLUMN,
+    channel_columns,
+    exit_point_columns,
+)
+from carosac_toolkit.recordings.conversion import RECORDING_SCHEMA, from_table
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.recordings.table import Table
 
 Part = tuple[Array, tuple[str, ...], str]  # values (N, columns), columns, variable
-REQUIRED = ("time_stamps", "measured_cable_lengths", "ef_poses")
-_PULLEY = re.compile(r"pulley(\d+)_poses")
+REQUIRED_VARIABLES = ("time_stamps", "measured_cable_lengths", "ef_poses")
+_PULLEY_VARIABLE = re.compile(r"pulley(\d+)_poses")
 
 
 def read_scampi_mat(path: Path) -> Recording:
@@ -37,7 +42,7 @@ def read_scampi_mat(path: Path) -> Recording:
     """
     variables = _load(path)
     faults = []
-    for name in (name for name in REQUIRED if name not in variables):
+    for name in (name for name in REQUIRED_VARIABLES if name not in variables):
         hint = did_you_mean(name, list(variables)) or f"; there are {sorted(variables)}"
         faults.append(f"variable {name!r} is missing{hint}")
     if faults:
@@ -56,7 +61,7 @@ def read_scampi_mat(path: Path) -> Recording:
     }
     table = Table(columns=columns, empty={c: np.zeros(rows, dtype=np.bool_) for c in columns})
     metadata = RecordingMetadata(source=path.name, description="imported from the SCAMPI layout")
-    return from_table(table, {"schema": SCHEMA, "metadata": metadata.to_dict()}, path)
+    return from_table(table, {"schema": RECORDING_SCHEMA, "metadata": metadata.to_dict()}, path)
 
 
 def _parts(variables: Mapping[str, Array], path: Path) -> list[Part]:
@@ -64,11 +69,13 @@ def _parts(variables: Mapping[str, Array], path: Path) -> list[Part]:
     lengths = variables["measured_cable_lengths"]
     n = lengths.shape[1]
     parts: list[Part] = [
-        (_time(variables["time_stamps"])[:, None], (TIME,), "time_stamps"),
+        (_time(variables["time_stamps"])[:, None], (TIME_COLUMN,), "time_stamps"),
         (lengths, channel_columns("unstrained_length", n), "measured_cable_lengths"),
-        (variables["ef_poses"], FIXED["poses"], "ef_poses"),
+        (variables["ef_poses"], FIXED_COLUMNS["poses"], "ef_poses"),
     ]
-    pulleys = sorted((int(m.group(1)), k) for k in variables if (m := _PULLEY.fullmatch(k)))
+    pulleys = sorted(
+        (int(m.group(1)), k) for k in variables if (m := _PULLEY_VARIABLE.fullmatch(k))
+    )
     if pulleys and [number for number, _ in pulleys] != list(range(1, n + 1)):
         raise InvalidFile(path, [f"pulleys {[k for _, k in pulleys]}; allowed: 1 to {n}"])
     points = exit_point_columns(n)

@@ -35,7 +35,7 @@ class Table:
         return len(next(iter(self.columns.values()), ()))
 
     def row_name(self, row: int) -> str:
-        """Name a row for people, counted from 1."""
+        """Name a row in messages, counted from 1."""
         return f"row {row + 1}" + (f" (line {self.lines[row]})" if self.lines else "")
 
 

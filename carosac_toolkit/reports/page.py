@@ -1,4 +1,4 @@
-"""Reports: one self-contained HTML page and its pictures, in a folder, whole or not at all."""
+"""Reports: one self-contained HTML page and its pictures, in a folder, written atomically."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from carosac_toolkit.base.version import __version__
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DPI = 110
-LIBRARIES = ("numpy", "warp-lang", "scipy", "casadi", "osqp")
-_STYLE = """
+PICTURE_DPI = 110
+REPORTED_LIBRARIES = ("numpy", "warp-lang", "scipy", "casadi", "osqp")
+_PAGE_STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#202020;max-width:1180px;margin:2em auto;
 padding:0 1em}
 h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}
@@ -52,12 +52,12 @@ def check_folder(option: str, folder: Path) -> None:
     if not above.is_dir():
         raise InvalidField(option, f"'{folder}'", f"a folder below a folder; {above} is a file")
     if not os.access(above, os.W_OK | os.X_OK):
-        allowed = f"a folder that can be written; {above} cannot"
+        allowed = f"a writable folder; {above} is not"
         raise InvalidField(option, f"'{folder}'", allowed)
 
 
 def existing(folder: Path) -> Path:
-    """The folder itself or the nearest one above it that exists."""
+    """Return the folder itself or its nearest parent that exists."""
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
     return folder
@@ -71,7 +71,7 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
         files: Contents by name.
 
     Returns:
-        Where they are, in order.
+        Their paths, in order.
 
     Raises:
         InvalidField: A folder is in the way of a file.
@@ -94,40 +94,40 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
 def png(figure: Figure) -> bytes:
     """Render a figure."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI)
+    figure.savefig(buffer, format="png", dpi=PICTURE_DPI)
     return buffer.getvalue()
 
 
 def page(title: str, parts: Sequence[str]) -> str:
-    """The whole document."""
+    """Return the whole document."""
     head = [
         '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">',
-        f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>",
+        f"<title>{escape(title)}</title><style>{_PAGE_STYLE}</style></head><body>",
         f"<h1>{escape(title)}</h1>",
     ]
     return "\n".join([*head, *parts]) + "</body></html>"
 
 
 def warnings(lines: Iterable[str]) -> list[str]:
-    """Lines that must not be overlooked."""
+    """Format lines that must not be overlooked."""
     return [f'<p class="warning">{escape(line)}</p>' for line in lines]
 
 
 def bullets(lines: Iterable[str]) -> str:
-    """A list of sentences."""
+    """Format a list of sentences."""
     return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
 
 def table(
     header: tuple[str, ...], rows: Rows, *, left: int, bold: Collection[tuple[int, int]] = ()
 ) -> str:
-    """An HTML table; the first columns hold text, and some cells by row and column stand out."""
+    """Format an HTML table; the first columns hold text, some cells by row and column stand out."""
 
     def line(cells: tuple[str, ...], tag: str, row: int = -1) -> str:
         kinds = [' class="t"' if i < left else "" for i in range(len(cells))]
-        said = [f"<b>{escape(c)}</b>" if (row, i) in bold else escape(c)
-                for i, c in enumerate(cells)]  # fmt: skip
-        texts = [f"<{tag}{k}>{c}</{tag}>" for k, c in zip(kinds, said, strict=True)]
+        shown = [f"<b>{escape(c)}</b>" if (row, i) in bold else escape(c)
+                 for i, c in enumerate(cells)]  # fmt: skip
+        texts = [f"<{tag}{k}>{c}</{tag}>" for k, c in zip(kinds, shown, strict=True)]
         first = ' class="m"' if tag == "td" and cells[0] else ""
         return f"<tr{first}>{''.join(texts)}</tr>"
 
@@ -136,7 +136,7 @@ def table(
 
 
 def picture(image: bytes, caption: str) -> str:
-    """One embedded picture."""
+    """Embed one picture."""
     text, caption = base64.b64encode(image).decode(), escape(caption)
     source = f"data:image/png;base64,{text}"
     return (
@@ -145,18 +145,18 @@ def picture(image: bytes, caption: str) -> str:
 
 
 def definitions(terms: Mapping[str, str]) -> str:
-    """Settings and origins as a list of terms; those without a value are left out."""
+    """Format settings and origins as a list of terms; leave out those without a value."""
     pairs = [f"<dt>{k}</dt><dd>{escape(v)}</dd>" for k, v in terms.items() if v]
     return f"<dl>{''.join(pairs)}</dl>"
 
 
 def repeat(words: Sequence[str]) -> str:
-    """The command that gives this report again."""
+    """Format the command that reproduces this report."""
     return f"<h2>How to repeat</h2><pre>{escape(shlex.join(words))}</pre>"
 
 
 def made_with() -> dict[str, str]:
-    """Version, commit and date, as terms of `definitions`."""
+    """Return version, commit and date, as terms of `definitions`."""
     return {
         "toolkit": f"carosac-toolkit {__version__}",
         "git commit": commit_of_code() or "",
@@ -166,18 +166,18 @@ def made_with() -> dict[str, str]:
 
 
 def _versions() -> list[str]:
-    """Python, and the libraries that the numbers depend on."""
-    found = [f"Python {platform.python_version()}"]
-    for name in LIBRARIES:
+    """Return the versions of Python and of the libraries that the numbers depend on."""
+    versions = [f"Python {platform.python_version()}"]
+    for name in REPORTED_LIBRARIES:
         try:
-            found.append(f"{name} {version(name)}")
+            versions.append(f"{name} {version(name)}")
         except PackageNotFoundError:
             continue
-    return [*found, f"{platform.system()} {platform.machine()}"]
+    return [*versions, f"{platform.system()} {platform.machine()}"]
 
 
 def commit_of_code() -> str | None:
-    """Git commit of the toolkit's own sources, or None where they are not under git."""
+    """Return the git commit of the toolkit's own sources; None if they are not under git."""
     here = Path(__file__)
 
     def git(*words: str) -> str | None:

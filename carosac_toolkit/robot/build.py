@@ -12,7 +12,7 @@ from carosac_toolkit.robot.robot import RigidBody, Robot, combine_bodies
 
 if TYPE_CHECKING:
     from carosac_toolkit.robot.schema import (
-        Chain,
+        ChainInput,
         ExitPoint,
         Home,
         Payload,
@@ -83,7 +83,7 @@ def build_robot(file: RobotFile) -> Robot:
 
 
 def home_rotation(home: Home) -> Array:
-    """Rotation from P to W at home, shape (3, 3); identity where the file states none."""
+    """Return the rotation from P to W at home, shape (3, 3); identity if the file states none."""
     if home.quaternion_wxyz is not None:
         return _rotation(home.quaternion_wxyz)
     roll, pitch, yaw = np.radians(home.rpy_deg or (0.0, 0.0, 0.0))
@@ -99,7 +99,7 @@ def home_rotation(home: Home) -> Array:
 
 
 def _rotation(quaternion: list[float]) -> Array:
-    """Rotation matrix of a unit quaternion w, x, y, z."""
+    """Return the rotation matrix of a unit quaternion w, x, y, z."""
     w, x, y, z = quaternion
     vector = np.array([x, y, z])
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -108,27 +108,27 @@ def _rotation(quaternion: list[float]) -> Array:
 
 
 def _calibration(file: RobotFile) -> dict[str, Any]:
-    """Fields that a calibration filled in."""
-    found: dict[str, Any] = {}
+    """Return the fields that a calibration filled in."""
+    calibrated: dict[str, Any] = {}
     sensors = file.sensors
     if sensors is not None and sensors.lengths is not None:
         cables = [sensors.lengths.cables[chain.name] for chain in file.chains]
-        found["length_offset"] = np.array([cable.offset for cable in cables])
-        found["length_scale"] = np.array([cable.scale for cable in cables])
-        found["length_delay"] = sensors.lengths.delay
+        calibrated["length_offset"] = np.array([cable.offset for cable in cables])
+        calibrated["length_scale"] = np.array([cable.scale for cable in cables])
+        calibrated["length_delay"] = sensors.lengths.delay
     if sensors is not None and sensors.poses is not None:
-        found["pose_rotation"] = _rotation(sensors.poses.quaternion_wxyz)
+        calibrated["pose_rotation"] = _rotation(sensors.poses.quaternion_wxyz)
     if file.calibration is not None:
         lower = np.zeros((len(file.calibration.parameters),) * 2)
         for i, row in enumerate(file.calibration.covariance):
             lower[i, : i + 1] = row
-        found["calibrated"] = tuple(file.calibration.parameters)
-        found["calibration_covariance"] = lower + np.tril(lower, -1).T
-    return found
+        calibrated["calibrated"] = tuple(file.calibration.parameters)
+        calibrated["calibration_covariance"] = lower + np.tril(lower, -1).T
+    return calibrated
 
 
 def _hardware(file: RobotFile) -> Hardware | None:
-    """The PLC, where the file has one."""
+    """Return the PLC, or None if the file has none."""
     section = file.hardware
     if section is None:
         return None
@@ -143,7 +143,7 @@ def _hardware(file: RobotFile) -> Hardware | None:
 
 
 def _known(values: list[float | None]) -> Array | None:
-    """An array, or None where anything is missing."""
+    """Return an array, or None if any entry is missing."""
     known = [value for value in values if value is not None]
     return np.array(known) if known and len(known) == len(values) else None
 
@@ -157,15 +157,15 @@ def _body(file: RobotFile) -> RigidBody:
     )
 
 
-def _limits(chain: Chain, file: RobotFile) -> TensionLimits:
-    """The tension limits of a chain: its own, else those of all."""
+def _limits(chain: ChainInput, file: RobotFile) -> TensionLimits:
+    """Return the tension limits of a chain: its own, else those of all."""
     limits = chain.tension_limits or file.tension_limits
     assert limits is not None  # robot_checks asks for one of them
     return limits
 
 
 def _covariance(exits: list[ExitPoint]) -> Array | None:
-    """Covariances of the exit points [m^2], shape (n, 3, 3), or None where the file has none."""
+    """Return covariances of the exit points [m^2], shape (n, 3, 3); None if the file has none."""
     rows = []
     for point in exits:
         if point.covariance is not None:

@@ -1,6 +1,6 @@
-"""What several fields of a robot file say together: references, limits, geometry, provenance.
+"""Consistency of several fields of a robot file: references, limits, geometry, provenance.
 
-Every check works on what is right so far, so that one fault does not hide another.
+Every check works on the valid parts, so that one fault does not hide another.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 Fault = tuple[FieldPath, str]
 
-_REFERENCES: dict[str, FieldPath] = {
+_REFERENCED_SECTIONS: dict[str, FieldPath] = {
     "exit_point": ("frame", "exit_points"),
     "anchor_point": ("platform", "anchor_points"),
     "cable": ("cable_types",),
     "winch": ("winches",),
 }
-_PHYSICAL = (
+_PHYSICAL_SECTIONS = (
     "gravity", "frame", "platform", "cable_types", "winches", "chains", "tension_limits",
     "workspace", "home", "sensors", "calibration",
 )  # fmt: skip
@@ -54,15 +54,17 @@ def unused_parts(file: RobotFile) -> list[str]:
         "cable": file.cable_types,
         "winch": file.winches,
     }
-    found = []
+    unused = []
     for key, known in parts.items():
         used = {getattr(chain, key) for chain in file.chains}
-        found += [format_path((*_REFERENCES[key], name)) for name in known if name not in used]
-    return found
+        unused += [
+            format_path((*_REFERENCED_SECTIONS[key], name)) for name in known if name not in used
+        ]
+    return unused
 
 
 def _chain_faults(data: dict[str, Any]) -> Iterator[Fault]:
-    """References to parts that do not exist, and cables that exist twice."""
+    """Find references to parts that do not exist, and duplicate cables."""
     chains = data.get("chains")
     if not isinstance(chains, list):
         return
@@ -73,12 +75,12 @@ def _chain_faults(data: dict[str, Any]) -> Iterator[Fault]:
     for i, chain in enumerate(chains):
         if not isinstance(chain, dict):
             continue
-        for key, where in _REFERENCES.items():
+        for key, where in _REFERENCED_SECTIONS.items():
             yield from _reference(data, ("chains", i, key), chain.get(key), where)
         name = chain.get("name")
         if isinstance(name, str) and names.setdefault(name, i) != i:
             path: FieldPath = ("chains", i, "name")
-            yield path, f"got {name!r}; allowed: a name of its own; chains[{names[name]}] has it"
+            yield path, f"got {name!r}; allowed: a unique name; chains[{names[name]}] has it"
         pair = (chain.get("exit_point"), chain.get("anchor_point"))
         if all(isinstance(end, str) for end in pair) and ends.setdefault(pair, i) != i:
             yield (
@@ -106,7 +108,7 @@ def _reference(
 
 
 def _limit_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:
-    """Chains without tension limits."""
+    """Find chains without tension limits."""
     if parts.chains is None or data.get("tension_limits") is not None:
         return
     for i, chain in enumerate(parts.chains):
@@ -116,7 +118,7 @@ def _limit_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:
 
 
 def _all_or_none(parts: Any) -> Iterator[Fault]:
-    """What every cable must have as soon as one has it."""
+    """Find fields that some cables have and others lack."""
     if parts.frame is not None:
         points = parts.frame.exit_points
         known = [p.sigma is not None or p.covariance is not None for p in points.values()]
@@ -146,12 +148,12 @@ def _all_or_none(parts: Any) -> Iterator[Fault]:
 
 
 def _any_gear(winches: Any) -> bool:
-    """Whether any drum has a gear."""
+    """Return True if any drum has a gear."""
     return any(w.drum is not None and w.drum.gear is not None for w in winches.values())
 
 
 def _home_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:
-    """A home pose that the robot cannot have."""
+    """Find a home pose that the robot cannot have."""
     home, chains = parts.home, data.get("chains")
     if home is None:
         return
@@ -172,7 +174,7 @@ def _home_faults(data: dict[str, Any], parts: Any) -> Iterator[Fault]:
 
 
 def _sensor_faults(parts: Any) -> Iterator[Fault]:
-    """Length sensors, or numbers of a PLC, of cables that do not exist or of some cables only."""
+    """Find sensors or PLC numbers of unknown cables, or of some cables only."""
     if parts.chains is None:
         return
     chains = [chain.name for chain in parts.chains]
@@ -184,7 +186,7 @@ def _sensor_faults(parts: Any) -> Iterator[Fault]:
 
 
 def _all_chains(path: FieldPath, known: Iterable[str], chains: list[str]) -> Iterator[Fault]:
-    """Entries that are not one for each chain."""
+    """Find entries that are not one for each chain."""
     for name in known:
         if name not in chains:
             yield (*path, name), f"no such chain; allowed: {', '.join(chains)}"
@@ -194,15 +196,15 @@ def _all_chains(path: FieldPath, known: Iterable[str], chains: list[str]) -> Ite
 
 
 def _provenance_faults(data: dict[str, Any]) -> Iterator[Fault]:
-    """Numbers without a source, and sources of nothing."""
+    """Find numbers without a source, and sources of nothing."""
     sources = data.get("provenance")
     if not isinstance(sources, dict):
         return
-    for name in _PHYSICAL:
+    for name in _PHYSICAL_SECTIONS:
         for path in _uncovered((name,), data.get(name), list(sources)) or ():
             allowed = "an entry in provenance for it, or for the start of its path"
             yield path, f"no provenance; allowed: {allowed}"
-    known = [format_path(path) for path in _paths((), {k: data.get(k) for k in _PHYSICAL})]
+    known = [format_path(path) for path in _paths((), {k: data.get(k) for k in _PHYSICAL_SECTIONS})]
     for source in sources:
         if source not in known:
             allowed = "the path of a field of this file, or the start of one"
@@ -228,11 +230,11 @@ def _uncovered(path: FieldPath, value: Any, sources: list[str]) -> list[FieldPat
         return [path] if any(is_quantity(entry) for entry in value) else None
     else:
         return [path] if is_quantity(value) else None
-    found = [child for child in children if child is not None]
-    if not found:
+    covered = [child for child in children if child is not None]
+    if not covered:
         return None
     nothing_covered = not any(format_path(path) == s[: len(format_path(path))] for s in sources)
-    return [path] if nothing_covered and all(found) else [p for child in found for p in child]
+    return [path] if nothing_covered and all(covered) else [p for child in covered for p in child]
 
 
 def _paths(path: FieldPath, value: Any) -> Iterator[FieldPath]:

@@ -1,4 +1,4 @@
-"""In what two robots differ by more than the rounding of a robot file."""
+"""Differences of two robots beyond the rounding of a robot file."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.hardware import Hardware
 from carosac_toolkit.robot.robot import Robot
 
-SAME = 1e-9  # relative difference that rounding to 12 digits leaves
+SAME_VALUE_TOLERANCE = 1e-9  # relative difference that rounding to 12 digits leaves
 
 
 def differing(a: Robot, b: Robot) -> list[str]:
-    """Fields in which two robots differ by more than rounding."""
+    """Return the fields in which two robots differ by more than rounding."""
     values = {f.name: (getattr(a, f.name), getattr(b, f.name)) for f in fields(Robot)}
     return [
         name
@@ -26,7 +26,7 @@ def differing(a: Robot, b: Robot) -> list[str]:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Whether two fields are the same but for rounding."""
+    """Return True if two fields are equal but for rounding."""
     if a is None or b is None:
         return a is b
     if isinstance(a, str | Mapping | Hardware) or (isinstance(a, tuple) and isinstance(b, tuple)):
@@ -35,13 +35,13 @@ def same(a: Any, b: Any) -> bool:
     if first.shape != second.shape:
         return False
     size = max(float(np.abs(first).max(initial=0.0)), float(np.abs(second).max(initial=0.0)))
-    return bool(np.abs(first - second).max(initial=0.0) <= SAME * size)
+    return bool(np.abs(first - second).max(initial=0.0) <= SAME_VALUE_TOLERANCE * size)
 
 
 def _same_covariance(a: Array | None, b: Array | None) -> bool:
-    """Whether two covariances are the same but for rounding, each entry by its own units."""
+    """Return True if two covariances are equal but for rounding, each entry by its own units."""
     if a is None or b is None or a.shape != b.shape:
         return a is b
     largest = np.maximum(*(np.diagonal(x, axis1=-2, axis2=-1) for x in (a, b)))
     size = np.sqrt(largest[..., :, None] * largest[..., None, :])
-    return bool((np.abs(a - b) <= SAME * size).all())
+    return bool((np.abs(a - b) <= SAME_VALUE_TOLERANCE * size).all())

@@ -1,4 +1,4 @@
-"""Readers of the single fields of a robot file: from what YAML holds to SI numbers."""
+"""Readers of the single fields of a robot file: from YAML values to SI numbers."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.units import InvalidQuantity, describe, parse_quantity
-from carosac_toolkit.robot.hardware import LAST_PORT, NET_ID
+from carosac_toolkit.robot.hardware import NET_ID_PATTERN, PORT_MAX
 
-NET_ID_TEXT = "six numbers of 0 to 255 with dots, such as 192.168.0.10.1.1"
-PORT = f"a whole number, 1 to {LAST_PORT}"
-SIGN = "1 or -1"
+NET_ID_TEXT = "six numbers from 0 to 255 separated by dots, such as 192.168.0.10.1.1"
+PORT_TEXT = f"a whole number, 1 to {PORT_MAX}"
+SIGN_TEXT = "1 or -1"
 
 Reader = Callable[[object], object]
 
-INERTIA = (
+INERTIA_TEXT = (
     "3 numbers (diagonal) or a 3x3 matrix about the body's own centre of mass, in axes of the "
     f"platform, each {describe('kg*m^2')}"
 )
-SPREAD = f"{describe('m')}, > 0, or a list of 3 of them (x, y, z)"
-COVARIANCE = f"a symmetric positive semidefinite 3x3 matrix, each {describe('m^2')}"
+SPREAD_TEXT = f"{describe('m')}, > 0, or a list of 3 of them (x, y, z)"
+COVARIANCE_TEXT = f"a symmetric positive semidefinite 3x3 matrix, each {describe('m^2')}"
 
 
 class FieldFault(InvalidField, ValueError):
@@ -30,7 +30,7 @@ class FieldFault(InvalidField, ValueError):
 
 
 def quantity_reader(unit: str, bound: str = "") -> tuple[Reader, str]:
-    """Make the reader of a number and the text of what it allows.
+    """Make the reader of a number and the text of its allowed values.
 
     Args:
         unit: SI unit of the number.
@@ -81,7 +81,7 @@ def read_inertia(value: object) -> list[list[float]]:
     rows = value if isinstance(value, list) else []
     if len(rows) == 3 and not any(isinstance(row, list) for row in rows):
         rows = [[row if i == j else 0.0 for j in range(3)] for i, row in enumerate(rows)]
-    matrix = _square(value, rows, "kg*m^2", INERTIA)
+    matrix = _square(value, rows, "kg*m^2", INERTIA_TEXT)
     moments = np.linalg.eigvalsh(matrix)
     if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=1e-12):
         raise InvalidQuantity(value, "a symmetric matrix")
@@ -103,45 +103,45 @@ def read_spread(value: object) -> list[float]:
     entries = value if isinstance(value, list) else [value] * 3
     numbers = [parse_quantity(entry, "m") for entry in entries]
     if len(numbers) != 3 or min(numbers) <= 0.0:
-        raise InvalidQuantity(value, SPREAD)
+        raise InvalidQuantity(value, SPREAD_TEXT)
     return numbers
 
 
 def read_covariance(value: object) -> list[list[float]]:
     """Read a 3x3 covariance [m^2]."""
-    matrix = _square(value, value if isinstance(value, list) else [], "m^2", COVARIANCE)
+    matrix = _square(value, value if isinstance(value, list) else [], "m^2", COVARIANCE_TEXT)
     symmetric = np.allclose(matrix, matrix.T, rtol=1e-9, atol=1e-15)
     if not symmetric or np.linalg.eigvalsh(matrix)[0] < -1e-15:
-        raise InvalidQuantity(value, COVARIANCE)
+        raise InvalidQuantity(value, COVARIANCE_TEXT)
     return [[float(entry) for entry in row] for row in matrix]
 
 
 def read_text(value: object) -> str:
-    """Read a text that is not empty; a bare number is a fine name."""
+    """Read a non-empty text; a bare number is a valid name."""
     if isinstance(value, bool | list | dict) or value is None or not str(value).strip():
-        raise InvalidQuantity(value, "a text that is not empty")
+        raise InvalidQuantity(value, "a non-empty text")
     return f"{value:g}" if isinstance(value, float) else str(value).strip()
 
 
 def read_port(value: object) -> int:
     """Read a port number."""
     number = float(value) if isinstance(value, int | float) else 0.0
-    if isinstance(value, bool) or number != round(number) or not 1 <= number <= LAST_PORT:
-        raise InvalidQuantity(value, PORT)
+    if isinstance(value, bool) or number != round(number) or not 1 <= number <= PORT_MAX:
+        raise InvalidQuantity(value, PORT_TEXT)
     return round(number)
 
 
 def read_sign(value: object) -> float:
     """Read 1 or -1."""
     if isinstance(value, bool) or value not in (1, -1):
-        raise InvalidQuantity(value, SIGN)
+        raise InvalidQuantity(value, SIGN_TEXT)
     return float(str(value))
 
 
 def read_net_id(value: object) -> str:
     """Read an AMS net id."""
     text = str(value).strip()
-    if not NET_ID.fullmatch(text) or max(int(part) for part in text.split(".")) > 255:
+    if not NET_ID_PATTERN.fullmatch(text) or max(int(part) for part in text.split(".")) > 255:
         raise InvalidQuantity(value, NET_ID_TEXT)
     return text
 

@@ -1,6 +1,6 @@
 """The robot file: YAML of schema ``carosac-robot/1`` becomes a `Robot`, or one message.
 
-All faults of a file come at once, each with its line, field, value and what is allowed. Quantities
+All faults of a file come at once, each with its line, field, value and allowed values. Quantities
 are bare SI numbers or carry a unit. Nothing physical has a default that hides its absence.
 """
 
@@ -28,12 +28,12 @@ from carosac_toolkit.robot.checks import cross_faults
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.robot.schema import Reads, RobotFile
 
-_SUFFIXES = (".yaml", ".yml")
-_LONGEST = 80
-_INSTEAD: dict[FieldPath, tuple[str, ...]] = {  # of the ways to give a section, the usual one
+_ROBOT_SUFFIXES = (".yaml", ".yml")
+_VALUE_LENGTH_SHOWN = 80
+_USUAL_FIELDS: dict[FieldPath, tuple[str, ...]] = {  # of the ways to give a section, the usual one
     ("workspace",): ("min", "max"), ("home",): ("position", "rpy_deg"),
 }  # fmt: skip
-_SECTIONS = (
+_SECTION_ORDER = (
     "frame", "platform", "cable_types", "winches", "chains", "tension_limits", "workspace", "home",
     "sensors", "hardware",
 )  # fmt: skip
@@ -79,7 +79,7 @@ def robot_text(name_or_path: str | Path) -> str:
 
 
 def robot_path(name_or_path: str | Path) -> Path:
-    """Where the file of a robot is, or would be; arguments as `load_robot`.
+    """Return the path of a robot file, also of one that does not exist; arguments as `load_robot`.
 
     Raises:
         InvalidField: No bundled robot has this name.
@@ -99,7 +99,7 @@ def parse_robot(text: str, *, source: str = "robot") -> Robot:
 
     Args:
         text: YAML of schema ``carosac-robot/1``.
-        source: What to call it in messages, usually its path.
+        source: Name in messages, usually its path.
 
     Raises:
         InvalidFile: The text has faults; the message lists them all.
@@ -110,7 +110,7 @@ def parse_robot(text: str, *, source: str = "robot") -> Robot:
 def parse_file(text: str, *, source: str = "robot") -> tuple[Robot, RobotFile]:
     """Turn the text of a robot file into a robot, and keep the file as it was written.
 
-    The file knows what the arrays of the robot do not: payloads, and parts that no chain uses.
+    The file has more than the arrays of the robot: payloads, and parts that no chain uses.
     Arguments and errors as `parse_robot`.
     """
     document = read_yaml(text)
@@ -130,22 +130,22 @@ def parse_file(text: str, *, source: str = "robot") -> tuple[Robot, RobotFile]:
 
 
 def document_faults(data: dict[str, Any]) -> list[tuple[FieldPath, str]]:
-    """What is wrong with a robot file that is plain data: paths, and what is wrong there.
+    """Find the faults of a robot file given as plain data: paths and messages.
 
-    What is said of a field that is not there starts with ``missing``.
+    Messages on absent fields start with ``missing``.
     """
     return _check(data)[1]
 
 
 def fields_to_give(path: FieldPath) -> list[tuple[FieldPath, str]]:
-    """The single fields that are required at a path, each with what it allows."""
+    """List the single fields that are required at a path, each with its allowed values."""
     model = _model_of(_annotation_at(RobotFile, path))
     if model is None:
         return [(path, _allowed(RobotFile, path))]
     required = [
         field.alias or name for name, field in model.model_fields.items() if field.is_required()
     ]
-    names = _INSTEAD.get(path, ()) or required or list(model.model_fields)
+    names = _USUAL_FIELDS.get(path, ()) or required or list(model.model_fields)
     return [leaf for name in names for leaf in fields_to_give((*path, name))]
 
 
@@ -153,13 +153,13 @@ def _check(data: dict[str, Any]) -> tuple[RobotFile | None, list[tuple[FieldPath
     """Check plain data, field by field and against each other."""
     model, parts, errors = _validate(data)
     unknown = _unknown_keys(errors)
-    found = _schema_faults(errors, unknown) + cross_faults(_repaired(data, unknown), parts)
-    return model, found
+    faults = _schema_faults(errors, unknown) + cross_faults(_repaired(data, unknown), parts)
+    return model, faults
 
 
 def _looks_like_path(text: str) -> bool:
-    """Tell a path from a bundled name."""
-    return text.endswith(_SUFFIXES) or "/" in text or "\\" in text
+    """Return True for a path, False for a bundled name."""
+    return text.endswith(_ROBOT_SUFFIXES) or "/" in text or "\\" in text
 
 
 def _sorted(faults: list[tuple[int, str]]) -> list[str]:
@@ -178,12 +178,12 @@ def _validate(
     """
     try:
         model = RobotFile.model_validate(data)
-        return model, SimpleNamespace(**{name: getattr(model, name) for name in _SECTIONS}), []
+        return model, SimpleNamespace(**{name: getattr(model, name) for name in _SECTION_ORDER}), []
     except ValidationError as error:
         errors = error.errors(include_url=False)
     faulty = {details["loc"][0] for details in errors if details["loc"]}
-    parts: dict[str, Any] = dict.fromkeys(_SECTIONS)
-    for name in _SECTIONS:
+    parts: dict[str, Any] = dict.fromkeys(_SECTION_ORDER)
+    for name in _SECTION_ORDER:
         if name in data and name not in faulty:
             adapter: TypeAdapter[Any] = TypeAdapter(_annotation_at(RobotFile, (name,)))
             parts[name] = adapter.validate_python(data[name])
@@ -191,7 +191,7 @@ def _validate(
 
 
 def _unknown_keys(errors: list[ErrorDetails]) -> dict[FieldPath, str | None]:
-    """Paths of keys that the schema does not know, with the key that was meant, if one is near."""
+    """List paths of keys that the schema does not know, each with a similar known key, if any."""
     return {
         details["loc"]: nearest_name(details["loc"][-1], _keys(RobotFile, details["loc"][:-1]))
         for details in errors
@@ -208,9 +208,9 @@ def _repaired(value: Any, unknown: dict[FieldPath, str | None], path: FieldPath 
     result = {}
     for key, entry in value.items():
         here = (*path, key)
-        meant = unknown.get(here, key)
-        if meant is not None and (meant == key or meant not in value):
-            result[meant] = _repaired(entry, unknown, here)
+        correction = unknown.get(here, key)
+        if correction is not None and (correction == key or correction not in value):
+            result[correction] = _repaired(entry, unknown, here)
     return result
 
 
@@ -222,13 +222,13 @@ def _schema_faults(
     missing = {
         details["loc"][-1]: details["loc"] for details in errors if details["type"] == "missing"
     }
-    for path, meant in unknown.items():
+    for path, correction in unknown.items():
         keys = ", ".join(_keys(RobotFile, path[:-1]))
-        hint = f"; did you mean '{meant}'?" if meant else ""
+        hint = f"; did you mean '{correction}'?" if correction else ""
         if path[-1] in missing:
             hint = f"; {format_path(missing[path[-1]])} is missing: is the indentation right?"
         faults.append((path, f"unknown key; allowed: {keys}{hint}"))
-    misspelt = {(*path[:-1], meant) for path, meant in unknown.items()}
+    misspelt = {(*path[:-1], correction) for path, correction in unknown.items()}
     for details in errors:
         path = details["loc"]
         cause = details.get("ctx", {}).get("error")
@@ -259,11 +259,11 @@ def _shown(value: object) -> str:
         text = "[" + ", ".join(_shown(entry) for entry in value) + "]"
     else:
         text = repr(value)
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+    return text if len(text) <= _VALUE_LENGTH_SHOWN else text[: _VALUE_LENGTH_SHOWN - 3] + "..."
 
 
 def _keys(annotation: Any, path: FieldPath) -> list[str]:
-    """Keys that the model at a path knows."""
+    """Return the keys that the model at a path knows."""
     model = _model_of(_annotation_at(annotation, path))
     if model is None:
         return []
@@ -271,7 +271,7 @@ def _keys(annotation: Any, path: FieldPath) -> list[str]:
 
 
 def _allowed(annotation: Any, path: FieldPath) -> str:
-    """Say what the schema allows at a path."""
+    """Describe the values that the schema allows at a path."""
     return _describe(_annotation_at(annotation, path))
 
 
@@ -287,8 +287,8 @@ def _annotation_at(annotation: Any, path: FieldPath) -> Any:
             return annotation
         for name, field in model.model_fields.items():
             if part == (field.alias or name):
-                found = [item for item in field.metadata if isinstance(item, Reads)]
-                annotation = found[0] if found else field.annotation
+                readers = [item for item in field.metadata if isinstance(item, Reads)]
+                annotation = readers[0] if readers else field.annotation
     return annotation
 
 
@@ -299,20 +299,20 @@ def _plain(annotation: Any) -> Any:
 
 
 def _model_of(annotation: Any) -> type[BaseModel] | None:
-    """The model of an annotation, where it is one."""
+    """Return the model of an annotation, if it is one."""
     annotation = _plain(annotation)
     is_model = isinstance(annotation, type) and issubclass(annotation, BaseModel)
     return annotation if is_model else None
 
 
 def _describe(annotation: Any) -> str:
-    """Say in words what an annotation accepts."""
+    """Describe the values that an annotation accepts."""
     annotation = _plain(annotation)
     if isinstance(annotation, Reads):
         return annotation.allowed
-    found = [item for item in getattr(annotation, "__metadata__", ()) if isinstance(item, Reads)]
-    if found:
-        return found[0].allowed
+    readers = [item for item in getattr(annotation, "__metadata__", ()) if isinstance(item, Reads)]
+    if readers:
+        return readers[0].allowed
     model = _model_of(annotation)
     if model is not None:
         keys = ", ".join(field.alias or name for name, field in model.model_fields.items())

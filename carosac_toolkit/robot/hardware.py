@@ -1,4 +1,4 @@
-"""How a robot is reached: the section ``hardware`` of a robot file."""
+"""Connection to the real robot: the section ``hardware`` of a robot file."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_positive, check_whole
 
-NET_ID = re.compile(r"(\d{1,3}\.){5}\d{1,3}")
-LAST_PORT = 65535
-LOOPBACK = "127.0.0.1"
-TCP_PORT = 48898  # of ADS, on every machine
+NET_ID_PATTERN = re.compile(r"(\d{1,3}\.){5}\d{1,3}")
+PORT_MAX = 65535
+LOOPBACK_ADDRESS = "127.0.0.1"
+ADS_TCP_PORT = 48898  # of ADS, on every machine
 
 
 @dataclass(frozen=True, kw_only=True)
 class AdsAddress:
-    """A TwinCAT PLC; without anything said, one on this machine.
+    """A TwinCAT PLC; by default one on this machine.
 
     Attributes:
         net_id: Its AMS net id, six numbers with dots.
@@ -34,23 +34,27 @@ class AdsAddress:
     """
 
     net_id: str = "127.0.0.1.1.1"
-    ip: str = LOOPBACK
+    ip: str = LOOPBACK_ADDRESS
     port: int = 851
     timeout: float = 0.05
     from_host: str = "CaRoSaC.from_host"
     to_host: str = "CaRoSaC.to_host"
 
     def __post_init__(self) -> None:
-        """Refuse what is no address."""
-        numbers = [int(x) for x in self.net_id.split(".")] if NET_ID.fullmatch(self.net_id) else []
+        """Refuse an invalid address."""
+        numbers = (
+            [int(x) for x in self.net_id.split(".")]
+            if NET_ID_PATTERN.fullmatch(self.net_id)
+            else []
+        )
         if not numbers or max(numbers) > 255:
-            allowed = "six numbers of 0 to 255 with dots, such as 192.168.0.10.1.1"
+            allowed = "six numbers from 0 to 255 separated by dots, such as 192.168.0.10.1.1"
             raise InvalidField("hardware.ads.net_id", repr(self.net_id), allowed)
-        check_whole("hardware.ads.port", self.port, 1, LAST_PORT)
+        check_whole("hardware.ads.port", self.port, 1, PORT_MAX)
         check_positive("hardware.ads.timeout", self.timeout, "s")
         for name in ("ip", "from_host", "to_host"):
             if not str(getattr(self, name)).strip():
-                raise InvalidField(f"hardware.ads.{name}", "nothing", "a text that is not empty")
+                raise InvalidField(f"hardware.ads.{name}", "nothing", "a non-empty text")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,27 +68,27 @@ class ImuSource:
     """
 
     source: str = "udp"
-    ip: str = LOOPBACK
+    ip: str = LOOPBACK_ADDRESS
     port: int = 5005
 
     def __post_init__(self) -> None:
         """Refuse another protocol."""
         if self.source != "udp":
             raise InvalidField("hardware.imu.source", repr(self.source), "'udp'")
-        check_whole("hardware.imu.port", self.port, 1, LAST_PORT)
+        check_whole("hardware.imu.port", self.port, 1, PORT_MAX)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hardware:
-    """The PLC of a robot with n cables, and what its numbers mean.
+    """The PLC of a robot with n cables, and the units of its numbers.
 
     An unstrained length is ``sign * scale * number + offset``, where the number is the PLC's.
 
     Attributes:
         sign: 1 where the number grows as cable is paid out, -1 where it shrinks, n of them.
         scale: Metres per unit of the PLC, n of them.
-        offset: Unstrained length where the PLC says 0 [m], n of them; homing finds it anew.
-        ads: Where the PLC is.
+        offset: Unstrained length at number 0 of the PLC [m], n of them; homing sets it again.
+        ads: Address of the PLC.
         imu: The inertial sensor, or None.
     """
 
@@ -113,7 +117,7 @@ class Hardware:
 
     @classmethod
     def loopback(cls, n: int) -> Hardware:
-        """A PLC on this machine that speaks of unstrained lengths in metres."""
+        """Return a PLC on this machine that counts unstrained lengths in metres."""
         return cls(sign=(1.0,) * n, scale=(1.0,) * n, offset=(0.0,) * n)
 
     @classmethod
@@ -133,16 +137,16 @@ class Hardware:
     @property
     def unit(self) -> Array:
         """Change of unstrained length per unit of the PLC, signed [m], shape (n,)."""
-        found: Array = np.array(self.sign) * np.array(self.scale)
-        return found
+        metres: Array = np.array(self.sign) * np.array(self.scale)
+        return metres
 
     def length(self, number: Iterable[float]) -> Array:
-        """Unstrained lengths [m], shape (n,), from the numbers of the PLC."""
-        found: Array = self.unit * np.asarray(number, dtype=np.float64) + np.array(self.offset)
-        return found
+        """Convert numbers of the PLC to unstrained lengths [m], shape (n,)."""
+        lengths: Array = self.unit * np.asarray(number, dtype=np.float64) + np.array(self.offset)
+        return lengths
 
     def number(self, length: Iterable[float]) -> Array:
-        """Numbers of the PLC, shape (n,), from unstrained lengths [m]."""
-        given = np.asarray(length, dtype=np.float64)
-        found: Array = (given - np.array(self.offset)) / self.unit
-        return found
+        """Convert unstrained lengths [m] to numbers of the PLC, shape (n,)."""
+        lengths = np.asarray(length, dtype=np.float64)
+        numbers: Array = (lengths - np.array(self.offset)) / self.unit
+        return numbers

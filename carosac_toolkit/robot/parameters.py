@@ -1,12 +1,12 @@
-"""Names for the single numbers of a robot, as calibration estimates them.
+"""Names of the single numbers of a robot that a calibration estimates.
 
 ========================== ======= ==========================================================
-name                       unit    what it is
+name                       unit    meaning
 ========================== ======= ==========================================================
 ``exit_points[C].x``       m       coordinate of the exit point of cable C in W; also y, z
 ``anchor_points[C].x``     m       coordinate of its anchor point in P; also y, z
-``length_offset[C]``       m       what the encoder reads at unstrained length 0
-``length_scale[C]``        1       what it reads more per unstrained length
+``length_offset[C]``       m       reading of the encoder at unstrained length 0
+``length_scale[C]``        1       change of the reading per unstrained length
 ``drum_radius[C]``         m       also ``drum_buildup[C]``
 ``axial_stiffness[C]``     N       also ``linear_density``, ``axial_damping``, ``run_length``;
                                    without ``[C]`` one number for all cables
@@ -34,37 +34,42 @@ from carosac_toolkit.base.errors import InvalidField
 if TYPE_CHECKING:
     from carosac_toolkit.robot.robot import Robot
 
-_UNITS = {
+_FIELD_UNITS = {
     "exit_points": "m", "anchor_points": "m", "length_offset": "m", "length_scale": "1",
     "drum_radius": "m", "drum_buildup": "m", "axial_stiffness": "N", "linear_density": "kg/m",
     "axial_damping": "N*s", "run_length": "m", "length_delay": "s", "pose_tilt": "rad",
     "mass": "kg", "drag": "N*s/m", "angular_drag": "N*m*s/rad", "center_of_mass": "m",
     "inertia": "kg*m^2",
 }  # fmt: skip
-_POINTS = ("exit_points", "anchor_points")  # of each cable
-_CABLES = ("length_offset", "length_scale", "drum_radius", "drum_buildup")  # a number of each
-_SHARED = ("axial_stiffness", "linear_density", "axial_damping", "run_length")  # of each, or of all
-_NUMBERS = ("length_delay", "mass", "drag", "angular_drag")
-_UNCALIBRATED = {"length_offset": 0.0, "length_scale": 1.0, "length_delay": 0.0}
-_NAME = re.compile(r"(?P<field>\w+)(?:\[(?P<cable>.+)\])?(?:\.(?P<axis>[xyz]{1,2}))?")
+_POINT_FIELDS = ("exit_points", "anchor_points")  # of each cable
+_CABLE_FIELDS = ("length_offset", "length_scale", "drum_radius", "drum_buildup")  # a number of each
+_SHARED_FIELDS = (
+    "axial_stiffness",
+    "linear_density",
+    "axial_damping",
+    "run_length",
+)  # of each, or of all
+_SCALAR_FIELDS = ("length_delay", "mass", "drag", "angular_drag")
+_UNCALIBRATED_VALUES = {"length_offset": 0.0, "length_scale": 1.0, "length_delay": 0.0}
+_PARAMETER_PATTERN = re.compile(r"(?P<field>\w+)(?:\[(?P<cable>.+)\])?(?:\.(?P<axis>[xyz]{1,2}))?")
 
 
 def unit_of(name: str) -> str:
-    """SI unit of a parameter, as in robot files.
+    """Return the SI unit of a parameter, as in robot files.
 
     Raises:
         InvalidField: The name is of no parameter.
     """
-    return _UNITS[_field(name)["field"]]
+    return _FIELD_UNITS[_field(name)["field"]]
 
 
 def field_of(name: str) -> str:
-    """Field that a parameter belongs to: ``exit_points`` for ``exit_points[C].x``."""
+    """Return the field of a parameter: ``exit_points`` for ``exit_points[C].x``."""
     return name.split("[")[0].split(".")[0]
 
 
 def point_names(field: str, cables: Sequence[str]) -> list[str]:
-    """Names of the coordinates of a point of each cable, x, y, z of the first one first."""
+    """Return the coordinate names of a point of each cable, x, y, z of the first one first."""
     return [f"{field}[{cable}].{axis}" for cable in cables for axis in "xyz"]
 
 
@@ -81,7 +86,7 @@ def check_names(cable_names: Sequence[str], names: Sequence[str]) -> None:
 
 
 def values_of(robot: Robot, names: Sequence[str]) -> Array:
-    """Values of parameters, shape (k,); readings of a robot without calibration are true ones.
+    """Return values of parameters, shape (k,); an uncalibrated robot reads true lengths.
 
     Raises:
         InvalidField: A name that the robot does not have.
@@ -90,7 +95,7 @@ def values_of(robot: Robot, names: Sequence[str]) -> Array:
 
 
 def with_values(robot: Robot, names: Sequence[str], values: Array) -> Robot:
-    """A robot with other values of some parameters; what is known of the values is dropped.
+    """Return a robot with other values of some parameters; their covariance is dropped.
 
     Args:
         robot: The robot.
@@ -117,30 +122,30 @@ def with_values(robot: Robot, names: Sequence[str], values: Array) -> Robot:
     if "pose_tilt" in changed:
         about_z = _turned(_tilt(robot)).T @ _pose_rotation(robot)
         changed["pose_rotation"] = _turned(changed.pop("pose_tilt")) @ about_z
-    if changed.keys() & _UNCALIBRATED.keys():  # all of the length sensors, or nothing
-        for field, usual in _UNCALIBRATED.items():
+    if changed.keys() & _UNCALIBRATED_VALUES.keys():  # all of the length sensors, or nothing
+        for field, usual in _UNCALIBRATED_VALUES.items():
             known = getattr(robot, field)
-            each = usual if field in _NUMBERS else np.full(robot.n, usual)
+            each = usual if field in _SCALAR_FIELDS else np.full(robot.n, usual)
             changed.setdefault(field, each if known is None else known)
     return replace(robot, **changed, calibrated=None, calibration_covariance=None)
 
 
 @lru_cache(maxsize=1024)  # identification asks for the same names over and over
 def _split(cable_names: tuple[str, ...], name: str) -> tuple[str, tuple[Any, ...]]:
-    """Field of a parameter, and its index in that field (empty for a single number)."""
+    """Return the field of a parameter, and its index there (empty for a single number)."""
     match = _field(name)
     field, cable, axis = match["field"], match["cable"], match["axis"]
     if cable is not None and cable not in cable_names:
         raise InvalidField("parameter", repr(name), f"a cable of {list(cable_names)}")
     number = None if cable is None else list(cable_names).index(cable)
     index: tuple[Any, ...] | None = None
-    if field in _POINTS and number is not None and axis in ("x", "y", "z"):
+    if field in _POINT_FIELDS and number is not None and axis in ("x", "y", "z"):
         index = (number, "xyz".index(axis))
-    elif field in _CABLES + _SHARED and number is not None and axis is None:
+    elif field in _CABLE_FIELDS + _SHARED_FIELDS and number is not None and axis is None:
         index = (number,)
-    elif field in _SHARED and number is None and axis is None:
+    elif field in _SHARED_FIELDS and number is None and axis is None:
         index = (slice(None),)
-    elif field in _NUMBERS and number is None and axis is None:
+    elif field in _SCALAR_FIELDS and number is None and axis is None:
         index = ()
     elif field in ("pose_tilt", "center_of_mass") and number is None and axis in ("x", "y", "z"):
         index = ("xyz".index(axis),)
@@ -148,63 +153,63 @@ def _split(cable_names: tuple[str, ...], name: str) -> tuple[str, tuple[Any, ...
         index = ("xyz".index(axis[0]), "xyz".index(axis[1]))
     if index is None or (field == "pose_tilt" and axis == "z"):
         raise InvalidField(
-            "parameter", repr(name), "a name as carosac_toolkit.robot.parameters lists"
+            "parameter", repr(name), "a parameter listed in carosac_toolkit.robot.parameters"
         )
     return field, index
 
 
 def _field(name: str) -> re.Match[str]:
-    """A name in its parts."""
-    match = _NAME.fullmatch(name)
-    if match is None or match["field"] not in _UNITS:
-        raise InvalidField("parameter", repr(name), f"a name such as {', '.join(_UNITS)}")
+    """Split a name into its parts."""
+    match = _PARAMETER_PATTERN.fullmatch(name)
+    if match is None or match["field"] not in _FIELD_UNITS:
+        raise InvalidField("parameter", repr(name), f"a name such as {', '.join(_FIELD_UNITS)}")
     return match
 
 
 def _get(robot: Robot, name: str) -> float:
-    """Value of one parameter."""
+    """Return the value of one parameter."""
     field, where = _split(robot.cable_names, name)
     if field == "pose_tilt":
         return float(_tilt(robot)[where])
     if not where:
         value = getattr(robot, field)
-        return float(_UNCALIBRATED[field] if value is None else value)
-    found = np.atleast_1d(_array(robot, field)[where])
-    if np.ptp(found) > 1e-12 * np.abs(found).max():
+        return float(_UNCALIBRATED_VALUES[field] if value is None else value)
+    entries = np.atleast_1d(_array(robot, field)[where])
+    if np.ptp(entries) > 1e-12 * np.abs(entries).max():
         allowed = f"a name of each cable, {field}[{robot.cable_names[0]}]: they differ"
         raise InvalidField("parameter", repr(name), allowed)
-    return float(found[0])
+    return float(entries[0])
 
 
 def _array(robot: Robot, field: str) -> Array:
-    """A field as an array; that of a robot without calibration where there is none."""
+    """Return a field as an array; its neutral value if the robot has no calibration."""
     value: Array | None = getattr(robot, field)
     if value is not None:
         return value
-    if field not in _UNCALIBRATED:
+    if field not in _UNCALIBRATED_VALUES:
         raise InvalidField("parameter", f"'{field}'", f"one that robot {robot.name!r} has")
-    return np.full(robot.n, _UNCALIBRATED[field])
+    return np.full(robot.n, _UNCALIBRATED_VALUES[field])
 
 
 def _pose_rotation(robot: Robot) -> Array:
-    """From the frame of measured poses to W, (3, 3)."""
+    """Return the rotation from the frame of measured poses to W, (3, 3)."""
     return np.eye(3) if robot.pose_rotation is None else robot.pose_rotation
 
 
 def _tilt(robot: Robot) -> Array:
-    """Rotation vector in W that tilts the z axis of the frame of measured poses: (2,) [rad].
+    """Return the rotation vector in W that tilts the z axis of the pose frame, (2,) [rad].
 
     The rotation of the frame is a turn about z followed by this tilt.
     """
     up = _pose_rotation(robot)[:, 2]
     sine = float(np.hypot(up[0], up[1]))
     angle = float(np.arctan2(sine, up[2]))
-    found: Array = np.array([-up[1], up[0]]) * (angle / sine if sine > 0.0 else 1.0)
-    return found
+    tilt: Array = np.array([-up[1], up[0]]) * (angle / sine if sine > 0.0 else 1.0)
+    return tilt
 
 
 def _turned(tilt: Array) -> Array:
-    """Rotation of a tilt about x and y."""
+    """Return the rotation of a tilt about x and y."""
     angle = float(np.hypot(tilt[0], tilt[1]))
     cross = np.array([[0.0, 0.0, tilt[1]], [0.0, 0.0, -tilt[0]], [-tilt[1], tilt[0], 0.0]])
     first = np.sinc(angle / np.pi)

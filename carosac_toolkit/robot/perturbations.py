@@ -1,4 +1,4 @@
-"""Conditions: by how much the plant differs from the robot that everybody else knows.
+"""Conditions: random differences of the plant from the nominal robot.
 
 A condition is drawn once per seed. Controllers and estimators keep the nominal robot; only the
 driver gets the plant.
@@ -47,7 +47,7 @@ class Condition:
     wind_time: float = 2.0
 
 
-CONDITIONS = {
+CONDITIONS_BY_NAME = {
     "none": Condition(),
     "nominal-1": Condition(
         mass=0.03,
@@ -65,28 +65,28 @@ CONDITIONS = {
 
 
 def find_condition(name: str) -> Condition:
-    """A condition by its name.
+    """Return a condition by its name.
 
     Raises:
         InvalidField: There is none of that name.
     """
-    if name not in CONDITIONS:
-        raise InvalidField("perturbation", repr(name), f"one of {sorted(CONDITIONS)}")
-    return CONDITIONS[name]
+    if name not in CONDITIONS_BY_NAME:
+        raise InvalidField("perturbation", repr(name), f"one of {sorted(CONDITIONS_BY_NAME)}")
+    return CONDITIONS_BY_NAME[name]
 
 
 def draw_plant(robot: Robot, condition: Condition, rng: np.random.Generator) -> Robot:
-    """A robot that differs from the nominal one by one draw of a condition.
+    """Draw a robot that differs from the nominal one by a condition.
 
     The order of the draws is fixed, so that one seed is one plant whatever else is compared.
 
     Args:
         robot: The nominal robot.
-        condition: What is drawn, and how widely.
+        condition: Standard deviations of the draw.
         rng: Source of the draw.
 
     Returns:
-        The plant; its name says so where anything was drawn.
+        The plant; its name is changed if anything was drawn.
     """
     n = robot.n
 

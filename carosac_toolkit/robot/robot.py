@@ -85,18 +85,18 @@ class Robot:
         workspace_max: Upper corner [m], (3,).
         home_position: Platform origin at home in W [m], (3,).
         home_rotation: Rotation from P to W at home, (3, 3).
-        length_offset: What the length sensors read at unstrained length 0 [m], shape (n,); None:
+        length_offset: Reading of the length sensors at unstrained length 0 [m], shape (n,); None:
             0, they were not calibrated.
-        length_scale: What they read more per unstrained length, shape (n,); None: 1.
+        length_scale: Change of the reading per unstrained length, shape (n,); None: 1.
         length_delay: By how much their readings lead poses measured at the same time [s]; None: 0.
         pose_rotation: Rotation from the frame of measured poses to W, (3, 3); None: the same frame.
-        calibrated: Parameters that a calibration estimated (`carosac_toolkit.robot.parameters`),
-            k of them; None: not calibrated.
+        calibrated: Parameters that a calibration estimated (`carosac_toolkit.robot.parameters`), k of
+            them; None: not calibrated.
         calibration_covariance: Their joint covariance, shape (k, k).
-        hardware: How the real robot is reached; None: not described.
-        description: One line for people.
+        hardware: Connection to the real robot; None: not described.
+        description: One line of text.
         licence: Terms under which the numbers may be used.
-        provenance: Where the numbers come from, by field of the robot file.
+        provenance: Sources of the numbers, by field of the robot file.
     """
 
     name: str
@@ -144,16 +144,16 @@ class Robot:
     hardware: Hardware | None = None
 
     def __post_init__(self) -> None:
-        """Freeze every array and check every number that physics relies on."""
+        """Freeze every array and check every number that the physics needs."""
         self._check_names()
         n = self.n
-        for name in _SCALARS:
+        for name in _SCALAR_FIELDS:
             object.__setattr__(self, name, _scalar(name, getattr(self, name)))
         set_frozen(self, {name: (n, 3) for name in ("exit_points", "anchor_points", "swivel_axis")})
-        set_frozen(self, {name: (n,) for name in _PER_CABLE})
-        set_frozen(self, {name: (3,) for name in _VECTORS})
+        set_frozen(self, {name: (n,) for name in _CABLE_FIELDS})
+        set_frozen(self, {name: (3,) for name in _VECTOR_FIELDS})
         set_frozen(self, {"inertia": (3, 3), "home_rotation": (3, 3)})
-        for name, shape in _OPTIONAL.items():
+        for name, shape in _OPTIONAL_SHAPES.items():
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, frozen_array(name, value, (n, *shape)))
@@ -216,12 +216,12 @@ class Robot:
 
     def _check_signs(self) -> None:
         """Refuse numbers that must be positive, or not negative."""
-        for name in _POSITIVE + _NOT_NEGATIVE:
+        for name in _POSITIVE_FIELDS + _NOT_NEGATIVE_FIELDS:
             value = getattr(self, name)
             if value is None:
                 continue
             entries = np.atleast_1d(np.asarray(value, dtype=np.float64))
-            strict = name in _POSITIVE
+            strict = name in _POSITIVE_FIELDS
             bad = ~((entries > 0.0) if strict else (entries >= 0.0)) | ~np.isfinite(entries)
             if bad.any():
                 index = int(np.argmax(bad))
@@ -230,7 +230,7 @@ class Robot:
 
     def _check_order(self) -> None:
         """Refuse limits whose lower end is not below the upper one."""
-        for low, high in _RANGES:
+        for low, high in _ORDERED_FIELDS:
             lower, upper = getattr(self, low), getattr(self, high)
             if (lower >= upper).any():
                 index = int(np.argmax(lower >= upper))
@@ -253,7 +253,7 @@ class Robot:
             if turn is None:
                 continue
             if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-9) or np.linalg.det(turn) < 0:
-                raise InvalidField(name, "a matrix that is no rotation", "R R^T = 1, det +1")
+                raise InvalidField(name, "not a rotation matrix", "R R^T = 1, det +1")
         length = np.linalg.norm(self.swivel_axis, axis=1)
         bad = (np.abs(length - 1.0) > 1e-9) & (self.pulley_radius > 0.0)
         if bad.any():
@@ -262,7 +262,7 @@ class Robot:
         if self.exit_covariance is not None:
             mirrored = self.exit_covariance.swapaxes(1, 2)
             if not np.allclose(self.exit_covariance, mirrored, rtol=1e-9, atol=1e-18):
-                raise InvalidField("exit_covariance", "a matrix", "symmetric matrices")
+                raise InvalidField("exit_covariance", "an asymmetric matrix", "symmetric")
             smallest = np.linalg.eigvalsh(self.exit_covariance)[:, 0]
             if (smallest < -1e-15).any():
                 index = int(np.argmin(smallest))
@@ -271,7 +271,7 @@ class Robot:
                 )
 
     def _check_calibration(self) -> None:
-        """Refuse parameters that the robot does not have, and a covariance that is none."""
+        """Refuse parameters that the robot does not have, and an invalid covariance."""
         if (self.calibrated is None) != (self.calibration_covariance is None):
             allowed = "calibrated and calibration_covariance, or neither"
             raise InvalidField("calibrated", self.calibrated, allowed)
@@ -286,24 +286,24 @@ class Robot:
         unit = matrix / np.outer(scale, scale)
         if not np.allclose(unit, unit.T, atol=1e-6) or np.linalg.eigvalsh(unit)[0] < -1e-6:
             allowed = "a symmetric positive semidefinite matrix"
-            raise InvalidField("calibration_covariance", "a matrix", allowed)
+            raise InvalidField("calibration_covariance", "no valid covariance", allowed)
 
 
 def _scalar(name: str, value: object) -> float:
-    """One number, or an error that names the field."""
+    """Convert to one number, or raise an error that names the field."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
         raise InvalidField(name, repr(value), "a number")
     return float(value)
 
 
-_SCALARS = ("mass", "drag", "angular_drag", "gravity")
-_PER_CABLE = (
+_SCALAR_FIELDS = ("mass", "drag", "angular_drag", "gravity")
+_CABLE_FIELDS = (
     "pulley_radius", "run_length", "linear_density", "axial_stiffness", "axial_damping",
     "cable_diameter", "tension_min", "tension_max", "speed_max", "acceleration_max", "winch_lag",
     "length_min", "length_max",
 )  # fmt: skip
-_VECTORS = ("center_of_mass", "workspace_min", "workspace_max", "home_position")
-_OPTIONAL: dict[str, tuple[int, ...]] = {
+_VECTOR_FIELDS = ("center_of_mass", "workspace_min", "workspace_max", "home_position")
+_OPTIONAL_SHAPES: dict[str, tuple[int, ...]] = {
     "exit_covariance": (3, 3),
     "drum_radius": (),
     "drum_buildup": (),
@@ -312,15 +312,15 @@ _OPTIONAL: dict[str, tuple[int, ...]] = {
     "length_offset": (),
     "length_scale": (),
 }
-_POSITIVE = (
+_POSITIVE_FIELDS = (
     "mass", "gravity", "linear_density", "axial_stiffness", "cable_diameter", "speed_max",
     "acceleration_max", "drum_radius", "drum_gear", "drum_advantage", "length_scale",
 )  # fmt: skip
-_NOT_NEGATIVE = (
+_NOT_NEGATIVE_FIELDS = (
     "pulley_radius", "run_length", "axial_damping", "tension_min", "winch_lag", "length_min",
     "drum_buildup", "drag", "angular_drag",
 )  # fmt: skip
-_RANGES = (
+_ORDERED_FIELDS = (
     ("tension_min", "tension_max"),
     ("length_min", "length_max"),
     ("workspace_min", "workspace_max"),

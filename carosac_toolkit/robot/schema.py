@@ -1,6 +1,6 @@
-"""Schema ``carosac-robot/1``: the sections of a robot file and what each field holds.
+"""Schema ``carosac-robot/1``: sections and fields of a robot file.
 
-A model checks what its own fields can tell; `carosac_toolkit.robot.checks` does the rest.
+A model checks its own fields; `carosac_toolkit.robot.checks` checks them together.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from carosac_toolkit.robot.fields import (
     unit_length_reader,
 )
 
-SCHEMA = "carosac-robot/1"
+ROBOT_SCHEMA = "carosac-robot/1"
 
 
 @dataclass(frozen=True)
 class Reads:
-    """How a field is read, and what it allows; stands in an annotation.
+    """Parser of a field and its allowed values, as an annotation.
 
     Attributes:
         function: From what YAML holds to the value.
-        allowed: What it accepts, in words.
+        allowed: Accepted values, in words.
     """
 
     function: Reader
@@ -63,11 +63,11 @@ Degrees = Annotated[float, _reads("1")]
 Angles = Annotated[
     tuple[Degrees, Degrees, Degrees], Reads(*list_reader("1", 3, "roll, pitch, yaw in degrees"))
 ]
-Spread = Annotated[list[float], Reads(fields.read_spread, fields.SPREAD)]
-Covariance = Annotated[list[list[float]], Reads(fields.read_covariance, fields.COVARIANCE)]
-Inertia = Annotated[list[list[float]], Reads(fields.read_inertia, fields.INERTIA)]
-Port = Annotated[int, Reads(fields.read_port, fields.PORT)]
-Sign = Annotated[float, Reads(fields.read_sign, fields.SIGN)]
+Spread = Annotated[list[float], Reads(fields.read_spread, fields.SPREAD_TEXT)]
+Covariance = Annotated[list[list[float]], Reads(fields.read_covariance, fields.COVARIANCE_TEXT)]
+Inertia = Annotated[list[list[float]], Reads(fields.read_inertia, fields.INERTIA_TEXT)]
+Port = Annotated[int, Reads(fields.read_port, fields.PORT_TEXT)]
+Sign = Annotated[float, Reads(fields.read_sign, fields.SIGN_TEXT)]
 NetId = Annotated[str, Reads(fields.read_net_id, fields.NET_ID_TEXT)]
 Mass = Annotated[float, _reads("kg", "> 0")]
 Force = Annotated[float, _reads("N", "> 0")]
@@ -80,7 +80,7 @@ class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Pulley(_Section):
+class PulleyInput(_Section):
     """A swivelling pulley at an exit point."""
 
     radius: Extent
@@ -88,10 +88,10 @@ class Pulley(_Section):
 
 
 class ExitPoint(_Section):
-    """Where a cable leaves the frame."""
+    """Point at which a cable leaves the frame."""
 
     position: Vector
-    pulley: Pulley | None = None
+    pulley: PulleyInput | None = None
     sigma: Spread | None = None
     covariance: Covariance | None = None
 
@@ -153,9 +153,9 @@ class CableType(_Section):
             "pi d^2/4 of a rope) and material_density (then area = linear_density/material_density)"
         )
         names = ("axial_stiffness", "youngs_modulus", "area", "material_density")
-        given = tuple(name for name in names if getattr(self, name) is not None)
-        if given not in (names[:1], (names[1], names[2]), (names[1], names[3])):
-            raise FieldFault("axial_stiffness", " and ".join(given) or "nothing", ways)
+        present = tuple(name for name in names if getattr(self, name) is not None)
+        if present not in (names[:1], (names[1], names[2]), (names[1], names[3])):
+            raise FieldFault("axial_stiffness", " and ".join(present) or "nothing", ways)
         return self
 
     @property
@@ -178,7 +178,7 @@ class Drum(_Section):
     advantage: Annotated[float, _reads("1", "> 0")] | None = None
 
 
-class Winch(_Section):
+class WinchInput(_Section):
     """A kind of winch."""
 
     speed_max: Annotated[float, _reads("m/s", "> 0")]
@@ -190,7 +190,7 @@ class Winch(_Section):
     drum: Drum | None = None
 
     @model_validator(mode="after")
-    def _check(self) -> Winch:
+    def _check(self) -> WinchInput:
         if self.length_min >= self.length_max:
             allowed = f"length_min < length_max = {self.length_max:g} m"
             raise FieldFault("length_min", f"{self.length_min:g} m", allowed)
@@ -210,7 +210,7 @@ class TensionLimits(_Section):
         return self
 
 
-class Chain(_Section):
+class ChainInput(_Section):
     """One cable: which parts it joins, by name."""
 
     name: Text
@@ -232,10 +232,10 @@ class Box(_Section):
 
     @model_validator(mode="after")
     def _check(self) -> Box:
-        given = tuple(n for n in ("min", "max", "center", "size") if getattr(self, n) is not None)
-        if given not in (("min", "max"), ("center", "size")):
+        present = tuple(n for n in ("min", "max", "center", "size") if getattr(self, n) is not None)
+        if present not in (("min", "max"), ("center", "size")):
             raise FieldFault(
-                "min", " and ".join(given) or "nothing", "min and max, or center and size"
+                "min", " and ".join(present) or "nothing", "min and max, or center and size"
             )
         for axis, low, high in zip("xyz", *self.corners, strict=True):
             if low >= high:
@@ -269,7 +269,7 @@ class Home(_Section):
 
 
 class LengthSensor(_Section):
-    """What the length sensor of a cable reads: scale * unstrained length + offset."""
+    """Length sensor of a cable: reading = scale * unstrained length + offset."""
 
     offset: Coordinate
     scale: Annotated[float, _reads("1", "> 0")]
@@ -288,8 +288,8 @@ class PoseSensor(_Section):
     quaternion_wxyz: Quaternion
 
 
-class Sensors(_Section):
-    """What a calibration found of the sensors."""
+class SensorsInput(_Section):
+    """Sensor parameters estimated by a calibration."""
 
     lengths: LengthSensors | None = None
     poses: PoseSensor | None = None
@@ -323,7 +323,7 @@ class Ads(_Section):
 
 
 class AdsCable(_Section):
-    """What the PLC says of a cable: unstrained length = sign * scale * number + offset."""
+    """Cable as the PLC counts it: unstrained length = sign * scale * number + offset."""
 
     sign: Sign
     scale: Extent
@@ -339,7 +339,7 @@ class ImuInput(_Section):
 
 
 class HardwareInput(_Section):
-    """How the real robot is reached."""
+    """Connection to the real robot."""
 
     ads: Ads
     cables: dict[str, AdsCable]
@@ -357,12 +357,12 @@ class RobotFile(_Section):
     frame: Frame
     platform: Platform
     cable_types: dict[str, CableType]
-    winches: dict[str, Winch]
-    chains: list[Chain]
+    winches: dict[str, WinchInput]
+    chains: list[ChainInput]
     tension_limits: TensionLimits | None = None
     workspace: Box
     home: Home
-    sensors: Sensors | None = None
+    sensors: SensorsInput | None = None
     calibration: Calibration | None = None
     hardware: HardwareInput | None = None
     provenance: dict[str, Text]

@@ -17,34 +17,35 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.rotations import from_matrix
 from carosac_toolkit.base.yaml import dump_yaml, round_trip
-from carosac_toolkit.robot.differences import SAME, differing, same
+from carosac_toolkit.robot.differences import SAME_VALUE_TOLERANCE, differing, same
 from carosac_toolkit.robot.file import parse_file, parse_robot
 from carosac_toolkit.robot.parameters import unit_of
 from carosac_toolkit.robot.robot import RigidBody, Robot, combine_bodies
 from carosac_toolkit.robot.schema import RobotFile
 
-_DIGITS = 12  # significant ones of what is written
-_IN_CABLE = ("linear_density", "axial_stiffness", "axial_damping")
-_IN_DRUM = {"drum_radius": "radius", "drum_buildup": "buildup"}
+_SIGNIFICANT_DIGITS = 12  # of written numbers
+_CABLE_TYPE_FIELDS = ("linear_density", "axial_stiffness", "axial_damping")
+_DRUM_KEYS = {"drum_radius": "radius", "drum_buildup": "buildup"}
 _SENSOR_PATHS = {
     "length_offset": "sensors.lengths.cables", "length_scale": "sensors.lengths.cables",
     "length_delay": "sensors.lengths.delay",
 }  # fmt: skip
-_TEXTS = ("name", "description", "licence")
-_WRITABLE = (
-    *_TEXTS, *_IN_CABLE, *_IN_DRUM, "exit_points", "exit_covariance", "anchor_points", "run_length",
-    "mass", "center_of_mass", "inertia", "drag", "angular_drag", "length_offset", "length_scale",
-    "length_delay", "pose_rotation", "calibrated", "calibration_covariance", "provenance",
+_TEXT_FIELDS = ("name", "description", "licence")
+_WRITABLE_FIELDS = (
+    *_TEXT_FIELDS, *_CABLE_TYPE_FIELDS, *_DRUM_KEYS, "exit_points", "exit_covariance",
+    "anchor_points", "run_length", "mass", "center_of_mass", "inertia", "drag", "angular_drag",
+    "length_offset", "length_scale", "length_delay", "pose_rotation", "calibrated",
+    "calibration_covariance", "provenance",
 )  # fmt: skip
 
 
 def robot_document(text: str, robot: Robot, *, provenance: str) -> str:
-    """The text of a robot file with the numbers of another robot.
+    """Return the text of a robot file with the numbers of another robot.
 
     Args:
         text: The file that the robot was made from, unchanged parts of which are kept.
         robot: The same cables with other numbers.
-        provenance: Where the other numbers come from; stands in the file for each of them.
+        provenance: Source of the new numbers; written to the file for each of them.
 
     Returns:
         YAML of schema ``carosac-robot/1`` that `parse_robot` turns into `robot`, provenance aside.
@@ -56,19 +57,19 @@ def robot_document(text: str, robot: Robot, *, provenance: str) -> str:
     old, file = parse_file(text)
     changed = differing(old, robot)
     for name in changed:
-        if name not in _WRITABLE:
+        if name not in _WRITABLE_FIELDS:
             raise InvalidField(name, "another value", "the value of the old robot file")
     writer = _Writer(round_trip().load(text), file, old, robot, provenance)
     writer.write(set(changed))
     written = dump_yaml(writer.document)
     for name in differing(parse_robot(written, source="new robot file"), robot):
         if name != "provenance":
-            raise CarosacError(f"new robot file: {name} does not come back as it was written")
+            raise CarosacError(f"new robot file: {name} differs when read back")
     return written
 
 
 class _Writer:
-    """The old document, and what is put into it."""
+    """The old document with the new values."""
 
     def __init__(
         self, document: CommentedMap, file: RobotFile, old: Robot, robot: Robot, source: str
@@ -85,15 +86,15 @@ class _Writer:
         kinds = self._file.cable_types.values()
         if "linear_density" in changed and any(kind.material_density for kind in kinds):
             changed |= {"axial_stiffness"}  # the old file has it from the density
-        for name in changed.intersection(_TEXTS):
+        for name in changed.intersection(_TEXT_FIELDS):
             self.document[name] = getattr(robot, name)
         if changed & {"exit_points", "exit_covariance"}:
             self._exit_points()
         if "anchor_points" in changed:
             self._anchor_points()
-        for name in changed.intersection(_IN_CABLE):
+        for name in changed.intersection(_CABLE_TYPE_FIELDS):
             self._in_parts("cable", "cable_types", name, (name,), getattr(robot, name))
-        for name, key in _IN_DRUM.items():
+        for name, key in _DRUM_KEYS.items():
             if name in changed:
                 self._in_parts("winch", "winches", name, ("drum", key), getattr(robot, name))
         if "run_length" in changed:
@@ -104,7 +105,7 @@ class _Writer:
             self._calibration()
 
     def _from(self, path: str, but: Sequence[str] = ()) -> None:
-        """Say where a number comes from.
+        """Record the source of a number.
 
         Args:
             path: Of the number, or the start of the path of several.
@@ -118,13 +119,13 @@ class _Writer:
         sources.update({other: source for other, source in kept.items() if source is not None})
 
     def _source_of(self, path: str) -> str | None:
-        """Where a number of the old file comes from; None where that is said of its parts."""
+        """Return the source of a number of the old file; None if it is given for its parts."""
         sources = self.document["provenance"]
         covering = [p for p in sources if _covers(p, path)]
         return str(sources[max(covering, key=len)]) if covering else None
 
     def _exit_points(self) -> None:
-        """Positions and covariances."""
+        """Write positions and covariances."""
         robot, points = self._robot, self.document["frame"]["exit_points"]
         known = [robot.exit_points]
         if robot.exit_covariance is not None:
@@ -147,7 +148,7 @@ class _Writer:
         self._from(path, but=[*spare, *kept, *pulleys])
 
     def _moved(self, i: int) -> bool:
-        """Whether anything is new about an exit point."""
+        """Return True if anything about an exit point has changed."""
         old, new = self._old, self._robot
         if not same(old.exit_points[i], new.exit_points[i]):
             return True
@@ -169,13 +170,13 @@ class _Writer:
         self._from(path, but=[*spare, *kept])
 
     def _own_points(self, key: str, path: str, points: CommentedMap, values: Array) -> None:
-        """Give chains that share a point, and no longer its numbers, points of their own.
+        """Split a point shared by chains whose numbers now differ.
 
         Args:
             key: Under which a chain names the point.
             path: Of the points in the file.
             points: By name.
-            values: What is written of the point, for each chain, shape (n, k).
+            values: Numbers to write of the point, for each chain, shape (n, k).
         """
         for name, rows in self._users(key).items():
             if len(rows) == 1 or not np.ptp(values[rows], axis=0).any():
@@ -188,21 +189,21 @@ class _Writer:
                 self.document["chains"][i][key] = own
 
     def _users(self, key: str) -> dict[str, list[int]]:
-        """Chains by the part that they name."""
+        """Group chains by the part that they name."""
         users: dict[str, list[int]] = {}
         for i, chain in enumerate(self.document["chains"]):
             users.setdefault(str(chain[key]), []).append(i)
         return users
 
     def _own_name(self, section: CommentedMap, name: str, row: int) -> str:
-        """A new name for the part of one chain."""
+        """Return a new name for the part of one chain."""
         own = f"{name}_{self._file.chains[row].name}"
         while own in section:
             own += "_"
         return own
 
     def _run_length(self) -> None:
-        """Of each chain."""
+        """Write the run length of each chain."""
         for i, value in enumerate(self._robot.run_length):
             self.document["chains"][i]["run_length"] = _quantity("run_length", value)
             self._from(f"chains[{i}].run_length")
@@ -210,18 +211,18 @@ class _Writer:
     def _in_parts(
         self, key: str, section: str, field: str, path: tuple[str, ...], values: Array
     ) -> None:
-        """A number of each cable that stands in a part, which several chains may share.
+        """Write a number of each cable that stands in a part, which several chains may share.
 
         Args:
             key: Under which a chain names the part.
-            section: Where the parts stand.
+            section: Section of the parts.
             field: Of the robot.
             path: In the part.
             values: One for each chain.
         """
         parts = self.document[section]
         for name, rows in self._users(key).items():
-            if np.ptp(values[rows]) <= SAME * np.abs(values[rows]).max():
+            if np.ptp(values[rows]) <= SAME_VALUE_TOLERANCE * np.abs(values[rows]).max():
                 self._set(section, _key(parts, name), field, path, values[rows[0]])
                 continue
             part = parts.pop(_key(parts, name))
@@ -256,7 +257,7 @@ class _Writer:
             del sources[known]
 
     def _body(self, changed: set[str]) -> None:
-        """Mass, centre and inertia of the platform without its payloads, and its drag."""
+        """Write mass, centre and inertia of the platform without its payloads, and its drag."""
         platform, robot = self.document["platform"], self._robot
         if changed & {"mass", "center_of_mass", "inertia"}:
             body, old = _bare(robot, self._file), self._file.platform
@@ -275,7 +276,7 @@ class _Writer:
                 self._from(f"platform.air_drag.{key}")
 
     def _sensors(self, changed: set[str]) -> None:
-        """What the sensors read."""
+        """Write the sensor parameters."""
         robot = self._robot
         lengths = changed & {"length_offset", "length_scale", "length_delay"}
         if not lengths and "pose_rotation" not in changed:
@@ -302,7 +303,7 @@ class _Writer:
             self._from("sensors.poses")
 
     def _calibration(self) -> None:
-        """What is known of all that was estimated."""
+        """Write the covariance of all that was estimated."""
         robot = self._robot
         if robot.calibrated is None or robot.calibration_covariance is None:
             self.document.pop("calibration", None)
@@ -316,17 +317,17 @@ class _Writer:
 
 
 def _covers(path: str, other: str) -> bool:
-    """Whether one path is another, or the start of it."""
+    """Return True if one path is another, or the start of it."""
     return other == path or other.startswith((f"{path}.", f"{path}["))
 
 
 def _key(mapping: CommentedMap, name: object) -> Any:
-    """Key of a mapping by its text; a name may look like a number."""
+    """Return the key of a mapping by its text; a name may look like a number."""
     return next(key for key in mapping if str(key) == str(name))
 
 
 def _bare(robot: Robot, file: RobotFile) -> RigidBody:
-    """The platform without the payloads of the file."""
+    """Return the platform without the payloads of the file."""
     whole = RigidBody(robot.mass, robot.center_of_mass, robot.inertia)
     payloads = [
         RigidBody(p.mass, np.array(p.center_of_mass), np.array(p.inertia))
@@ -343,24 +344,24 @@ def _bare(robot: Robot, file: RobotFile) -> RigidBody:
 
 
 def _number(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")
+    return float(f"{value:.{_SIGNIFICANT_DIGITS}g}")
 
 
 def _quantity(field: str, value: float) -> str | float:
-    """A number with its unit, as in the bundled files."""
+    """Format a number with its unit, as in the bundled files."""
     unit = unit_of(field)
-    return _number(value) if unit == "1" else f"{value:.{_DIGITS}g} {unit}"
+    return _number(value) if unit == "1" else f"{value:.{_SIGNIFICANT_DIGITS}g} {unit}"
 
 
-def _flow(values: Sequence[float] | Array, digits: int = _DIGITS) -> CommentedSeq:
-    """A list on one line."""
-    found = CommentedSeq([float(f"{value:.{digits}g}") for value in values])
-    found.fa.set_flow_style()
-    return found
+def _flow(values: Sequence[float] | Array, digits: int = _SIGNIFICANT_DIGITS) -> CommentedSeq:
+    """Format a list on one line."""
+    sequence = CommentedSeq([float(f"{value:.{digits}g}") for value in values])
+    sequence.fa.set_flow_style()
+    return sequence
 
 
 def _matrix(rows: Array) -> CommentedSeq:
-    """A matrix on one line."""
-    found = CommentedSeq([_flow(row) for row in rows])
-    found.fa.set_flow_style()
-    return found
+    """Format a matrix on one line."""
+    sequence = CommentedSeq([_flow(row) for row in rows])
+    sequence.fa.set_flow_style()
+    return sequence

@@ -1,4 +1,4 @@
-r"""The safety layer that every moving driver shares: what may be sent, and what was changed.
+r"""Limits on the commands of every moving driver, with a report of what was changed.
 
 Lengths commanded at a fixed period h define speed, acceleration and jerk of each cable by
 differences (`carosac_toolkit.physics.motion.braking`). Nothing leaves `Limiter.apply` from which
@@ -38,22 +38,22 @@ from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Command, LimitHit
 from carosac_toolkit.physics.cable.straight_line import forward_kinematics
-from carosac_toolkit.physics.motion.braking import BOX_SLACK, Brakes, Motion, Slack
+from carosac_toolkit.physics.motion.braking import BOX_SLACK_M, Brakes, Slack, WinchMotion
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.limits_report import limit_hits, rate_hits
 
 
 @dataclass(frozen=True, kw_only=True)
 class LimitSettings:
-    """What the robot file does not say about limits.
+    """Limits that are not in the robot file.
 
     Attributes:
         jerk_max: Largest change of acceleration of a cable [m/s^3]. The default takes winches of
             5 m/s^2 to full acceleration in 25 ms.
-        jump_max: Largest distance of a command from the measured length [m]; must exceed what the
-            winches lag behind at full speed. The default is twice that of winches of 2.5 m/s with
-            a lag of 50 ms and 10 ms of delay.
-        box: Whether the straight-line position must stay in the robot's workspace box.
+        jump_max: Largest distance of a command from the measured length [m]; must exceed the
+            lag of the winches at full speed. The default is twice that of winches of 2.5 m/s with
+            a lag of 50 ms and a delay of 10 ms.
+        box: True if the straight-line position must stay in the robot's workspace box.
     """
 
     jerk_max: float = 200.0
@@ -69,7 +69,7 @@ class LimitSettings:
 
 
 class Limiter:
-    """Keeps the commands of B robots of n cables within limits; each row on its own.
+    """Limiter of the commands to B robots of n cables; each row on its own.
 
     Each call of `apply` or `brake` stands for one period, whatever the time of the command says:
     it is passed on and not checked, as the clocks of drivers jitter. A driver that misses a tick
@@ -97,7 +97,7 @@ class Limiter:
         if Slack.of(robot, self.settings.jerk_max, period).jerk > 0.01 * self.settings.jerk_max:
             raise InvalidField(
                 "period", f"{period} s",
-                f"periods at which {self.settings.jerk_max} m/s^3 is not lost in rounding",
+                f"a period at which {self.settings.jerk_max} m/s^3 is not lost in rounding",
             )  # fmt: skip
         self.period = float(period)
         self._brakes: Brakes | None = None
@@ -105,20 +105,20 @@ class Limiter:
 
     @property
     def stopped(self) -> bool:
-        """Whether all cables are at rest: no speed and no acceleration."""
+        """True if all cables are at rest: no speed and no acceleration."""
         motion = self._now()[1]
         return not (motion.speed.any() or motion.acceleration.any())
 
     @property
-    def motion(self) -> Motion:
-        """Length, speed and acceleration of what was last sent, as copies."""
-        return Motion(*(part.copy() for part in self._now()[1]))
+    def motion(self) -> WinchMotion:
+        """Length, speed and acceleration last sent, as copies."""
+        return WinchMotion(*(part.copy() for part in self._now()[1]))
 
     def reset(self, unstrained_length: ArrayLike, *, time: ArrayLike | None = None) -> None:
         """Start at rest.
 
         Args:
-            unstrained_length: Where the winches stand [m], shape (B, n).
+            unstrained_length: Current lengths of the winches [m], shape (B, n).
             time: Time of the state [s], shape (B,), from which `brake` counts; None is 0.
 
         Raises:
@@ -140,15 +140,15 @@ class Limiter:
             )  # fmt: skip
             self._size = size
         rest = np.zeros_like(length)
-        self._motion = Motion(length, rest, rest, position)
+        self._motion = WinchMotion(length, rest, rest, position)
         self._asked = length
         self._time = start
 
     def apply(self, command: Command, actual: ArrayLike | None = None) -> Command:
-        """What may be sent of a command, for the next period.
+        """Limit a command to what may be sent for the next period.
 
         Args:
-            command: What a controller asks for; a `length_rate` is kept within the speed limits,
+            command: Command of a controller; a `length_rate` is kept within the speed limits,
                 and follows the lengths where they were changed.
             actual: Measured unstrained lengths [m], shape (B, n); None: no jump limit.
 
@@ -194,7 +194,7 @@ class Limiter:
         )
 
     def brake(self) -> Command:
-        """The next command of the controlled stop, one period after the last one.
+        """Return the next command of the controlled stop, one period after the last one.
 
         Call it until `stopped`; after that it holds the lengths.
         """
@@ -204,8 +204,8 @@ class Limiter:
         self._time = self._time + self.period
         return Command(time=self._time, unstrained_length=self._motion.length)
 
-    def _now(self) -> tuple[Brakes, Motion]:
-        """The brakes and the motion, once there are any."""
+    def _now(self) -> tuple[Brakes, WinchMotion]:
+        """Return the brakes and the motion; refuse before `reset`."""
         if self._brakes is None:
             raise InvalidField("limiter", "no lengths to start from", "a call of reset() first")
         return self._brakes, self._motion
@@ -219,7 +219,7 @@ class Limiter:
         return array
 
     def _pace(self, asked: Array) -> Array:
-        """Speed at which what is asked moves [m/s]; 0 where it jumps faster than a winch can."""
+        """Return the speed of the asked lengths [m/s]; 0 where they jump beyond winch speed."""
         with np.errstate(over="ignore"):  # a jump beyond all numbers is a jump
             pace = (asked - self._asked) / self.period
         return np.where(np.abs(pace) <= self.robot.speed_max, pace, 0.0)
@@ -235,9 +235,9 @@ def _check_lengths(robot: Robot, length: Array) -> None:
 
 
 def _check_box(robot: Robot, length: Array) -> Array:
-    """The straight-line positions [m], (B, 3); refuse any outside the workspace box."""
+    """Return the straight-line positions [m], (B, 3); refuse any outside the workspace box."""
     fit = forward_kinematics(robot, length)
-    low, high = robot.workspace_min - BOX_SLACK, robot.workspace_max + BOX_SLACK
+    low, high = robot.workspace_min - BOX_SLACK_M, robot.workspace_max + BOX_SLACK_M
     inside = ((fit.position >= low) & (fit.position <= high)).all(axis=1)
     bad = ~(inside & fit.converged)
     if bad.any():

@@ -1,4 +1,4 @@
-"""Says which limit changed a command: what was asked for and what was sent instead."""
+"""Report of the limits that changed a command: value asked for and value sent."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import LimitHit
-from carosac_toolkit.physics.motion.braking import BOX_SLACK, Brakes, Extremes, Motion
+from carosac_toolkit.physics.motion.braking import BOX_SLACK_M, Brakes, Extremes, WinchMotion
 from carosac_toolkit.robot.robot import Robot
 
 
@@ -23,10 +23,11 @@ class _Check(NamedTuple):
 
 
 def limit_hits(
-    robot: Robot, jerk_max: float, jump_max: float, period: float, brakes: Brakes, before: Motion,
-    asked_length: Array, sent: Motion, measured: Array | None,
+    robot: Robot, jerk_max: float, jump_max: float, period: float, brakes: Brakes,
+    before: WinchMotion,
+    asked_length: Array, sent: WinchMotion, measured: Array | None,
 ) -> list[LimitHit]:  # fmt: skip
-    """Every limit that was in the way, row by row, cable by cable.
+    """List every limit that changed the command, row by row, cable by cable.
 
     Args:
         robot: Robot description, n cables.
@@ -35,7 +36,7 @@ def limit_hits(
         period: Time between two commands [s].
         brakes: Looks ahead.
         before: The motion before the step.
-        asked_length: What was asked for [m], shape (B, n).
+        asked_length: Lengths asked for [m], shape (B, n).
         sent: The motion that was sent.
         measured: Measured lengths [m], shape (B, n), or None.
 
@@ -66,12 +67,12 @@ def limit_hits(
             checks.append(_Check("jump", (far > jump_max) | (kept > jump_max), far, kept))
     alone = changed & ~np.any([c.broken for c in checks], axis=0)
     checks.append(_Check("coordination", alone, asked_length, sent.length))
-    outside = rows & (ahead.outside > BOX_SLACK)
+    outside = rows & (ahead.outside > BOX_SLACK_M)
     return _listed(checks, outside, ahead.outside, behind.outside)
 
 
 def rate_hits(asked: Array | None, sent: Array) -> list[LimitHit]:
-    """Every rate that was changed, row by row [m/s]."""
+    """List every rate that was changed, row by row [m/s]."""
     if asked is None:
         return []
     return [
@@ -81,25 +82,30 @@ def rate_hits(asked: Array | None, sent: Array) -> list[LimitHit]:
 
 
 def _hit(limit: str, row: int, cable: int | None, asked: float, sent: float) -> LimitHit:
-    """A hit of plain numbers."""
+    """Return a limit hit of plain numbers."""
     return LimitHit(limit=limit, cable=cable, asked=float(asked), sent=float(sent), row=int(row))
 
 
-def _motion_to(length: Array, before: Motion, period: float) -> Motion:
-    """The motion of a step to a length."""
+def _motion_to(length: Array, before: WinchMotion, period: float) -> WinchMotion:
+    """Return the motion of a step to a length."""
     speed = (length - before.length) / period
-    return Motion(length, speed, (speed - before.speed) / period, before.position)
+    return WinchMotion(length, speed, (speed - before.speed) / period, before.position)
 
 
 def _signed(speed: Array, peak: Array) -> Array:
-    """The speed itself, or the peak to come where that is larger."""
+    """Return the speed, or the peak to come where that is larger."""
     return np.where(peak > np.abs(speed), peak, speed)
 
 
 def _length_check(
-    robot: Robot, brakes: Brakes, asked: Motion, sent: Motion, ahead: Extremes, behind: Extremes
+    robot: Robot,
+    brakes: Brakes,
+    asked: WinchMotion,
+    sent: WinchMotion,
+    ahead: Extremes,
+    behind: Extremes,
 ) -> _Check:
-    """Lengths beyond a limit; where only the stop would lead there, how far it would."""
+    """Compare lengths with their limits; where only the stop would exceed one, by its extremes."""
     long = ahead.high > robot.length_max + brakes.slack.length
     short = ahead.low < robot.length_min - brakes.slack.length
     past = (asked.length > robot.length_max) | (asked.length < robot.length_min)
@@ -112,9 +118,14 @@ def _length_check(
 
 
 def _jerk_check(
-    jerk_max: float, period: float, brakes: Brakes, before: Motion, asked: Motion, sent: Motion
+    jerk_max: float,
+    period: float,
+    brakes: Brakes,
+    before: WinchMotion,
+    asked: WinchMotion,
+    sent: WinchMotion,
 ) -> _Check:
-    """Jerks of the step itself; the stop that follows never exceeds them."""
+    """Compare the jerks of the step with their limit; the stop that follows never exceeds it."""
     wanted = (asked.acceleration - before.acceleration) / period
     done = (sent.acceleration - before.acceleration) / period
     return _Check("jerk", ~(np.abs(wanted) <= jerk_max + brakes.slack.jerk), wanted, done)
@@ -123,13 +134,13 @@ def _jerk_check(
 def _listed(
     checks: list[_Check], outside: NDArray[np.bool_], box_asked: Array, box_sent: Array
 ) -> list[LimitHit]:
-    """The hits in order of rows, within a row of cables, the box last."""
-    found: list[tuple[int, int, LimitHit]] = []
+    """List the hits in order of rows, within a row of cables, the box last."""
+    entries: list[tuple[int, int, LimitHit]] = []
     n = checks[0].broken.shape[1]
     for check in checks:
         for b, i in np.argwhere(check.broken):
             hit = _hit(check.limit, b, int(i), check.asked[b, i], check.sent[b, i])
-            found.append((int(b), int(i), hit))
+            entries.append((int(b), int(i), hit))
     for b in np.flatnonzero(outside):
-        found.append((int(b), n, _hit("box", int(b), None, box_asked[b], box_sent[b])))
-    return [hit for _, _, hit in sorted(found, key=lambda entry: entry[:2])]
+        entries.append((int(b), n, _hit("box", int(b), None, box_asked[b], box_sent[b])))
+    return [hit for _, _, hit in sorted(entries, key=lambda entry: entry[:2])]

@@ -25,17 +25,17 @@ from carosac_toolkit.loop.values import Command
 from carosac_toolkit.physics.motion.braking import Slack
 from carosac_toolkit.safety.limiter import Limiter
 
-BEND = 0.2  # tau [s], for how long the path keeps its bend
-NOISE = 0.02  # epsilon [s], for how long it keeps what differs from that
-CANDIDATES = 96
-CREEP = 1e-3  # factor below which what is left of the stop is the winches' own
+BEND_FADE_TIME_S = 0.2  # tau [s], for how long the path keeps its bend
+NOISE_FADE_TIME_S = 0.02  # epsilon [s], for how long it keeps what differs from that
+RATE_CHANGE_CANDIDATES = 96
+CREEP_FACTOR_MAX = 1e-3  # factor below which what is left of the stop is the winches' own
 
 
 class CoordinatedStop:
-    """Brings one robot to rest; call `step` once a period until `Limiter.stopped`.
+    """Stop of one robot; call `step` once a period until `Limiter.stopped`.
 
     Attributes:
-        coordinated: Whether all steps up to now kept the cables on their common path.
+        coordinated: True if all steps up to now kept the cables on their common path.
     """
 
     def __init__(self, limiter: Limiter, bend: Array | None = None) -> None:
@@ -62,14 +62,14 @@ class CoordinatedStop:
         self._alone = not start.speed.any()
 
     def step(self, time: Array) -> Command:
-        """The next command of the stop.
+        """Return the next command of the stop.
 
         Args:
             time: Of the command [s], shape (1,).
         """
         change = None if self._alone else self._next_change()
         if change is None:
-            self.coordinated &= self._factor <= CREEP or self._alone
+            self.coordinated &= self._factor <= CREEP_FACTOR_MAX or self._alone
             self._alone = True
             braked = self._limiter.brake()
             return Command(time=time, unstrained_length=braked.unstrained_length)
@@ -84,24 +84,26 @@ class CoordinatedStop:
         return sent
 
     def _path(self, sigma: Array) -> Array:
-        """Lengths along the path [m], shape (K, n), for sigma of shape (K,)."""
+        """Return lengths along the path [m], shape (K, n), for sigma of shape (K,)."""
         length, speed, acceleration = self._start
         s = sigma[:, None]
-        slow, fast = (tau**2 * (np.expm1(-s / tau) + s / tau) for tau in (BEND, NOISE))
+        slow, fast = (
+            tau**2 * (np.expm1(-s / tau) + s / tau) for tau in (BEND_FADE_TIME_S, NOISE_FADE_TIME_S)
+        )
         return np.asarray(
             length + speed * s + self._bend * slow + (acceleration - self._bend) * fast
         )
 
     def _next_change(self) -> float | None:
-        """The change of the factor [1/s] that slows down most within the limits, or None."""
-        if self._factor <= CREEP:
+        """Return the change of the factor [1/s] that slows down most within the limits, or None."""
+        if self._factor <= CREEP_FACTOR_MAX:
             return None
         limiter, h = self._limiter, self._limiter.period
         motion = limiter.motion
         pace = float(np.abs(self._start[1]).max())
         jerk = 0.5 * limiter.settings.jerk_max / pace
         low = max(self._change - 4.0 * jerk * h, -self._factor / h)
-        changes = np.linspace(low, min(0.0, self._change + 2.0 * jerk * h), CANDIDATES)
+        changes = np.linspace(low, min(0.0, self._change + 2.0 * jerk * h), RATE_CHANGE_CANDIDATES)
         factors = self._factor + changes * h
         lengths = self._path(self._sigma + factors * h)
         speed = (lengths - motion.length) / h

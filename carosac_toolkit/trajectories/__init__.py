@@ -6,7 +6,7 @@ them is reached; a ``duration`` that would break them is refused.
 """
 
 from carosac_toolkit.trajectories.arcs import circle, spiral
-from carosac_toolkit.trajectories.catalogue import NAMES, build
+from carosac_toolkit.trajectories.catalogue import TRAJECTORY_NAMES, build
 from carosac_toolkit.trajectories.draws import random_minimum_snap, random_spline
 from carosac_toolkit.trajectories.moves import line, waypoints
 from carosac_toolkit.trajectories.recorded import from_recording
@@ -15,7 +15,7 @@ from carosac_toolkit.trajectories.splines import cubic_spline
 from carosac_toolkit.trajectories.trajectory import Trajectory, TrajectorySamples
 
 __all__ = [
-    "NAMES",
+    "TRAJECTORY_NAMES",
     "Trajectory",
     "TrajectorySamples",
     "build",

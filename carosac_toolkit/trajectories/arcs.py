@@ -17,7 +17,7 @@ RAMP_TURNS = 0.25  # how far it turns while speeding up; then the ramp is no har
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Helix:
-    """Turns about an axis while radius and height change linearly with the angle.
+    """Helix about an axis; radius and height change linearly with the angle.
 
     Attributes:
         center: Of the start circle, in W [m], shape (3,).
@@ -102,7 +102,7 @@ def circle(
         radius: [m].
         speed_max: [m/s].
         acceleration_max: [m/s^2]; speed^2 / radius at constant speed.
-        turns: How often; negative: clockwise seen against the normal.
+        turns: Number of turns; negative: clockwise seen against the normal.
         start_angle: From the projection of W's x axis (y, if x is the normal) [rad].
         normal: Of the circle's plane, in W, shape (3,); any length.
         duration: [s]; None: as fast as the limits allow.
@@ -137,7 +137,7 @@ def spiral(
         height: Travel along the normal [m].
         speed_max: [m/s].
         acceleration_max: [m/s^2].
-        turns: How often; negative: clockwise seen against the normal.
+        turns: Number of turns; negative: clockwise seen against the normal.
         start_angle: From the projection of W's x axis (y, if x is the normal) [rad].
         normal: The axis, in W, shape (3,); any length.
         duration: [s]; None: as fast as the limits allow.
@@ -171,7 +171,7 @@ def _axes(normal: ArrayLike) -> Array:
     axis = frozen_array("normal", normal, (3,))
     length = np.linalg.norm(axis)
     if not length > 0.0:
-        raise InvalidField("normal", axis, "a vector that is not zero")
+        raise InvalidField("normal", axis, "a non-zero vector")
     third = axis / length
     first = np.eye(3)[0] if abs(third[0]) < 0.99 else np.eye(3)[1]
     first = first - (first @ third) * third

@@ -14,7 +14,7 @@ from carosac_toolkit.trajectories.draws import draw_points, random_minimum_snap,
 from carosac_toolkit.trajectories.moves import line, waypoints
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
-FILL = 0.7  # share of the box that circle, spiral and line span
+BOX_SHARE = 0.7  # share of the box that circle, spiral and line span
 
 
 def build(
@@ -28,7 +28,7 @@ def build(
     """Build a trajectory of the catalogue inside the workspace box of a robot.
 
     Args:
-        name: One of `NAMES`.
+        name: One of `TRAJECTORY_NAMES`.
         robot: Whose box it is.
         seed: Draws the points of the random ones, the diagonal of the line and the start angle of
             the others.
@@ -38,10 +38,10 @@ def build(
     Raises:
         InvalidField: A name that is not in the catalogue.
     """
-    if name not in _BUILDERS:
-        raise InvalidField("trajectory", repr(name), f"one of {list(NAMES)}")
+    if name not in _TRAJECTORY_BUILDERS:
+        raise InvalidField("trajectory", repr(name), f"one of {list(TRAJECTORY_NAMES)}")
     rng = np.random.default_rng(seed)
-    return _BUILDERS[name](robot, rng, speed_max, acceleration_max).within(robot)
+    return _TRAJECTORY_BUILDERS[name](robot, rng, speed_max, acceleration_max).within(robot)
 
 
 def _box(robot: Robot) -> tuple[Array, Array]:
@@ -65,29 +65,31 @@ def _waypoints(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Tr
 
 def _line(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Trajectory:
     middle, half = _box(robot)
-    reach = FILL * half * rng.choice([-1.0, 1.0], size=3)
+    reach = BOX_SHARE * half * rng.choice([-1.0, 1.0], size=3)
     return line(middle - reach, middle + reach, speed_max=v, acceleration_max=a)
 
 
 def _circle(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Trajectory:
     middle, half = _box(robot)
     angle = float(rng.uniform(0.0, 2 * np.pi))
-    radius = FILL * float(half[:2].min())
+    radius = BOX_SHARE * float(half[:2].min())
     return circle(middle, radius, turns=2.0, start_angle=angle, speed_max=v, acceleration_max=a)
 
 
 def _spiral(robot: Robot, rng: np.random.Generator, v: float, a: float) -> Trajectory:
     middle, half = _box(robot)
     angle = float(rng.uniform(0.0, 2 * np.pi))
-    radius = FILL * float(half[:2].min())
-    bottom = middle - [0.0, 0.0, FILL * half[2]]
+    radius = BOX_SHARE * float(half[:2].min())
+    bottom = middle - [0.0, 0.0, BOX_SHARE * half[2]]
     return spiral(
-        bottom, radius, radius / 2, 2 * FILL * float(half[2]),
+        bottom, radius, radius / 2, 2 * BOX_SHARE * float(half[2]),
         turns=3.0, start_angle=angle, speed_max=v, acceleration_max=a,
     )  # fmt: skip
 
 
-_BUILDERS: dict[str, Callable[[Robot, np.random.Generator, float, float], Trajectory]] = {
+_TRAJECTORY_BUILDERS: dict[
+    str, Callable[[Robot, np.random.Generator, float, float], Trajectory]
+] = {
     "minimum_snap": _minimum_snap,
     "cubic_spline": _cubic_spline,
     "waypoints": _waypoints,
@@ -95,4 +97,4 @@ _BUILDERS: dict[str, Callable[[Robot, np.random.Generator, float, float], Trajec
     "circle": _circle,
     "spiral": _spiral,
 }
-NAMES = tuple(_BUILDERS)
+TRAJECTORY_NAMES = tuple(_TRAJECTORY_BUILDERS)

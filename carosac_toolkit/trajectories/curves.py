@@ -10,7 +10,7 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array, frozen_array
 from carosac_toolkit.base.errors import InvalidField
 
-ORDERS = 4  # position, velocity, acceleration, jerk
+DERIVATIVE_ORDERS = 4  # position, velocity, acceleration, jerk
 
 
 class Curve(Protocol):
@@ -18,7 +18,7 @@ class Curve(Protocol):
 
     @property
     def breaks(self) -> Array:
-        """Where its smooth pieces meet, from 0 to the nominal duration [s], shape (S + 1,)."""
+        """Times at which smooth pieces meet, from 0 to the nominal duration [s], shape (S + 1,)."""
         ...
 
     def derivatives(self, time: Array) -> Array:
@@ -57,14 +57,14 @@ class PiecewisePolynomial:
 
     def derivatives(self, time: Array) -> Array:
         """Evaluate position and three derivatives, shape (K, 4, 3); see `Curve`."""
-        return self.evaluate(time, orders=ORDERS)
+        return self.evaluate(time, orders=DERIVATIVE_ORDERS)
 
     def evaluate(self, time: Array, *, orders: int) -> Array:
         """Evaluate the polynomials and their first derivatives.
 
         Args:
             time: [s], shape (K,).
-            orders: How many, the position included.
+            orders: Number of orders, the position included.
 
         Returns:
             Shape (K, orders, 3); at a break it is the later piece that counts.

@@ -13,8 +13,8 @@ from carosac_toolkit.trajectories.snap import minimum_snap
 from carosac_toolkit.trajectories.splines import cubic_spline
 from carosac_toolkit.trajectories.trajectory import Trajectory, bounds
 
-ATTEMPTS = 100
-SHRINK = 0.999
+SHRINK_ATTEMPTS = 100
+SHRINK_FACTOR = 0.999
 
 
 def random_minimum_snap(
@@ -93,7 +93,7 @@ def _fitted(make: Callable[[Array], Trajectory], points: Array, robot: Robot) ->
     """Draw the points towards the middle of the box until the curve lies inside it."""
     middle = (robot.workspace_min + robot.workspace_max) / 2
     half = (robot.workspace_max - robot.workspace_min) / 2
-    for _ in range(ATTEMPTS):
+    for _ in range(SHRINK_ATTEMPTS):
         trajectory = make(points)
         lower, upper = bounds(trajectory.curve)
         reach = np.array(
@@ -101,6 +101,8 @@ def _fitted(make: Callable[[Array], Trajectory], points: Array, robot: Robot) ->
         )
         if (reach <= half).all():
             return trajectory
-        factor = np.where(reach > half, SHRINK * half / reach, 1.0)
+        factor = np.where(reach > half, SHRINK_FACTOR * half / reach, 1.0)
         points = middle + factor * (points - middle)
-    raise InvalidField("workspace", f"a curve outside after {ATTEMPTS} attempts", "a larger box")
+    raise InvalidField(
+        "workspace", f"a curve outside after {SHRINK_ATTEMPTS} attempts", "a larger box"
+    )

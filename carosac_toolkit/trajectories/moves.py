@@ -11,7 +11,7 @@ from carosac_toolkit.base.arrays import Array, frozen_array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.trajectories.curves import PiecewisePolynomial
 from carosac_toolkit.trajectories.timing import (
-    MARGIN,
+    LIMIT_MARGIN,
     check_duration,
     check_limits,
     check_points,
@@ -19,9 +19,9 @@ from carosac_toolkit.trajectories.timing import (
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
 # s(x) = 35 x^4 - 84 x^5 + 70 x^6 - 20 x^7: from 0 to 1 with three zero derivatives at both ends
-SEPTIC = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
-SEPTIC_SPEED = 35 / 16  # highest s', at 1/2
-SEPTIC_ACCELERATION = 84 / (5 * np.sqrt(5))  # highest s'', at 1/2 - 1/sqrt(20)
+SEPTIC_COEFFICIENTS = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
+SEPTIC_SPEED_MAX = 35 / 16  # highest s', at 1/2
+SEPTIC_ACCELERATION_MAX = 84 / (5 * np.sqrt(5))  # highest s'', at 1/2 - 1/sqrt(20)
 
 
 def waypoints(
@@ -50,9 +50,9 @@ def waypoints(
         raise InvalidField("rest", f"{rest} s", "a finite rest >= 0")
     distance = np.linalg.norm(np.diff(array, axis=0), axis=1)
     moving = np.maximum(
-        SEPTIC_SPEED * distance / speed_max,
-        np.sqrt(SEPTIC_ACCELERATION * distance / acceleration_max),
-    ) * (1.0 + MARGIN)
+        SEPTIC_SPEED_MAX * distance / speed_max,
+        np.sqrt(SEPTIC_ACCELERATION_MAX * distance / acceleration_max),
+    ) * (1.0 + LIMIT_MARGIN)
     resting = rest * (len(array) - 2)
     if duration is not None:
         check_duration(duration, moving.sum() + resting, speed_max, acceleration_max)
@@ -84,7 +84,7 @@ def _moves_and_rests(points: Array, moving: Array, rest: float) -> PiecewisePoly
     """Chain moves of given durations [s], shape (K - 1,), and equal rests [s]."""
     durations, coefficients = [], []
     for i, duration in enumerate(moving):
-        scaled = SEPTIC / duration ** np.arange(8)
+        scaled = SEPTIC_COEFFICIENTS / duration ** np.arange(8)
         move = scaled[:, None] * (points[i + 1] - points[i])
         move[0] = points[i]
         durations.append(duration)

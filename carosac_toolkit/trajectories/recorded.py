@@ -1,4 +1,4 @@
-"""A smooth trajectory through the poses of a recording, measured or those of rest."""
+"""A smooth trajectory through the poses of a recording, measured or at equilibrium."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories.curves import PiecewisePolynomial
-from carosac_toolkit.trajectories.timing import MARGIN, check_limits
+from carosac_toolkit.trajectories.timing import LIMIT_MARGIN, check_limits
 from carosac_toolkit.trajectories.trajectory import Trajectory, peak_of_order
 
-DEGREE = 5
-ROUGHNESS = 1e-6  # weight of squared fourth differences of control points: bridges gaps only
+SPLINE_DEGREE = 5
+ROUGHNESS_WEIGHT = 1e-6  # weight of squared fourth differences of control points: bridges gaps only
 
 
 def from_recording(
@@ -64,21 +64,21 @@ def from_recording(
     stretch = max(
         1.0, peak_of_order(curve, 1) / speed, np.sqrt(peak_of_order(curve, 2) / acceleration)
     )
-    slower = stretch * (1.0 + MARGIN) if stretch > 1.0 else 1.0
+    slower = stretch * (1.0 + LIMIT_MARGIN) if stretch > 1.0 else 1.0
     return Trajectory(name="from_recording", curve=curve, duration=float(curve.breaks[-1] * slower))
 
 
 def _at_rest(recording: Recording, robot: Robot, knot_spacing: float) -> tuple[Array, Array]:
-    """Times [s] and positions [m] at rest, ten a knot, on the lengths sent, or measured."""
+    """Return times [s] and positions [m] at rest, ten a knot, on the lengths sent, or measured."""
     channel = recording.command
     times, lengths = recording.time, recording.unstrained_length
     if channel is not None and len(channel.time):
         times, lengths = channel.time, channel.value
     ticks = np.floor((times - times[0]) / (0.1 * knot_spacing))
     chosen = np.unique(ticks, return_index=True)[1]
-    found = statics.forward_kinematics(robot, lengths[chosen])
-    good = found.converged
-    times, position = times[chosen][good], found.position[good]
+    rest = statics.forward_kinematics(robot, lengths[chosen])
+    good = rest.converged
+    times, position = times[chosen][good], rest.position[good]
     if len(times) and times[0] > recording.time[0]:  # before the first command it stood there
         times, position = np.append(recording.time[0], times), np.vstack([position[:1], position])
     return times, position
@@ -90,18 +90,18 @@ def _fit(time: Array, position: Array, knot_spacing: float) -> PiecewisePolynomi
     from scipy.interpolate import BSpline
 
     # at least 4 + 4 control points, of which the two ends are each a single unknown
-    intervals = max(int(np.ceil(time[-1] / knot_spacing)), 8 - DEGREE)
+    intervals = max(int(np.ceil(time[-1] / knot_spacing)), 8 - SPLINE_DEGREE)
     inner = np.linspace(0.0, time[-1], intervals + 1)
-    knots = np.concatenate([np.zeros(DEGREE), inner, np.full(DEGREE, time[-1])])
-    count = intervals + DEGREE
+    knots = np.concatenate([np.zeros(SPLINE_DEGREE), inner, np.full(SPLINE_DEGREE, time[-1])])
+    count = intervals + SPLINE_DEGREE
     owner = np.clip(np.arange(count) - 3, 0, count - 7)  # which unknown each control point is
     merge = sparse.csr_array((np.ones(count), (np.arange(count), owner)), (count, count - 6))
-    design = sparse.csr_array(BSpline.design_matrix(time, knots, DEGREE)) @ merge
+    design = sparse.csr_array(BSpline.design_matrix(time, knots, SPLINE_DEGREE)) @ merge
     fourth = [1.0, -4.0, 6.0, -4.0, 1.0]
     differences = sparse.diags_array(fourth, offsets=range(5), shape=(count - 4, count)) @ merge
-    normal = design.T @ design + ROUGHNESS * differences.T @ differences
+    normal = design.T @ design + ROUGHNESS_WEIGHT * differences.T @ differences
     unknowns = sparse.linalg.spsolve(sparse.csc_array(normal), design.T @ position)
-    spline = BSpline(knots, merge @ unknowns, DEGREE)
-    powers = range(DEGREE + 1)
+    spline = BSpline(knots, merge @ unknowns, SPLINE_DEGREE)
+    powers = range(SPLINE_DEGREE + 1)
     pieces = [spline(inner[:-1], nu=power) / factorial(power) for power in powers]
     return PiecewisePolynomial(breaks=inner, coefficients=np.stack(pieces, axis=1))

@@ -1,4 +1,4 @@
-"""How fast a curve may be run through: limits, durations and passing times."""
+"""Timing of curves: limits, durations and passing times."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.trajectories.curves import Curve
 from carosac_toolkit.trajectories.trajectory import Trajectory, peak_of_order
 
-MARGIN = 1e-9  # relative, by which limits are kept: the accuracy of the peaks
+LIMIT_MARGIN = 1e-9  # relative, by which limits are kept: the accuracy of the peaks
 
 
 def timed(
@@ -33,7 +33,7 @@ def timed(
     stretch = max(
         peak_of_order(curve, 1) / speed_max, np.sqrt(peak_of_order(curve, 2) / acceleration_max)
     )
-    fastest = float(curve.breaks[-1] * stretch * (1.0 + MARGIN))
+    fastest = float(curve.breaks[-1] * stretch * (1.0 + LIMIT_MARGIN))
     if duration is not None:
         check_duration(duration, fastest, speed_max, acceleration_max)
     return Trajectory(name=name, curve=curve, duration=duration or fastest, points=points)
@@ -51,7 +51,7 @@ def check_duration(
     duration: float, fastest: float, speed_max: float, acceleration_max: float
 ) -> None:
     """Refuse a duration that is shorter than the limits allow."""
-    if not fastest * (1.0 - 10 * MARGIN) <= duration < np.inf:
+    if not fastest * (1.0 - 10 * LIMIT_MARGIN) <= duration < np.inf:
         allowed = f">= {fastest:.6g} s with {speed_max:g} m/s and {acceleration_max:g} m/s^2"
         raise InvalidField("duration", f"{duration} s", allowed)
 
@@ -64,7 +64,7 @@ def check_points(points: ArrayLike) -> Array:
     same = np.linalg.norm(np.diff(array, axis=0), axis=1) < 1e-9
     if same.any():
         index = int(np.argmax(same)) + 1
-        raise InvalidField(f"points[{index}]", "the point before it again", "another point")
+        raise InvalidField(f"points[{index}]", "the same point as before", "another point")
     return array
 
 

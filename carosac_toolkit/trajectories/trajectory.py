@@ -15,7 +15,7 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories.curves import Curve
 from carosac_toolkit.trajectories.peaks import highest
 
-BOX_MARGIN = 1e-9  # [m], rounding of positions
+BOX_MARGIN_M = 1e-9  # [m], rounding of positions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,7 +42,7 @@ class Trajectory:
     """A curve run through in `duration`; before and after it the platform rests at its ends.
 
     Attributes:
-        name: What kind it is.
+        name: Kind of trajectory.
         curve: Over nominal time, which is stretched uniformly to the duration.
         duration: [s].
         points: Points that it passes, in W [m], shape (K, 3), or None.
@@ -95,11 +95,11 @@ class Trajectory:
         )  # fmt: skip
 
     def window(self, time: float, horizon: float, period: float) -> Reference:
-        """What to follow from now on.
+        """Return the reference from now on.
 
         Args:
             time: Now [s]; row 0 is there.
-            horizon: How far to look ahead [s]; 0 gives row 0 alone.
+            horizon: Time to look ahead [s]; 0 gives row 0 alone.
             period: Distance of the rows [s].
 
         Returns:
@@ -128,8 +128,8 @@ class Trajectory:
         low, high = robot.workspace_min, robot.workspace_max
         for axis, name in enumerate("xyz"):
             for (value, when), out in (
-                (lower[axis], lower[axis][0] < low[axis] - BOX_MARGIN),
-                (upper[axis], upper[axis][0] > high[axis] + BOX_MARGIN),
+                (lower[axis], lower[axis][0] < low[axis] - BOX_MARGIN_M),
+                (upper[axis], upper[axis][0] > high[axis] + BOX_MARGIN_M),
             ):
                 if out:
                     where = f"{self.name}: {name} at {when * self.time_scale:.3f} s"

@@ -28,7 +28,7 @@ class RestingRobot:
         self.robot = robot
         self.rest = statics.inverse_kinematics(robot, robot.home_position[None])
         if not self.rest.converged[0]:
-            reason = statics.REASONS[self.rest.status[0]]
+            reason = statics.STATUS_REASONS[self.rest.status[0]]
             raise CarosacError(
                 f"{robot.name}: no rest at its home position ({reason}); carosac check says more"
             )
@@ -73,7 +73,7 @@ class RestingRobot:
     def _faults(self, found: Equilibrium) -> tuple[str, ...]:
         """Why a pose cannot be taken; empty where it can."""
         if not found.converged[0]:
-            return (statics.REASONS[found.status[0]],)
+            return (statics.STATUS_REASONS[found.status[0]],)
         faults = [] if found.stable[0] else ["the pose of rest is unstable"]
         faults += [
             f"cable {self.robot.cable_names[i]} would be {found.unstrained_length[0, i]:.2f} m "

@@ -8,8 +8,8 @@ from carosac_toolkit.base.arrays import evenly
 
 @pytest.mark.parametrize("count", [1, 2, 9, 10, 11, 19, 400])
 def test_rows_are_few_and_evenly_spread(count):
-    found = evenly(count, 10)
-    assert len(found) == min(count, 10)
-    assert found[0] == 0 and found[-1] == count - 1
-    steps = np.diff(found)
+    result = evenly(count, 10)
+    assert len(result) == min(count, 10)
+    assert result[0] == 0 and result[-1] == count - 1
+    steps = np.diff(result)
     assert (steps > 0).all() and (len(steps) == 0 or np.ptp(steps) <= 1)

@@ -12,7 +12,7 @@ from baselines.straight_line_controller import StraightLineController
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.drivers.quasi_static import QuasiStaticDriver, QuasiStaticSettings
-from carosac_toolkit.drivers.sensors import PERFECT
+from carosac_toolkit.drivers.sensors import PERFECT_SENSORS
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Reference
@@ -56,7 +56,7 @@ def live(plugin, settings, *, rest=1.0, robot=None):
         robot.home_position, robot.home_position + np.array([0.3, 0.5, 0.2]),
         speed_max=0.5, acceleration_max=0.5,
     )  # fmt: skip
-    driver = QuasiStaticDriver.build(robot, QuasiStaticSettings(sensors=PERFECT))
+    driver = QuasiStaticDriver.build(robot, QuasiStaticSettings(sensors=PERFECT_SENSORS))
     controller = plugin.build(robot, settings)
     log = run(driver, KinematicSolver.build(robot), controller, path, duration=path.duration + rest)
     return np.linalg.norm(log.position - log.reference, axis=2)[:, 0], log.time, path

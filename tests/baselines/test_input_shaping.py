@@ -16,7 +16,7 @@ from baselines.sway_modes import sway_modes
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.conformance import CONTROLLER_CHECKS
-from carosac_toolkit.drivers.sensors import PERFECT
+from carosac_toolkit.drivers.sensors import PERFECT_SENSORS
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Reference
 from carosac_toolkit.physics.rest import statics
@@ -52,7 +52,7 @@ class Move:
 def swing_after(controller, offset=(0.1, 0.0, 0.0), seconds=0.5, robot=None):
     """Largest distance from the mean position at rest, 2.5 s after the move and later [m]."""
     robot = robot or simple_robot()
-    settings = SimDriverSettings(sensors=PERFECT, cables="catenary", wind_force=0.0)
+    settings = SimDriverSettings(sensors=PERFECT_SENSORS, cables="catenary", wind_force=0.0)
     driver = SimDriver.build(robot, settings)
     move = Move(offset, seconds)
     log = run(

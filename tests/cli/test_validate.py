@@ -213,7 +213,7 @@ def make_files(short):
         (["notes.txt"], "suffix"),
         (["folder.csv"], "this is a folder"),
         (["nan.csv"], "nan; allowed: a finite number"),
-        (["cut.csv"], "the file is cut"),
+        (["cut.csv"], "the file is truncated"),
         (["blind.csv"], "--robot: got nothing; allowed: the recording names no robot"),
         (["blind.csv", "--robot", "carosac"], "poses: got None"),
         (["SHORT", "--robot", "carosacc"], "did you mean 'carosac'"),

@@ -10,7 +10,7 @@ from baselines.kinematic_solver_controller import KinematicSolverController
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.drivers.quasi_static import QuasiStaticDriver, QuasiStaticSettings
-from carosac_toolkit.drivers.sensors import PERFECT
+from carosac_toolkit.drivers.sensors import PERFECT_SENSORS
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Command
 from carosac_toolkit.physics.rest import statics
@@ -41,7 +41,9 @@ def play(driver, count=30, speed=0.5):
 
 
 def test_it_starts_at_rest_where_it_is_told():
-    driver = connected(QuasiStaticSettings(start_position=(0.8, -1.0, 2.5), sensors=PERFECT))
+    driver = connected(
+        QuasiStaticSettings(start_position=(0.8, -1.0, 2.5), sensors=PERFECT_SENSORS)
+    )
     truth = driver.truth()
     assert truth.position[0] == pytest.approx([0.8, -1.0, 2.5], abs=1e-9)
     rest = statics.inverse_kinematics(simple_robot(), truth.position)
@@ -56,7 +58,7 @@ def test_without_sensor_or_model_errors_only_lag_and_hold_are_left():
     )
     start = tuple(path.sample(np.zeros(1)).position[0])
     driver = QuasiStaticDriver.build(
-        robot, QuasiStaticSettings(sensors=PERFECT, start_position=start)
+        robot, QuasiStaticSettings(sensors=PERFECT_SENSORS, start_position=start)
     )
     controller = KinematicSolverController.build(robot)
     log = run(driver, KinematicSolver.build(robot), controller, path)
@@ -72,7 +74,7 @@ def test_without_sensor_or_model_errors_only_lag_and_hold_are_left():
 
 def test_an_encoder_bias_shifts_the_pose_as_statics_says():
     robot = simple_robot()
-    settings = QuasiStaticSettings(sensors=replace(PERFECT, encoder_bias=0.01))
+    settings = QuasiStaticSettings(sensors=replace(PERFECT_SENSORS, encoder_bias=0.01))
     driver = connected(settings, seed=4)
     bias = driver.measure().unstrained_length - driver.truth().unstrained_length
     assert 1e-3 < np.abs(bias).max() < 0.05
@@ -89,7 +91,7 @@ def test_an_encoder_bias_shifts_the_pose_as_statics_says():
 
 
 def test_commands_that_jump_are_limited_and_say_so():
-    driver = connected(QuasiStaticSettings(sensors=PERFECT))
+    driver = connected(QuasiStaticSettings(sensors=PERFECT_SENSORS))
     start = driver.measure().unstrained_length
     sent = ask(driver, start + 1.0)
     jerk = driver._settings.limits.jerk_max
@@ -100,7 +102,7 @@ def test_commands_that_jump_are_limited_and_say_so():
 @pytest.mark.parametrize("commanding", [True, False])
 def test_stop_brakes_within_the_limits_whether_commanded_or_not(commanding):
     robot = simple_robot()
-    driver = connected(QuasiStaticSettings(sensors=PERFECT))
+    driver = connected(QuasiStaticSettings(sensors=PERFECT_SENSORS))
     _, moving = play(driver)
     driver.stop("test")
     lengths, sent = [driver.truth().unstrained_length[0]], list(moving[-3:])
@@ -118,7 +120,7 @@ def test_stop_brakes_within_the_limits_whether_commanded_or_not(commanding):
 
 
 def test_a_stop_between_command_and_wait_lets_that_command_stand():
-    driver = connected(QuasiStaticSettings(sensors=PERFECT))
+    driver = connected(QuasiStaticSettings(sensors=PERFECT_SENSORS))
     play(driver)
     sent = ask(driver, driver.measure().unstrained_length + 0.04).unstrained_length
     driver.stop("test")
@@ -145,7 +147,7 @@ def test_a_second_command_in_a_cycle_is_refused():
     driver = connected()
     start = driver.measure().unstrained_length
     ask(driver, start)
-    with pytest.raises(CarosacError, match="one command a cycle"):
+    with pytest.raises(CarosacError, match="one command per cycle"):
         ask(driver, start + 0.01)
     driver.wait(0.02)
     ask(driver, start)
@@ -205,7 +207,8 @@ def test_poses_are_measured_only_in_a_suite_with_poses():
 
 @pytest.mark.parametrize("suite", ["lengths+imu", "lengths+imu+pose", "pose"])
 def test_other_suites_are_refused_with_the_reason(suite):
-    with pytest.raises(InvalidField, match=r"suite: got .*'lengths\+pose'\]: no inertia here"):
+    refusal = r"suite: got .*'lengths\+pose'\]: this plant has no inertia"
+    with pytest.raises(InvalidField, match=refusal):
         QuasiStaticSettings(suite=suite)
 
 
@@ -213,5 +216,7 @@ def test_a_start_where_it_cannot_rest_is_refused_with_the_reason():
     driver = QuasiStaticDriver.build(
         simple_robot(), QuasiStaticSettings(start_position=(0.4, -1.8, 9.5))
     )
-    with pytest.raises(InvalidField, match=r"start_position: got .*a position of rest \("):
+    with pytest.raises(
+        InvalidField, match=r"start_position: got .*a position with an equilibrium \("
+    ):
         driver.connect()

@@ -28,17 +28,17 @@ def connected(recording, **settings):
 
 def every_sample(driver):
     """Measurement, returned command and truth, sample by sample."""
-    found = []
+    entries = []
     while True:
-        found.append((driver.measure(), driver.command(SOMETHING), driver.truth()))
+        entries.append((driver.measure(), driver.command(SOMETHING), driver.truth()))
         if not driver.wait(123.0):  # however long a cycle is
-            return found
+            return entries
 
 
 def test_it_steps_sample_by_sample_to_the_end(recording):
-    found = every_sample(connected(recording))
-    time = np.concatenate([measurement.time for measurement, _, _ in found])
-    lengths = np.concatenate([measurement.unstrained_length for measurement, _, _ in found])
+    result = every_sample(connected(recording))
+    time = np.concatenate([measurement.time for measurement, _, _ in result])
+    lengths = np.concatenate([measurement.unstrained_length for measurement, _, _ in result])
     assert np.array_equal(time, recording.time)
     assert np.array_equal(lengths, recording.unstrained_length)
 
@@ -85,20 +85,20 @@ def test_a_recording_without_poses_knows_no_truth(recording):
 
 @pytest.mark.parametrize("suite", ["lengths", "lengths+imu", "lengths+pose", "lengths+imu+pose"])
 def test_poses_and_inertial_samples_are_withheld_unless_the_suite_has_them(recording, suite):
-    found = [measurement for measurement, _, _ in every_sample(connected(recording, suite=suite))]
-    assert any(m.pose is not None for m in found) == ("pose" in suite)
-    assert any(m.imu is not None for m in found) == ("imu" in suite)
-    assert any(m.tension is not None for m in found)
+    entries = [measurement for measurement, _, _ in every_sample(connected(recording, suite=suite))]
+    assert any(m.pose is not None for m in entries) == ("pose" in suite)
+    assert any(m.imu is not None for m in entries) == ("imu" in suite)
+    assert any(m.tension is not None for m in entries)
     if "pose" in suite:
-        for m in found:
+        for m in entries:
             pose = recording.pose_at(m.time)
             assert (m.pose is not None) == pose.valid[0]
 
 
 def test_by_default_poses_are_withheld(recording):
-    found = [measurement for measurement, _, _ in every_sample(connected(recording))]
-    assert not any(m.pose is not None for m in found)
-    assert any(m.imu is not None for m in found)
+    entries = [measurement for measurement, _, _ in every_sample(connected(recording))]
+    assert not any(m.pose is not None for m in entries)
+    assert any(m.imu is not None for m in entries)
 
 
 def test_what_a_recording_does_not_have_is_not_in_its_suite(recording):

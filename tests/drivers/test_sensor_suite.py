@@ -9,7 +9,7 @@ import pytest
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.drivers.quasi_static import QuasiStaticPlant
 from carosac_toolkit.drivers.sensor_suite import SensorSuite
-from carosac_toolkit.drivers.sensors import PERFECT, SUITES, SensorSettings
+from carosac_toolkit.drivers.sensors import PERFECT_SENSORS, SENSOR_SUITES, SensorSettings
 from tests.plants import TurningPlant
 
 ALL = "lengths+imu+pose"
@@ -22,43 +22,45 @@ def measured(suite, settings, *, plant=None, seed=0, period=0.02, count=50):
     plant.reset(None)
     sensors = SensorSuite(suite, settings, plant, seed)
     sensors.sample(plant, 0.0)
-    now, found = 0.0, [sensors.measure(0.0)]
+    now, result = 0.0, [sensors.measure(0.0)]
     for k in range(1, count):
         while now < k * period - 1e-9:
             step = min(sensors.next_due, k * period) - now
             plant.advance(None, step)
             now += step
             sensors.sample(plant, now)
-        found.append(sensors.measure(now))
-    return found
+        result.append(sensors.measure(now))
+    return result
 
 
-def inertial(found, channel):
+def inertial(result, channel):
     """All inertial samples of one channel in a row, shape (B, K, 3) or (B, K)."""
-    return np.concatenate([getattr(m.imu, channel) for m in found if m.imu], axis=1)
+    return np.concatenate([getattr(m.imu, channel) for m in result if m.imu], axis=1)
 
 
 def test_a_suite_has_its_sensors_and_no_others():
-    for suite in SUITES:
-        found = measured(suite, PERFECT, count=2)[-1]
-        assert (found.imu is not None) == ("imu" in suite)
-        assert (found.pose is not None) == ("pose" in suite)
-        assert found.tension is None
+    for suite in SENSOR_SUITES:
+        result = measured(suite, PERFECT_SENSORS, count=2)[-1]
+        assert (result.imu is not None) == ("imu" in suite)
+        assert (result.pose is not None) == ("pose" in suite)
+        assert result.tension is None
         assert measured(suite, NOISY, count=2)[-1].tension is not None
 
 
 def test_an_imu_at_rest_feels_its_own_weight_upwards():
-    found = measured("lengths+imu", PERFECT, plant=TurningPlant(speed=0.0, spin=0.0), count=3)
-    force = inertial(found, "specific_force")
+    measurement = measured(
+        "lengths+imu", PERFECT_SENSORS, plant=TurningPlant(speed=0.0, spin=0.0), count=3
+    )
+    force = inertial(measurement, "specific_force")
     assert force == pytest.approx(np.tile([0.0, 0.0, 9.81], (1, force.shape[1], 1)), abs=1e-12)
-    assert not inertial(found, "angular_rate").any()
+    assert not inertial(measurement, "angular_rate").any()
 
 
 def test_an_imu_is_the_second_derivative_of_the_pose():
     plant = TurningPlant(size=2)
-    found = measured("lengths+imu", PERFECT, plant=plant)
+    measurement = measured("lengths+imu", PERFECT_SENSORS, plant=plant)
     time, force, rate = (
-        inertial(found, name) for name in ("time", "specific_force", "angular_rate")
+        inertial(measurement, name) for name in ("time", "specific_force", "angular_rate")
     )
     h = 1e-4
     for b in range(2):
@@ -75,23 +77,26 @@ def test_an_imu_is_the_second_derivative_of_the_pose():
 
 @pytest.mark.parametrize("delay", [0.0, 0.012])
 def test_every_inertial_sample_is_measured_once_and_when_it_has_arrived(delay):
-    found = measured(
-        "lengths+imu", replace(PERFECT, imu_delay=delay), plant=TurningPlant(size=2), period=0.013
+    measurement = measured(
+        "lengths+imu",
+        replace(PERFECT_SENSORS, imu_delay=delay),
+        plant=TurningPlant(size=2),
+        period=0.013,
     )
-    stamps = inertial(found, "time")
+    stamps = inertial(measurement, "time")
     assert stamps[0] == pytest.approx(np.arange(stamps.shape[1]) / 200.0)
     assert np.array_equal(stamps[0], stamps[1])
     last = -1.0
-    for m in found:
+    for m in measurement:
         for taken in [] if m.imu is None else m.imu.time[0]:
             assert last < taken + delay <= m.time[0] + 1e-9
         last = m.time[0] + 1e-9
-    assert stamps[0, -1] > found[-1].time[0] - delay - 1 / 200.0
+    assert stamps[0, -1] > measurement[-1].time[0] - delay - 1 / 200.0
 
 
 def test_without_a_new_inertial_sample_there_is_none():
-    found = measured("lengths+imu", PERFECT, period=0.002, count=20)
-    assert [m.imu is None for m in found[:6]] == [False, True, True, False, True, False]
+    measurement = measured("lengths+imu", PERFECT_SENSORS, period=0.002, count=20)
+    assert [m.imu is None for m in measurement[:6]] == [False, True, True, False, True, False]
 
 
 def test_measuring_again_at_the_same_time_says_the_same():
@@ -105,12 +110,12 @@ def test_measuring_again_at_the_same_time_says_the_same():
 def test_inertial_noise_and_bias_have_their_standard_deviations():
     settings = SensorSettings()
     still = TurningPlant(size=400, speed=0.0, spin=0.0)
-    found = measured("lengths+imu", settings, plant=still, period=0.1, count=3)
+    measurement = measured("lengths+imu", settings, plant=still, period=0.1, count=3)
     for channel, noise, bias, truth in (
         ("angular_rate", 3.5e-3, 5e-3, 0.0),
         ("specific_force", 0.017, 0.05, [0.0, 0.0, 9.81]),
     ):
-        error = inertial(found, channel) - truth
+        error = inertial(measurement, channel) - truth
         mean = error.mean(axis=1)
         spread = (error - mean[:, None]).std() * np.sqrt(error.shape[1] / (error.shape[1] - 1))
         assert spread == pytest.approx(noise, rel=5.0 / np.sqrt(2 * error.size))
@@ -120,18 +125,18 @@ def test_inertial_noise_and_bias_have_their_standard_deviations():
 
 def test_tensions_have_noise_bias_rate_and_delay():
     plant = TurningPlant(size=200)
-    exact = replace(PERFECT, tension=True, tension_rate=50.0, tension_delay=0.03)
+    exact = replace(PERFECT_SENSORS, tension=True, tension_rate=50.0, tension_delay=0.03)
     for m in measured("lengths", exact, plant=plant)[3:]:
         taken = m.tension.time
         assert m.time[0] - 0.05 < taken[0] <= m.time[0] - 0.03 + 1e-9
         truth = 100.0 + 10.0 * plant.length_at(taken + 0.1 * np.arange(200))
         assert m.tension.value == pytest.approx(truth, abs=1e-9)
-    settings = replace(PERFECT, tension=True, tension_noise=2.0, tension_bias=4.0)
-    found = measured("lengths", settings, plant=plant)
+    settings = replace(PERFECT_SENSORS, tension=True, tension_noise=2.0, tension_bias=4.0)
+    measurement = measured("lengths", settings, plant=plant)
     truth = np.stack(
-        [100.0 + 10.0 * plant.length_at(m.tension.time + 0.1 * np.arange(200)) for m in found]
+        [100.0 + 10.0 * plant.length_at(m.tension.time + 0.1 * np.arange(200)) for m in measurement]
     )
-    error = np.stack([m.tension.value for m in found]) - truth
+    error = np.stack([m.tension.value for m in measurement]) - truth
     assert error.std(axis=0, ddof=1).mean() == pytest.approx(2.0, rel=0.02)
     assert error.mean(axis=0).std() == pytest.approx(4.0, rel=5.0 / np.sqrt(2 * 800))
 
@@ -154,26 +159,29 @@ def test_draws_of_encoders_and_motion_capture_are_those_of_always():
     bias, encoders, mocap = map(np.random.default_rng, np.random.SeedSequence(11).spawn(3))
     assert np.array_equal(sensors.encoder_bias, 5e-3 * bias.standard_normal((1, 4)))
     sensors.sample(plant, 0.0)
-    found = sensors.measure(0.0)
+    measurement = sensors.measure(0.0)
     reading = plant.read_lengths() + sensors.encoder_bias + 0.2e-3 * encoders.standard_normal(4)
-    assert found.unstrained_length == pytest.approx(np.round(reading / 5e-5) * 5e-5, abs=1e-12)
-    moved = found.pose.position - plant.truth().position
+    assert measurement.unstrained_length == pytest.approx(
+        np.round(reading / 5e-5) * 5e-5, abs=1e-12
+    )
+    moved = measurement.pose.position - plant.truth().position
     assert moved[0] == pytest.approx(1e-3 * mocap.standard_normal(6)[3:], abs=1e-15)
 
 
 def test_robots_of_a_batch_have_errors_of_their_own():
-    found = measured(ALL, NOISY, plant=TurningPlant(size=3, speed=0.0, spin=0.0), count=5)[-1]
-    off = found.unstrained_length - TurningPlant(size=3).read_lengths()
-    for value in (off, found.pose.position, found.imu.angular_rate[:, 0], found.tension.value):
+    result = measured(ALL, NOISY, plant=TurningPlant(size=3, speed=0.0, spin=0.0), count=5)[-1]
+    off = result.unstrained_length - TurningPlant(size=3).read_lengths()
+    for value in (off, result.pose.position, result.imu.angular_rate[:, 0], result.tension.value):
         assert len(np.unique(value[:, 0])) == 3
-    assert found.time.shape == (3,)
+    assert result.time.shape == (3,)
 
 
 def test_a_plant_without_inertia_has_no_imu():
-    with pytest.raises(InvalidField, match=r"suite: got .*'lengths\+pose'\]: no inertia here"):
-        SensorSuite("lengths+imu", PERFECT, QuasiStaticPlant(TurningPlant().robot), 0)
+    refusal = r"suite: got .*'lengths\+pose'\]: this plant has no inertia"
+    with pytest.raises(InvalidField, match=refusal):
+        SensorSuite("lengths+imu", PERFECT_SENSORS, QuasiStaticPlant(TurningPlant().robot), 0)
     with pytest.raises(InvalidField, match=r"suite: got 'pose'; allowed: one of \['lengths', "):
-        SensorSuite("pose", PERFECT, TurningPlant(), 0)
+        SensorSuite("pose", PERFECT_SENSORS, TurningPlant(), 0)
 
 
 @pytest.mark.parametrize(
@@ -203,19 +211,19 @@ def set_down_anew(rows, *, imu_delay=0.0):
     plant.reset(None)
     sensors = SensorSuite(ALL, settings, plant, 4)
     sensors.sample(plant, 0.0)
-    now, found = 0.0, []
+    now, result = 0.0, []
     for k in range(1, 9):
         while now < 0.025 * k - 1e-9:
             step = min(sensors.next_due, 0.025 * k) - now
             plant.advance(None, step)
             now += step
             sensors.sample(plant, now)
-        found.append(sensors.measure(now))
+        result.append(sensors.measure(now))
         if k == 3 and rows is not None:
             sensors.renew(np.array(rows))
             sensors.restart(np.array(rows), plant, now)
-            found.append(sensors.measure(now))
-    return found, sensors
+            result.append(sensors.measure(now))
+    return result, sensors
 
 
 def biases(sensors):
@@ -225,12 +233,12 @@ def biases(sensors):
 @pytest.mark.parametrize("imu_delay", [0.0, 0.012])
 def test_a_robot_that_is_set_down_anew_leaves_the_sensors_of_others_alone(imu_delay):
     alone, one = set_down_anew(None, imu_delay=imu_delay)
-    found, other = set_down_anew([1], imu_delay=imu_delay)
-    fresh = found.pop(3)
+    result, other = set_down_anew([1], imu_delay=imu_delay)
+    fresh = result.pop(3)
     for mine, theirs in zip(biases(one), biases(other), strict=True):
         np.testing.assert_array_equal(mine[[0, 2]], theirs[[0, 2]])
         assert (mine[1] != theirs[1]).all()
-    for a, b in zip(alone, found, strict=True):
+    for a, b in zip(alone, result, strict=True):
         for channel in ("unstrained_length", "length_rate.value", "pose.position", "tension.value",
                         "imu.angular_rate", "imu.specific_force"):  # fmt: skip
             first, second = (attrgetter(channel)(x) for x in (a, b))

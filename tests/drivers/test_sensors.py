@@ -7,7 +7,7 @@ import pytest
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.drivers.quasi_static import QuasiStaticDriver, QuasiStaticSettings
-from carosac_toolkit.drivers.sensors import PERFECT, DelayLine, SensorSettings, quantised
+from carosac_toolkit.drivers.sensors import PERFECT_SENSORS, DelayLine, SensorSettings, quantised
 from carosac_toolkit.loop.values import Command
 from tests.robots import simple_robot
 
@@ -17,39 +17,39 @@ def readings(sensors, count=200, period=0.02, seed=0, suite="lengths"):
     settings = QuasiStaticSettings(sensors=sensors, suite=suite, period=period)
     driver = QuasiStaticDriver.build(simple_robot(), settings, seed=seed)
     driver.connect()
-    found = [driver.measure()]
+    entries = [driver.measure()]
     hold = Command(time=np.zeros(1), unstrained_length=driver._command)
     for _ in range(count - 1):
         driver.command(hold)
         driver.wait(period)
-        found.append(driver.measure())
-    return found, driver.truth()
+        entries.append(driver.measure())
+    return entries, driver.truth()
 
 
-def lengths(found):
-    return np.concatenate([m.unstrained_length for m in found])
+def lengths(result):
+    return np.concatenate([m.unstrained_length for m in result])
 
 
 def test_perfect_sensors_say_the_truth():
-    found, truth = readings(PERFECT, count=5, suite="lengths+pose")
-    assert lengths(found) == pytest.approx(np.tile(truth.unstrained_length, (5, 1)), abs=1e-12)
-    assert found[-1].pose.position == pytest.approx(truth.position, abs=1e-9)
-    assert found[-1].pose.rotation == pytest.approx(truth.rotation, abs=1e-9)
-    assert found[-1].pose.time[0] == pytest.approx(found[-1].time[0])
+    result, truth = readings(PERFECT_SENSORS, count=5, suite="lengths+pose")
+    assert lengths(result) == pytest.approx(np.tile(truth.unstrained_length, (5, 1)), abs=1e-12)
+    assert result[-1].pose.position == pytest.approx(truth.position, abs=1e-9)
+    assert result[-1].pose.rotation == pytest.approx(truth.rotation, abs=1e-9)
+    assert result[-1].pose.time[0] == pytest.approx(result[-1].time[0])
 
 
 def test_noise_has_its_standard_deviation_in_every_sample():
-    found, truth = readings(replace(PERFECT, encoder_noise=2e-4), count=1000)
-    error = lengths(found) - truth.unstrained_length
+    result, truth = readings(replace(PERFECT_SENSORS, encoder_noise=2e-4), count=1000)
+    error = lengths(result) - truth.unstrained_length
     assert error.std() == pytest.approx(2e-4, rel=5.0 / np.sqrt(2 * error.size))
     assert abs(error.mean()) < 5.0 * 2e-4 / np.sqrt(error.size)
 
 
 def test_pose_noise_has_its_standard_deviation():
-    sensors = replace(PERFECT, position_noise=1e-3, rotation_noise=5e-4)
-    found, truth = readings(sensors, count=500, suite="lengths+pose")
-    moved = np.concatenate([m.pose.position for m in found]) - truth.position
-    turned = np.concatenate([m.pose.rotation for m in found]) @ truth.rotation[0].T
+    sensors = replace(PERFECT_SENSORS, position_noise=1e-3, rotation_noise=5e-4)
+    result, truth = readings(sensors, count=500, suite="lengths+pose")
+    moved = np.concatenate([m.pose.position for m in result]) - truth.position
+    turned = np.concatenate([m.pose.rotation for m in result]) @ truth.rotation[0].T
     skew = (turned - turned.swapaxes(1, 2)) / 2.0
     angle = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
     for error, deviation in ((moved, 1e-3), (angle, 5e-4)):
@@ -59,8 +59,8 @@ def test_pose_noise_has_its_standard_deviation():
 def test_bias_is_constant_in_a_run_and_differs_between_cables_and_seeds():
     biases = []
     for seed in range(60):
-        found, truth = readings(replace(PERFECT, encoder_bias=5e-3), count=3, seed=seed)
-        bias = lengths(found) - truth.unstrained_length
+        result, truth = readings(replace(PERFECT_SENSORS, encoder_bias=5e-3), count=3, seed=seed)
+        bias = lengths(result) - truth.unstrained_length
         assert np.ptp(bias, axis=0).max() < 1e-12
         biases.append(bias[0])
     drawn = np.array(biases)
@@ -69,30 +69,32 @@ def test_bias_is_constant_in_a_run_and_differs_between_cables_and_seeds():
 
 
 def test_readings_are_multiples_of_the_resolution():
-    found, _ = readings(replace(PERFECT, encoder_noise=1e-3, encoder_resolution=5e-5))
-    counts = lengths(found) / 5e-5
+    result, _ = readings(replace(PERFECT_SENSORS, encoder_noise=1e-3, encoder_resolution=5e-5))
+    counts = lengths(result) / 5e-5
     assert np.abs(counts - counts.round()).max() < 1e-6
     assert quantised(np.array([1.24, -1.26]), 0.5).tolist() == [1.0, -1.5]
     assert quantised(np.array([1.24]), 0.0).tolist() == [1.24]
 
 
 def test_samples_come_at_the_rate_of_the_sensor():
-    found, _ = readings(replace(PERFECT, encoder_rate=10.0, encoder_noise=1e-3), count=101)
-    changes = (np.diff(lengths(found)[:, 0]) != 0.0).sum()
+    result, _ = readings(replace(PERFECT_SENSORS, encoder_rate=10.0, encoder_noise=1e-3), count=101)
+    changes = (np.diff(lengths(result)[:, 0]) != 0.0).sum()
     assert changes == 20  # 2 s
-    stamps = np.array([m.length_rate.time[0] for m in found])
+    stamps = np.array([m.length_rate.time[0] for m in result])
     assert np.unique(stamps) == pytest.approx(0.1 * np.arange(21))
 
 
 def test_a_faster_camera_than_encoder_keeps_its_own_rate():
-    sensors = replace(PERFECT, encoder_rate=50.0, pose_rate=400.0)
-    found, _ = readings(sensors, count=3, period=0.0225, suite="lengths+pose")
-    assert [m.pose.time[0] for m in found] == pytest.approx([0.0, 0.0225, 0.045])
-    assert [m.length_rate.time[0] for m in found] == pytest.approx([0.0, 0.02, 0.04])
+    sensors = replace(PERFECT_SENSORS, encoder_rate=50.0, pose_rate=400.0)
+    result, _ = readings(sensors, count=3, period=0.0225, suite="lengths+pose")
+    assert [m.pose.time[0] for m in result] == pytest.approx([0.0, 0.0225, 0.045])
+    assert [m.length_rate.time[0] for m in result] == pytest.approx([0.0, 0.02, 0.04])
 
 
 def test_readings_are_late_by_the_delay_and_say_when_they_were_taken():
-    settings = QuasiStaticSettings(sensors=replace(PERFECT, encoder_delay=0.03), period=0.01)
+    settings = QuasiStaticSettings(
+        sensors=replace(PERFECT_SENSORS, encoder_delay=0.03), period=0.01
+    )
     driver = QuasiStaticDriver.build(simple_robot(), settings)
     driver.connect()
     start = driver.measure().unstrained_length
@@ -139,6 +141,6 @@ def test_impossible_sensors_are_refused(name, value):
 
 
 def test_the_rate_is_the_difference_of_two_readings_with_their_noise():
-    found, _ = readings(replace(PERFECT, encoder_noise=2e-4), count=200)
-    rates = np.array([m.length_rate.value[0] for m in found[2:]])
+    result, _ = readings(replace(PERFECT_SENSORS, encoder_noise=2e-4), count=200)
+    rates = np.array([m.length_rate.value[0] for m in result[2:]])
     assert rates.std() == pytest.approx(np.sqrt(2.0) * 2e-4 * 100.0, rel=0.1)

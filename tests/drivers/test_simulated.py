@@ -12,7 +12,7 @@ from carosac_toolkit.drivers.quasi_static import (
     QuasiStaticPlant,
     QuasiStaticSettings,
 )
-from carosac_toolkit.drivers.sensors import PERFECT, SensorSettings
+from carosac_toolkit.drivers.sensors import PERFECT_SENSORS, SensorSettings
 from carosac_toolkit.drivers.simulated import SimulatedDriver, SimulatedSettings
 from carosac_toolkit.loop.values import Command
 from carosac_toolkit.physics.motion.winch import WinchSettings
@@ -23,7 +23,7 @@ PERIOD = 0.02
 STARTS = ((0.4, -1.8, 2.2), (0.9, -1.2, 2.6), (-0.3, -2.0, 1.8))
 
 
-class Clock:
+class WallClock:
     """A wall clock that a test winds on; sleeping takes as long as it says."""
 
     def __init__(self):
@@ -40,9 +40,9 @@ class Clock:
 
 @pytest.fixture
 def clock(monkeypatch):
-    found = Clock()
-    monkeypatch.setattr(ticks, "time", found)
-    return found
+    result = WallClock()
+    monkeypatch.setattr(ticks, "time", result)
+    return result
 
 
 def statics_of(size, seed=0, **changes):
@@ -63,24 +63,24 @@ def turning(size=1, **changes):
 def play(driver, changes):
     """Ask for a step of the lengths each cycle; measurements and truths after them."""
     first = driver.measure().unstrained_length
-    found = []
+    entries = []
     for change in changes:
         now = driver.measure().time
         driver.command(Command(time=now, unstrained_length=first + change))
         driver.wait(PERIOD)
-        found.append((driver.measure(), driver.truth()))
-    return found
+        entries.append((driver.measure(), driver.truth()))
+    return entries
 
 
 def test_a_batch_is_the_same_as_a_loop():
     rng = np.random.default_rng(1)
     changes = 0.05 * rng.standard_normal((15, 3, 4))
     together = play(
-        statics_of(3, sensors=PERFECT, suite="lengths+pose", start_position=STARTS), changes
+        statics_of(3, sensors=PERFECT_SENSORS, suite="lengths+pose", start_position=STARTS), changes
     )
     for b in range(3):
         alone = play(
-            statics_of(1, sensors=PERFECT, suite="lengths+pose", start_position=STARTS[b]),
+            statics_of(1, sensors=PERFECT_SENSORS, suite="lengths+pose", start_position=STARTS[b]),
             changes[:, b : b + 1],
         )
         for (many, state), (one, truth) in zip(together, alone, strict=True):
@@ -108,7 +108,10 @@ def test_robots_start_at_one_place_each_or_all_at_one():
         ((0.0, 1.0), r"start_position: got shape \(2,\); allowed: shape \(3,\)"),
         ((0.0, 1.0, np.nan), r"start_position\[2\]: got nan"),
         ("here", r"start_position: got 'here'; allowed: numbers"),
-        ((*STARTS[:2], (0.4, -1.8, 9.5)), r"start_position\[2\]: got .*a position of rest \("),
+        (
+            (*STARTS[:2], (0.4, -1.8, 9.5)),
+            r"start_position\[2\]: got .*a position with an equilibrium \(",
+        ),
     ],
 )
 def test_starts_that_cannot_be_are_refused(start, message):
@@ -117,7 +120,7 @@ def test_starts_that_cannot_be_are_refused(start, message):
 
 
 def test_the_plant_is_advanced_from_sample_to_sample():
-    sensors = replace(PERFECT, encoder_rate=100.0, imu_rate=200.0)
+    sensors = replace(PERFECT_SENSORS, encoder_rate=100.0, imu_rate=200.0)
     driver, plant = turning(size=2, suite="lengths+imu", sensors=sensors)
     driver.wait(PERIOD)
     assert [h for _, h in plant.commands] == pytest.approx([0.005] * 4)
@@ -126,7 +129,7 @@ def test_the_plant_is_advanced_from_sample_to_sample():
 
 
 def test_winches_are_asked_for_what_their_own_encoders_say():
-    sensors = replace(PERFECT, encoder_bias=5e-3)
+    sensors = replace(PERFECT_SENSORS, encoder_bias=5e-3)
     driver, plant = turning(size=2, sensors=sensors)
     start = driver.measure().unstrained_length
     assert np.abs(start - plant.length_at(plant.clocks())).max() > 1e-3
@@ -137,13 +140,13 @@ def test_winches_are_asked_for_what_their_own_encoders_say():
 def test_a_misjudged_drum_is_seen_in_truth_and_not_by_the_encoders():
     robot = simple_robot(drum_radius=[0.075] * 4, drum_buildup=[7e-5] * 4)
     settings = QuasiStaticSettings(
-        sensors=PERFECT, winch=WinchSettings(believed_drum_buildup=6.5e-5)
+        sensors=PERFECT_SENSORS, winch=WinchSettings(believed_drum_buildup=6.5e-5)
     )
     driver = QuasiStaticDriver.build(robot, settings)
     driver.connect()
     read, true = driver.measure().unstrained_length, driver.truth().unstrained_length
-    found = play(driver, np.minimum(0.01 * np.arange(80), 0.4)[:, None, None] * np.ones((1, 4)))
-    measured, state = found[-1]
+    result = play(driver, np.minimum(0.01 * np.arange(80), 0.4)[:, None, None] * np.ones((1, 4)))
+    measured, state = result[-1]
     assert measured.unstrained_length == pytest.approx(read + 0.4, abs=1e-4)
     # an encoder's reading per true length is the ratio of the radii at equal angle
     moved = state.unstrained_length - true
@@ -161,7 +164,7 @@ def test_an_unknown_suite_is_refused_and_each_driver_says_what_it_has():
 
 
 def test_real_time_waits_for_the_ticks_of_a_schedule_that_does_not_drift(clock):
-    driver, _ = turning(sensors=PERFECT, real_time=True)
+    driver, _ = turning(sensors=PERFECT_SENSORS, real_time=True)
     rng = np.random.default_rng(0)
     for k in range(1, 200):
         clock.now += 0.9 * PERIOD * rng.random()  # what the cycle takes
@@ -171,7 +174,7 @@ def test_real_time_waits_for_the_ticks_of_a_schedule_that_does_not_drift(clock):
 
 
 def test_missed_ticks_are_counted_and_not_made_up_by_a_burst(clock):
-    driver, _ = turning(sensors=PERFECT, real_time=True)
+    driver, _ = turning(sensors=PERFECT_SENSORS, real_time=True)
     driver.wait(PERIOD)
     clock.now += 2.4 * PERIOD  # the ticks 2 and 3 pass
     driver.wait(PERIOD)
@@ -187,7 +190,7 @@ def test_missed_ticks_are_counted_and_not_made_up_by_a_burst(clock):
 
 
 def test_without_real_time_nobody_sleeps(clock):
-    driver, _ = turning(sensors=PERFECT)
+    driver, _ = turning(sensors=PERFECT_SENSORS)
     for _ in range(3):
         driver.wait(PERIOD)
     assert clock.slept == []
@@ -196,7 +199,7 @@ def test_without_real_time_nobody_sleeps(clock):
 def test_real_time_is_real():
     import time
 
-    driver, _ = turning(sensors=PERFECT, real_time=True)
+    driver, _ = turning(sensors=PERFECT_SENSORS, real_time=True)
     began = time.monotonic()
     for _ in range(5):
         driver.wait(PERIOD)

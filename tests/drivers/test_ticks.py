@@ -4,7 +4,7 @@ from carosac_toolkit.drivers import ticks as tick_schedule
 from carosac_toolkit.drivers.ticks import TickSchedule
 
 
-class Clock:
+class SteppedClock:
     def __init__(self):
         self.now = 50.0
 
@@ -19,7 +19,7 @@ class Clock:
 def test_ticks_that_pass_are_skipped_and_counted_but_for_a_first_that_is_forgiven(
     monkeypatch, forgiving, missed
 ):
-    clock = Clock()
+    clock = SteppedClock()
     monkeypatch.setattr(tick_schedule, "time", clock)
     ticks = TickSchedule(0.1, forgiving=forgiving)
     for late, due in ((0.45, 0.5), (0.05, 0.6), (0.23, 0.9), (0.0, 1.0)):

@@ -5,7 +5,7 @@ import pytest
 
 import carosac_toolkit as ct
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.drivers.sensors import PERFECT, SensorSettings
+from carosac_toolkit.drivers.sensors import PERFECT_SENSORS, SensorSettings
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.physics.rest import statics
@@ -38,7 +38,7 @@ def moved(worlds, steps=20):
 
 
 def test_with_perfect_sensors_the_belief_is_the_truth(monkeypatch):
-    monkeypatch.setattr("learned.sensing.SensorSettings", lambda: PERFECT)
+    monkeypatch.setattr("learned.sensing.SensorSettings", lambda: PERFECT_SENSORS)
     worlds = made(CALM)
     worlds.reset(np.arange(3), START)
     truth, belief = moved(worlds)

@@ -17,7 +17,7 @@ CUT = 0.25  # [m] that the scripted driver takes off each command
 HIT = LimitHit(limit="speed", cable=0, asked=1.0, sent=0.5)
 
 
-class Driver:
+class FakeDriver:
     """Notes what is called; its clock starts at 100 s and every command comes back shortened."""
 
     def __init__(self, calls, size=1, cycles=1000, fails=""):
@@ -56,7 +56,7 @@ class Driver:
         self.note("close")
 
 
-class Knowing(Driver):
+class Knowing(FakeDriver):
     """The same, and it knows the truth."""
 
     def truth(self):
@@ -69,7 +69,7 @@ class Knowing(Driver):
         )
 
 
-class Estimator:
+class FakeEstimator:
     def __init__(self, calls):
         self.calls, self.applied = calls, []
 
@@ -91,7 +91,7 @@ class Estimator:
         )
 
 
-class Controller:
+class FakeController:
     period, horizon = 0.1, 0.3
 
     def __init__(self, calls):
@@ -113,11 +113,11 @@ def calls():
 
 
 def loop(calls, driver, duration=0.3):
-    estimator, controller = Estimator(calls), Controller(calls)
+    estimator, controller = FakeEstimator(calls), FakeController(calls)
     return run(driver, estimator, controller, PATH, duration=duration), estimator, controller
 
 
-class Late(Driver):
+class LateDriver(FakeDriver):
     """Misses every second tick."""
 
     def wait(self, duration):
@@ -125,12 +125,12 @@ class Late(Driver):
 
 
 @pytest.mark.parametrize("kind, by_clock, cycles", [
-    (Driver, False, 10), (Driver, True, 10), (Late, False, 10), (Late, True, 6),
+    (FakeDriver, False, 10), (FakeDriver, True, 10), (LateDriver, False, 10), (LateDriver, True, 6),
 ])  # fmt: skip
 def test_a_duration_counts_cycles_or_the_clock_of_the_driver(kind, by_clock, cycles):
-    controller = Controller([])
+    controller = FakeController([])
     log = run(
-        kind([]), Estimator([]), controller, PATH,
+        kind([]), FakeEstimator([]), controller, PATH,
         duration=10 * controller.period, by_clock=by_clock,
     )  # fmt: skip
     assert len(log.time) == cycles
@@ -149,7 +149,7 @@ def test_order_of_calls(calls):
 
 
 def test_the_estimator_gets_the_command_that_was_really_applied(calls):
-    log, estimator, _ = loop(calls, Driver(calls))
+    log, estimator, _ = loop(calls, FakeDriver(calls))
     expected = np.array([(100.0, 9.0 - CUT), (100.1, 10.0 - CUT)])
     assert np.array(estimator.applied) == pytest.approx(expected)
     assert log.asked[:, 0, 0].tolist() == [9.0, 10.0, 11.0]
@@ -158,7 +158,7 @@ def test_the_estimator_gets_the_command_that_was_really_applied(calls):
 
 
 def test_reference_starts_with_the_driver_and_tells_its_time(calls):
-    log, _, controller = loop(calls, Driver(calls))
+    log, _, controller = loop(calls, FakeDriver(calls))
     for k, reference in enumerate(controller.references):
         assert reference.time[0] == pytest.approx(100.0 + 0.1 * (k + np.arange(4)))
         expected = PATH.sample(0.1 * (k + np.arange(4))).position
@@ -168,24 +168,24 @@ def test_reference_starts_with_the_driver_and_tells_its_time(calls):
 
 
 def test_without_duration_it_runs_one_second_past_the_trajectory(calls):
-    log, *_ = loop(calls, Driver(calls), duration=None)
+    log, *_ = loop(calls, FakeDriver(calls), duration=None)
     assert len(log.time) == round((PATH.duration + 1.0) / 0.1)
     assert log.completed
 
 
 def test_a_duration_below_one_period_is_one_cycle(calls):
-    log, *_ = loop(calls, Driver(calls), duration=0.01)
+    log, *_ = loop(calls, FakeDriver(calls), duration=0.01)
     assert len(log.time) == 1
 
 
 def test_end_of_data_ends_the_run(calls):
-    driver = Driver(calls, cycles=2)
+    driver = FakeDriver(calls, cycles=2)
     log, *_ = loop(calls, driver, duration=1.0)
     assert (len(log.time), log.completed, driver.reason) == (2, False, "end of data")
 
 
 def test_data_that_last_just_long_enough_are_complete(calls):
-    driver = Driver(calls, cycles=3)
+    driver = FakeDriver(calls, cycles=3)
     log, *_ = loop(calls, driver)
     assert (len(log.time), log.completed) == (3, True)
     assert driver.reason == "end of the trajectory"
@@ -200,13 +200,13 @@ def test_truth_is_logged_where_the_driver_knows_it(calls):
 
 
 def test_nobody_knows_the_truth_of_a_driver_without(calls):
-    log, *_ = loop(calls, Driver(calls))
+    log, *_ = loop(calls, FakeDriver(calls))
     assert log.position is log.rotation is log.tension is None
 
 
 @pytest.mark.parametrize("fails", ["connect", "measure", "send", "wait"])
 def test_the_driver_is_stopped_and_closed_when_it_fails(calls, fails):
-    driver = Driver(calls, fails=fails)
+    driver = FakeDriver(calls, fails=fails)
     with pytest.raises(OSError, match=f"{fails} failed"):
         loop(calls, driver)
     assert calls[-2:] == ["stop", "close"]
@@ -215,7 +215,7 @@ def test_the_driver_is_stopped_and_closed_when_it_fails(calls, fails):
 
 def test_it_is_closed_also_where_stopping_fails(calls):
     with pytest.raises(OSError, match="stop failed"):
-        loop(calls, Driver(calls, fails="stop"))
+        loop(calls, FakeDriver(calls, fails="stop"))
     assert calls[-1] == "close"
 
 
@@ -231,21 +231,21 @@ def test_it_is_closed_also_where_stopping_fails(calls):
     ],
 )  # fmt: skip
 def test_what_is_no_command_is_refused_and_never_sent(calls, returned, message):
-    driver, controller = Driver(calls), Controller(calls)
+    driver, controller = FakeDriver(calls), FakeController(calls)
     controller.command = lambda belief, reference: returned
     with pytest.raises(BadPlugin, match=message):
-        run(driver, Estimator(calls), controller, PATH, duration=0.3)
+        run(driver, FakeEstimator(calls), controller, PATH, duration=0.3)
     assert "send" not in calls and calls[-2:] == ["stop", "close"]
     assert driver.reason.startswith("BadPlugin: controller")
 
 
 def test_a_command_with_nan_cannot_be_made(calls):
-    controller = Controller(calls)
+    controller = FakeController(calls)
     controller.command = lambda belief, reference: Command(
         time=belief.time, unstrained_length=np.full((1, 4), np.nan)
     )
     with pytest.raises(InvalidField, match=r"unstrained_length\[0, 0\]: got nan"):
-        run(Driver(calls), Estimator(calls), controller, PATH, duration=0.3)
+        run(FakeDriver(calls), FakeEstimator(calls), controller, PATH, duration=0.3)
     assert "send" not in calls and calls[-2:] == ["stop", "close"]
 
 
@@ -260,50 +260,50 @@ def test_a_command_with_nan_cannot_be_made(calls):
     ],
 )  # fmt: skip
 def test_what_is_no_belief_is_refused(calls, name, returned, message):
-    estimator = Estimator(calls)
+    estimator = FakeEstimator(calls)
     setattr(estimator, name, lambda *arguments: returned)
     with pytest.raises(BadPlugin, match=message):
-        run(Driver(calls), estimator, Controller(calls), PATH, duration=0.3)
+        run(FakeDriver(calls), estimator, FakeController(calls), PATH, duration=0.3)
     assert calls[-2:] == ["stop", "close"]
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
 def test_a_period_and_a_duration_must_be_positive(calls, value):
-    controller = Controller(calls)
+    controller = FakeController(calls)
     with pytest.raises(InvalidField, match="duration: got"):
-        run(Driver(calls), Estimator(calls), controller, PATH, duration=value)
+        run(FakeDriver(calls), FakeEstimator(calls), controller, PATH, duration=value)
     controller.period = value
     with pytest.raises(InvalidField, match=r"controller\.period: got"):
-        run(Driver(calls), Estimator(calls), controller, PATH)
+        run(FakeDriver(calls), FakeEstimator(calls), controller, PATH)
     assert calls == []  # the driver was not touched
 
 
 def test_a_negative_horizon_is_refused_and_the_driver_closed(calls):
-    controller = Controller(calls)
+    controller = FakeController(calls)
     controller.horizon = -1.0
     with pytest.raises(CarosacError, match="horizon"):
-        run(Driver(calls), Estimator(calls), controller, PATH)
+        run(FakeDriver(calls), FakeEstimator(calls), controller, PATH)
     assert calls[-2:] == ["stop", "close"]
 
 
-class Sure(Estimator):
+class Sure(FakeEstimator):
     """It has a twist, a covariance and, from the second belief on, innovations."""
 
     def belief(self, measurement):
         size = len(measurement.time)
         count = len(self.applied)
-        found = Innovations(squares=np.full(size, 3.0 * count), dof=np.full(size, 4.0),
+        result = Innovations(squares=np.full(size, 3.0 * count), dof=np.full(size, 4.0),
                             rejected=np.zeros(size))  # fmt: skip
         return replace(
             super().belief(measurement),
             twist=np.full((size, 6), 0.1 * count),
             covariance=np.tile(np.eye(12) * (1.0 + count), (size, 1, 1)),
-            memory=SimpleNamespace(innovations=found) if count else None,
+            memory=SimpleNamespace(innovations=result) if count else None,
         )
 
 
 def test_the_log_keeps_what_an_estimator_says_about_itself():
-    log = run(Knowing([], size=2), Sure([]), Controller([]), PATH, duration=0.3)
+    log = run(Knowing([], size=2), Sure([]), FakeController([]), PATH, duration=0.3)
     count = len(log.time)
     assert log.belief_twist[:, 1, 0] == pytest.approx(0.1 * np.arange(count))
     assert log.belief_covariance[:, 0, 3, 3] == pytest.approx(1.0 + np.arange(count))
@@ -313,5 +313,5 @@ def test_the_log_keeps_what_an_estimator_says_about_itself():
 
 
 def test_what_an_estimator_does_not_say_is_none():
-    log = run(Knowing([]), Estimator([]), Controller([]), PATH, duration=0.3)
+    log = run(Knowing([]), FakeEstimator([]), FakeController([]), PATH, duration=0.3)
     assert log.belief_twist is log.belief_covariance is log.innovations is None

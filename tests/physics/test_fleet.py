@@ -64,12 +64,12 @@ def test_slackness_and_winch_range_are_judged_by_each_robot():
     robot = simple_robot()
     strict = replace(robot, tension_min=np.full(4, 80.0), length_max=np.full(4, 9.0))
     length = statics.inverse_kinematics(robot, robot.home_position[None]).unstrained_length
-    found = statics.forward_kinematics(Fleet([robot, strict]), np.vstack([length, length]))
-    assert np.array_equal(found.tension[0], found.tension[1])
-    assert not found.slack[0].any()
-    assert np.array_equal(found.slack[1], found.tension[1] < 80.0)
-    assert found.in_winch_range[0].all()
-    assert np.array_equal(found.in_winch_range[1], length[0] <= 9.0)
+    equilibrium = statics.forward_kinematics(Fleet([robot, strict]), np.vstack([length, length]))
+    assert np.array_equal(equilibrium.tension[0], equilibrium.tension[1])
+    assert not equilibrium.slack[0].any()
+    assert np.array_equal(equilibrium.slack[1], equilibrium.tension[1] < 80.0)
+    assert equilibrium.in_winch_range[0].all()
+    assert np.array_equal(equilibrium.in_winch_range[1], length[0] <= 9.0)
 
 
 def test_rows_are_the_robots_asked_for_and_one_serves_all():
@@ -114,6 +114,6 @@ def test_a_batch_of_another_size_than_the_fleet_is_refused():
         statics.inverse_kinematics(fleet, np.zeros((3, 3)))
     with pytest.raises(InvalidField, match="unstrained_length: got 3 rows; allowed: 2, one for"):
         statics.forward_kinematics(fleet, np.full((3, 4), 9.0))
-    found = statics.inverse_kinematics(fleet, np.tile(simple_robot().home_position, (2, 1)))
+    equilibrium = statics.inverse_kinematics(fleet, np.tile(simple_robot().home_position, (2, 1)))
     with pytest.raises(InvalidField, match="guess: got 2 poses; allowed: 1, as the batch"):
-        statics.forward_kinematics(simple_robot(), np.full((1, 4), 9.0), guess=found)
+        statics.forward_kinematics(simple_robot(), np.full((1, 4), 9.0), guess=equilibrium)

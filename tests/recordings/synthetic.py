@@ -9,7 +9,7 @@ import numpy as np
 from carosac_toolkit.loop.values import Imu, Stamped
 from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples
-from carosac_toolkit.recordings.recording import STAMPED, Recording
+from carosac_toolkit.recordings.recording import STAMPED_CHANNELS, Recording
 
 
 def full_recording(n: int = 4, seed: int = 0, **changes: Any) -> Recording:
@@ -54,7 +54,7 @@ def assert_same(one: Recording, other: Recording) -> None:
     assert (one.exit_points is None) == (other.exit_points is None)
     if one.exit_points is not None:
         np.testing.assert_array_equal(one.exit_points, other.exit_points)
-    fields = {name: ("time", "value") for name in STAMPED}
+    fields = {name: ("time", "value") for name in STAMPED_CHANNELS}
     fields["poses"] = ("time", "position", "quaternion", "rotation")
     fields["imu"] = ("time", "angular_rate", "specific_force")
     for channel, parts in fields.items():

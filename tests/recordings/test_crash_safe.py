@@ -82,8 +82,8 @@ def test_every_channel_reads_back_bit_by_bit(tmp_path):
         ("length_rate", [w.length_rate.value[0] for w in wanted]),
         ("tension", [w.tension.value[0] for w in wanted]),
     ):
-        found = getattr(recording, name)
-        assert np.array_equal(getattr(found, "value", found), values)
+        result = getattr(recording, name)
+        assert np.array_equal(getattr(result, "value", result), values)
     assert np.array_equal(recording.poses.position, [w.pose.position[0] for w in wanted])
     assert recording.poses.rotation == pytest.approx(np.stack([w.pose.rotation[0] for w in wanted]))
     assert np.array_equal(recording.imu.time, np.concatenate([w.imu.time[0] for w in wanted]))
@@ -145,7 +145,7 @@ def test_what_was_measured_before_homing_has_other_offsets_and_is_left_out(tmp_p
 def test_a_row_that_was_cut_is_dropped_and_the_reader_says_so(tmp_path, cut):
     path = recorded(tmp_path / "run.jsonl")
     path.write_bytes(path.read_bytes()[:-cut])
-    with pytest.warns(CutRecording, match="row 6 was cut and is dropped"):
+    with pytest.warns(CutRecording, match="row 6 was truncated and is dropped"):
         recording = load_recording(path)
     assert len(recording.time) == 4
     assert read_run(path).cut == 6
@@ -155,13 +155,13 @@ def test_a_broken_row_in_between_is_a_fault_of_the_file(tmp_path):
     path = recorded(tmp_path / "run.jsonl")
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines[:3], lines[3][:40], *lines[4:]]) + "\n")
-    with pytest.raises(InvalidFile, match="line 4: this is no row"):
+    with pytest.raises(InvalidFile, match="line 4: not a JSON row"):
         load_recording(path)
 
 
 def test_another_file_is_no_run(tmp_path):
     (tmp_path / "other.jsonl").write_text('{"a": 1}\n')
-    with pytest.raises(InvalidFile, match="line 1: this is no recorded run"):
+    with pytest.raises(InvalidFile, match="line 1: not a recorded run"):
         load_recording(tmp_path / "other.jsonl")
     (tmp_path / "empty.jsonl").write_text('{"schema": "carosac-run/1", "metadata": {}}\n')
     with pytest.raises(InvalidFile, match="no measurement"):

@@ -58,24 +58,30 @@ def test_readings_and_lengths_undo_each_other(missing):
 
 def test_every_channel_is_converted_and_nothing_else_changes():
     clean, robot = full_recording(), simple_robot(**SENSORS)
-    found = calibrated(misread(clean, robot), robot)
-    assert found.unstrained_length == pytest.approx(clean.unstrained_length, rel=1e-14)
-    assert found.command.value == pytest.approx(clean.command.value, rel=1e-12)
-    assert found.length_rate.value == pytest.approx(clean.length_rate.value, rel=1e-14)
-    assert found.poses.position == pytest.approx(clean.poses.position, abs=1e-14)
-    assert found.poses.rotation == pytest.approx(clean.poses.rotation, abs=1e-14)
-    assert found.exit_points == pytest.approx(clean.exit_points, abs=1e-14)
+    converted = calibrated(misread(clean, robot), robot)
+    assert converted.unstrained_length == pytest.approx(clean.unstrained_length, rel=1e-14)
+    assert converted.command.value == pytest.approx(clean.command.value, rel=1e-12)
+    assert converted.length_rate.value == pytest.approx(clean.length_rate.value, rel=1e-14)
+    assert converted.poses.position == pytest.approx(clean.poses.position, abs=1e-14)
+    assert converted.poses.rotation == pytest.approx(clean.poses.rotation, abs=1e-14)
+    assert converted.exit_points == pytest.approx(clean.exit_points, abs=1e-14)
     untouched = {
         name: getattr(clean, name)
         for name in ("unstrained_length", "command", "length_rate", "poses", "exit_points")
     }
-    assert_same(replace(found, **untouched), clean)  # time stamps, IMU, tensions
+    assert_same(replace(converted, **untouched), clean)  # time stamps, IMU, tensions
 
 
 def test_absent_channels_stay_absent():
     bare = full_recording(length_rate=None, command=None, poses=None, exit_points=None)
-    found = calibrated(bare, simple_robot(**SENSORS))
-    assert found.length_rate is found.command is found.poses is found.exit_points is None
+    converted = calibrated(bare, simple_robot(**SENSORS))
+    assert (
+        converted.length_rate
+        is converted.command
+        is converted.poses
+        is converted.exit_points
+        is None
+    )
 
 
 def test_a_robot_that_says_nothing_of_its_sensors_leaves_the_recording_alone():
@@ -107,9 +113,9 @@ def test_the_readings_of_a_calibrated_robot_score_as_the_lengths_themselves():
     robot = replace(ROBOT, **SENSORS)
     models = ["straight_line", "kinematic_solver"]
     clean = validate(perfect(), ROBOT, models)
-    found = validate(misread(perfect(), robot), robot, models)
-    assert found.samples == clean.samples and found.models.keys() == clean.models.keys()
-    for name, model in found.models.items():
+    scores = validate(misread(perfect(), robot), robot, models)
+    assert scores.samples == clean.samples and scores.models.keys() == clean.models.keys()
+    for name, model in scores.models.items():
         wanted = clean.models[name]
         assert model.scores.rmse == pytest.approx(wanted.scores.rmse, abs=1e-7)
         assert model.length_scores.rmse == pytest.approx(wanted.length_scores.rmse, abs=1e-10)
@@ -127,9 +133,9 @@ def test_a_replay_gives_lengths_commands_and_truth_in_material_and_in_w():
         each.connect()
     nothing = Command(time=np.zeros(1), unstrained_length=np.zeros((1, 4)))
     for _ in range(5):
-        found, wanted = driver.measure(), clean.measure()
-        assert found.unstrained_length == pytest.approx(wanted.unstrained_length, abs=1e-13)
-        assert found.pose.position == pytest.approx(wanted.pose.position, abs=1e-13)
+        result, wanted = driver.measure(), clean.measure()
+        assert result.unstrained_length == pytest.approx(wanted.unstrained_length, abs=1e-13)
+        assert result.pose.position == pytest.approx(wanted.pose.position, abs=1e-13)
         sent, meant = driver.command(nothing), clean.command(nothing)
         assert sent.unstrained_length == pytest.approx(meant.unstrained_length, abs=1e-13)
         assert driver.truth().position == pytest.approx(clean.truth().position, abs=1e-13)
@@ -144,5 +150,5 @@ def test_a_tilt_of_the_poses_is_taken_out_to_first_order():
     recording = full_recording(length_rate=None, command=None, exit_points=None)
     lean = np.tile([-tilt[1], tilt[0], 1.0], (30, 1))  # what stands upright in W
     poses = replace(recording.poses, position=lean)
-    found = calibrated(replace(recording, poses=poses), robot)
-    assert found.poses.position == pytest.approx(np.tile([0.0, 0.0, 1.0], (30, 1)), abs=1e-5)
+    converted = calibrated(replace(recording, poses=poses), robot)
+    assert converted.poses.position == pytest.approx(np.tile([0.0, 0.0, 1.0], (30, 1)), abs=1e-5)

@@ -93,7 +93,7 @@ def test_saving_replaces_a_file_whole_or_not_at_all(tmp_path, recording, monkeyp
 def test_saving_refuses_other_suffixes_and_folders(tmp_path, recording):
     with pytest.raises(InvalidField, match=r"path: got suffix '.xlsx' .* .parquet or .csv"):
         recording.save(tmp_path / "run.xlsx")
-    with pytest.raises(InvalidField, match=r"path: .*allowed: a file in a folder that exists"):
+    with pytest.raises(InvalidField, match=r"path: .*allowed: a file in an existing folder"):
         recording.save(tmp_path / "nowhere" / "run.csv")
     assert not list(tmp_path.iterdir())
 
@@ -125,11 +125,11 @@ def write(folder: Path, text: str, name: str = "run.csv") -> Path:
 def test_a_plain_csv_is_read_by_its_column_names(tmp_path):
     points = ",".join(f"exit_point_{i}_{axis}_m" for i in (1, 2) for axis in "xyz")
     rows = ["0,7,8,1,2,3,4,5,6", "0.5,7.5,8.5,1.5,2,3,4,5,6", "1,7,8,9,2,3,4,5,6"]
-    found = load_recording(write(tmp_path, "\n".join([f"{HEADER},{points}", *rows, "", ""])))
-    np.testing.assert_array_equal(found.unstrained_length, [[7, 8], [7.5, 8.5], [7, 8]])
-    np.testing.assert_array_equal(found.exit_points, [[1.5, 2, 3], [4, 5, 6]])
-    assert found.poses is None
-    assert found.metadata.source == "run.csv"
+    loaded = load_recording(write(tmp_path, "\n".join([f"{HEADER},{points}", *rows, "", ""])))
+    np.testing.assert_array_equal(loaded.unstrained_length, [[7, 8], [7.5, 8.5], [7, 8]])
+    np.testing.assert_array_equal(loaded.exit_points, [[1.5, 2, 3], [4, 5, 6]])
+    assert loaded.poses is None
+    assert loaded.metadata.source == "run.csv"
 
 
 def test_a_plain_parquet_with_other_number_types_is_read(tmp_path):
@@ -139,17 +139,17 @@ def test_a_plain_parquet_with_other_number_types_is_read(tmp_path):
         "tension_1_N": pa.array([None, 40, None], pa.int32()),
     })  # fmt: skip
     pq.write_table(table, tmp_path / "run.parquet")
-    found = load_recording(tmp_path / "run.parquet")
-    np.testing.assert_array_equal(found.time, [0, 2])
-    np.testing.assert_array_equal(found.tension.time, [1])
-    np.testing.assert_array_equal(found.tension.value, [[40]])
+    loaded = load_recording(tmp_path / "run.parquet")
+    np.testing.assert_array_equal(loaded.time, [0, 2])
+    np.testing.assert_array_equal(loaded.tension.time, [1])
+    np.testing.assert_array_equal(loaded.tension.value, [[40]])
 
 
 def test_rows_of_channels_with_other_times_have_empty_cells(tmp_path):
     text = f"{HEADER},tension_1_N,tension_2_N\n0,7,8,,\n0.1,,,30,40\n0.2,7,8,31,41\n"
-    found = load_recording(write(tmp_path, text))
-    np.testing.assert_array_equal(found.time, [0, 0.2])
-    np.testing.assert_array_equal(found.tension.time, [0.1, 0.2])
+    loaded = load_recording(write(tmp_path, text))
+    np.testing.assert_array_equal(loaded.time, [0, 0.2])
+    np.testing.assert_array_equal(loaded.tension.time, [0.1, 0.2])
 
 
 # Faults
@@ -183,8 +183,8 @@ def test_rows_of_channels_with_other_times_have_empty_cells(tmp_path):
          "column 'battery' is unknown and refused, as every extra column is: remove or rename it"),
         (HEADER + "," + 300 * "b" + "\n0,7,8,9\n", "column '" + 60 * "b" + "...' is unknown"),
         ("time_s,cable_length_1_m,unstrained_length_01_m\n0,7,8\n",
-         "column 'unstrained_length_01_m' is there 2 times"),
-        ("time_s,time_s,cable_length_1_m\n0,7,8\n", "column 'time_s' is there twice"),
+         "column 'unstrained_length_01_m' appears 2 times"),
+        ("time_s,time_s,cable_length_1_m\n0,7,8\n", "column 'time_s' appears twice"),
         (HEADER + "\n0,7,8\n0.1,nan,8\n",
          "row 2 (line 3), column 'cable_length_1_m': got nan; allowed: a finite number"),
         (HEADER + "\n0,7,8\n0.1,7,\n",
@@ -201,12 +201,12 @@ def test_rows_of_channels_with_other_times_have_empty_cells(tmp_path):
         (f"{HEADER},{POSES}\n0,7,8,0,0,0,0,0,0,0\n",
          "row 1 (line 2), columns 'quaternion_w' to 'quaternion_z': got norm 0; allowed: within"),
         (f"{HEADER},{POSES}\n0,7,8,0,0,0,2,0,0,0\n", "got norm 2; allowed: within 0.001 of 1"),
-        ("# {broken\n" + HEADER, "line 1: the comment lines on top are no JSON document"),
-        ("# []\n" + HEADER, "the comment lines on top are no JSON object"),
+        ("# {broken\n" + HEADER, "line 1: the comment lines at the top are not a JSON document"),
+        ("# []\n" + HEADER, "the comment lines at the top are not a JSON object"),
         ('# {"schema": "carosac-recording/2"}\n' + HEADER + "\n0,7,8\n",
          "schema: got 'carosac-recording/2'; allowed: 'carosac-recording/1'"),
         ('# {"schema": "carosac-recording/1", "rows": 2}\n' + HEADER + "\n0,7,8\n",
-         "the file is cut: 1 rows of 2 are there"),
+         "the file is truncated: 1 of 2 rows are there"),
         ('# {"schema": "carosac-recording/1", "metadata": {"robt": "x"}}\n' + HEADER + "\n0,7,8\n",
          "did you mean 'robot'?"),
         ('# {"schema": "carosac-recording/1", "exit_points_m": [[1]]}\n' + HEADER + "\n0,7,8\n",
@@ -294,11 +294,11 @@ def mat_variables(count: int = 5) -> dict[str, np.ndarray]:
 
 def test_the_scampi_layout_is_read(tmp_path):
     savemat(tmp_path / "run.mat", mat_variables())
-    found = load_recording(tmp_path / "run.mat")
-    np.testing.assert_array_equal(found.time, 0.25 * np.arange(5))
-    np.testing.assert_array_equal(found.unstrained_length[0], [2, 3, 4, 5])
-    np.testing.assert_array_equal(found.poses.rotation[0], np.diag([1.0, -1.0, -1.0]))
-    np.testing.assert_array_equal(found.exit_points[:, 0], [1, 2, 3, 4])
+    loaded = load_recording(tmp_path / "run.mat")
+    np.testing.assert_array_equal(loaded.time, 0.25 * np.arange(5))
+    np.testing.assert_array_equal(loaded.unstrained_length[0], [2, 3, 4, 5])
+    np.testing.assert_array_equal(loaded.poses.rotation[0], np.diag([1.0, -1.0, -1.0]))
+    np.testing.assert_array_equal(loaded.exit_points[:, 0], [1, 2, 3, 4])
 
 
 @pytest.mark.parametrize(

@@ -96,18 +96,18 @@ def turning_recording() -> Recording:
 
 def test_interpolation_is_exact_for_a_constant_twist():
     time = np.array([0.0, 0.05, 0.2, 0.31, 2.1, 2.2])
-    found = turning_recording().pose_at(time)
-    assert found.valid.all()
-    np.testing.assert_allclose(found.pose.position, np.outer(time, [1, 2, 3]), atol=1e-14)
+    poses = turning_recording().pose_at(time)
+    assert poses.valid.all()
+    np.testing.assert_allclose(poses.pose.position, np.outer(time, [1, 2, 3]), atol=1e-14)
     wanted = Rotation.from_rotvec(np.outer(1.3 * time, [0.6, 0.0, 0.8])).as_matrix()
-    np.testing.assert_allclose(found.pose.rotation, wanted, atol=1e-14)
+    np.testing.assert_allclose(poses.pose.rotation, wanted, atol=1e-14)
 
 
 def test_interpolation_is_invalid_outside_and_in_long_gaps():
     time = np.array([-0.1, 0.0, 0.4, 0.5, 1.9, 2.0, 2.2, 2.3])
-    found = turning_recording().pose_at(time, gap_max=0.5)
-    assert found.valid.tolist() == [False, True, True, False, False, True, True, False]
-    np.testing.assert_allclose(found.pose.position[[0, 3, 4, 7], 0], [0.0, 0.4, 2.0, 2.2])
+    poses = turning_recording().pose_at(time, gap_max=0.5)
+    assert poses.valid.tolist() == [False, True, True, False, False, True, True, False]
+    np.testing.assert_allclose(poses.pose.position[[0, 3, 4, 7], 0], [0.0, 0.4, 2.0, 2.2])
     assert turning_recording().pose_at(time, gap_max=2.0).valid[3:5].all()
 
 

@@ -155,8 +155,8 @@ def test_a_key_at_the_wrong_depth_is_asked_about_its_indentation():
     text = changed("  inertia: [0.6, 0.6, 0.8]\n", "").replace(
         "cable_types:", "inertia: [0.6, 0.6, 0.8]\ncable_types:", 1
     )
-    found = [fault for fault in faults(text) if "inertia: unknown key" in fault]
-    assert "platform.inertia is missing: is the indentation right" in found[0]
+    entries = [fault for fault in faults(text) if "inertia: unknown key" in fault]
+    assert "platform.inertia is missing: is the indentation right" in entries[0]
 
 
 def test_eight_cables_need_a_home_orientation():

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.robot.perturbations import CONDITIONS, Condition, draw_plant, find_condition
+from carosac_toolkit.robot.perturbations import (
+    CONDITIONS_BY_NAME,
+    Condition,
+    draw_plant,
+    find_condition,
+)
 from carosac_toolkit.robot.robot import Robot
 from tests.robots import simple_robot
 
@@ -19,7 +24,7 @@ def drawn():
     """Nominal robot and the fields of 4000 plants of the condition `nominal-1`."""
     robot = simple_robot()
     plants = [
-        draw_plant(robot, CONDITIONS["nominal-1"], np.random.default_rng(seed))
+        draw_plant(robot, CONDITIONS_BY_NAME["nominal-1"], np.random.default_rng(seed))
         for seed in range(DRAWS)
     ]
     names = (
@@ -80,7 +85,7 @@ def test_cables_are_of_one_batch_winches_are_not(drawn):
 
 def test_the_nominal_robot_stays_as_it_is():
     robot, same = simple_robot(), simple_robot()
-    draw_plant(robot, CONDITIONS["nominal-1"], np.random.default_rng(1))
+    draw_plant(robot, CONDITIONS_BY_NAME["nominal-1"], np.random.default_rng(1))
     for name in NAMES:
         assert np.array_equal(getattr(robot, name), getattr(same, name))
 
@@ -93,7 +98,7 @@ def test_without_a_condition_the_plant_is_the_nominal_robot():
 
 
 def test_a_draw_does_not_depend_on_what_else_is_drawn():
-    robot, full = simple_robot(), CONDITIONS["nominal-1"]
+    robot, full = simple_robot(), CONDITIONS_BY_NAME["nominal-1"]
     plant = draw_plant(robot, full, np.random.default_rng(2))
     for name in ("mass", "exit_points", "winch_lag"):
         only = Condition(**{name: getattr(full, name)})
@@ -106,7 +111,7 @@ def test_a_draw_does_not_depend_on_what_else_is_drawn():
 def test_one_seed_is_one_plant():
     robot = simple_robot()
     one, same, other = (
-        draw_plant(robot, CONDITIONS["nominal-1"], np.random.default_rng(seed))
+        draw_plant(robot, CONDITIONS_BY_NAME["nominal-1"], np.random.default_rng(seed))
         for seed in (7, 7, 8)
     )
     assert one.mass == same.mass and np.array_equal(one.exit_points, same.exit_points)

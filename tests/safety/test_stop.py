@@ -31,11 +31,11 @@ def moving(time, period, noise=0.0):
 
 def stopped(limiter, stop):
     """Lengths of a whole stop, from the last ones before it, shape (T, n)."""
-    found = [limiter.motion.length[0]]
+    entries = [limiter.motion.length[0]]
     while not limiter.stopped:
-        found.append(stop.step(np.zeros(1)).unstrained_length[0])
-        assert len(found) < 500
-    return np.array(found)
+        entries.append(stop.step(np.zeros(1)).unstrained_length[0])
+        assert len(entries) < 500
+    return np.array(entries)
 
 
 def off_path(lengths, positions):
@@ -88,8 +88,8 @@ def test_steps_that_the_limits_change_end_the_coordination_and_come_to_rest():
         limiter.apply(Command(time=np.zeros(1), unstrained_length=lengths))
         if limiter.motion.length[0, 0] > 39.6:
             break
-    found = stopped(limiter, CoordinatedStop(limiter, np.full(4, 4.9)))
-    assert (found <= 40.0).all()
+    stopped_run = stopped(limiter, CoordinatedStop(limiter, np.full(4, 4.9)))
+    assert (stopped_run <= 40.0).all()
 
 
 def test_at_rest_it_stays_where_it_is():

@@ -7,7 +7,7 @@ import pinocchio
 import pytest
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.drivers.sensors import PERFECT
+from carosac_toolkit.drivers.sensors import PERFECT_SENSORS
 from carosac_toolkit.loop.values import Command
 from carosac_toolkit.physics.rest import statics
 from sim_warp import SimDriver, SimDriverSettings, SimPlant, Simulator
@@ -18,7 +18,7 @@ STARTS = ((0.8, -1.0, 2.5), (0.4, -1.8, 2.2), (0.0, -2.6, 3.0))
 
 
 def connected(settings=None, seed=0, **changes):
-    chosen = settings or SimDriverSettings(sensors=PERFECT, **changes)
+    chosen = settings or SimDriverSettings(sensors=PERFECT_SENSORS, **changes)
     driver = SimDriver.build(simple_robot(), chosen, seed=seed)
     driver.connect()
     return driver
@@ -100,7 +100,7 @@ def test_the_twist_is_the_rate_of_the_pose():
 
 
 def test_encoders_say_the_wound_lengths_with_their_bias_some_time_later():
-    sensors = replace(PERFECT, encoder_bias=0.01, encoder_delay=2.0 * PERIOD)
+    sensors = replace(PERFECT_SENSORS, encoder_bias=0.01, encoder_delay=2.0 * PERIOD)
     driver = connected(SimDriverSettings(sensors=sensors), seed=3)
     measured, truths = swing(driver, 20)
     wound = column(truths, "unstrained_length")
@@ -207,17 +207,17 @@ def test_a_device_that_is_not_there_is_refused():
 
 
 def test_drums_that_the_drives_misjudge_say_other_lengths_than_are_wound():
-    from carosac_toolkit.physics.motion.winch import Winches, WinchSettings
+    from carosac_toolkit.physics.motion.winch import WinchBatch, WinchSettings
 
     robot = simple_robot(drum_radius=[0.05] * 4, drum_buildup=[3e-5] * 4)
     winch = WinchSettings(believed_drum_buildup=4e-5)
-    driver = SimDriver.build(robot, SimDriverSettings(sensors=PERFECT, winch=winch))
+    driver = SimDriver.build(robot, SimDriverSettings(sensors=PERFECT_SENSORS, winch=winch))
     driver.connect()
     for _ in range(10):
         driver.wait(PERIOD)
     wound, said = driver.truth().unstrained_length, driver.measure().unstrained_length
     assert np.abs(said - wound).min() > 1e-3
-    assert said == pytest.approx(Winches(robot, wound, winch).read(), abs=1e-9)
+    assert said == pytest.approx(WinchBatch(robot, wound, winch).read(), abs=1e-9)
 
 
 def test_a_world_that_fails_is_named_with_the_time():

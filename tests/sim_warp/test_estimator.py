@@ -8,7 +8,7 @@ import pytest
 import carosac_toolkit as ct
 from baselines.kinematic_solver import KinematicSolver
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.drivers.sensors import PERFECT
+from carosac_toolkit.drivers.sensors import PERFECT_SENSORS
 from carosac_toolkit.loop.values import Command, Measurement
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.validation import validate
@@ -67,7 +67,7 @@ def ramps():
 @pytest.fixture(scope="module")
 def swinging():
     """Measurements and truths of a simulated robot that is wound along x and then swings."""
-    driver = SimDriver.build(ROBOT, SimDriverSettings(sensors=PERFECT))
+    driver = SimDriver.build(ROBOT, SimDriverSettings(sensors=PERFECT_SENSORS))
     driver.connect()
     seen, truths = [], []
     for row in wound(150):

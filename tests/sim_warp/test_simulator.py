@@ -174,7 +174,7 @@ def test_eight_cables_hold_a_rotation_but_no_matrix_that_is_none():
     turned = Rotation.from_rotvec([0.05, -0.04, 0.08]).as_matrix()[None]
     sim.reset(rotation=turned)
     assert sim.state.rotation.numpy() == pytest.approx(turned, abs=1e-9)
-    with pytest.raises(InvalidField, match=r"rotation\[0\]: got no rotation matrix"):
+    with pytest.raises(InvalidField, match=r"rotation\[0\]: got not a rotation matrix"):
         sim.reset(rotation=2.0 * turned)
 
 

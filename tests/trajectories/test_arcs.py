@@ -58,7 +58,7 @@ def test_radius_and_height_of_a_spiral_change_in_proportion_to_the_angle():
         ({"radius": -1.0}, r"radius: got -1.0 m, -1.0 m; allowed: both >= 0, one > 0"),
         ({"radius": 0.0}, r"radius: got 0.0 m"),
         ({"turns": 0.0}, r"turns: got 0.0; allowed: a finite number of turns, not 0"),
-        ({"normal": (0, 0, 0)}, r"normal: got .*; allowed: a vector that is not zero"),
+        ({"normal": (0, 0, 0)}, r"normal: got .*; allowed: a non-zero vector"),
         ({"center": (0, 0)}, r"center: got shape \(2,\); allowed: shape \(3,\)"),
     ],
 )

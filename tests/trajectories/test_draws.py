@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.trajectories import NAMES, build, random_minimum_snap, random_spline
+from carosac_toolkit.trajectories import TRAJECTORY_NAMES, build, random_minimum_snap, random_spline
 from carosac_toolkit.trajectories.draws import draw_points
 from tests.robots import eight_cable_robot, simple_robot
 
@@ -44,7 +44,7 @@ def test_drawn_points_keep_their_distance():
 
 
 @pytest.mark.parametrize("robot", [simple_robot(), eight_cable_robot()], ids=lambda r: r.name)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", TRAJECTORY_NAMES)
 def test_the_catalogue_fits_any_box(name, robot):
     for seed in range(3):
         trajectory = build(name, robot, seed, speed_max=0.8)

@@ -58,7 +58,7 @@ def test_a_line_is_a_single_move():
 def test_bad_arguments_are_refused():
     with pytest.raises(InvalidField, match=r"rest: got -1.0 s; allowed: a finite rest >= 0"):
         waypoints(POINTS, rest=-1.0, **LIMITS)
-    with pytest.raises(InvalidField, match=r"points\[1\]: got the point before it again"):
+    with pytest.raises(InvalidField, match=r"points\[1\]: got the same point as before"):
         line([0, 0, 0], [0, 0, 0], **LIMITS)
     with pytest.raises(InvalidField, match=r"end: got shape \(2,\); allowed: shape \(3,\)"):
         line([0, 0, 0], [0, 0], **LIMITS)

@@ -109,14 +109,14 @@ def test_without_poses_those_of_rest_on_the_lengths_sent_are_followed():
         unstrained_length=lengths + 0.05,  # misread: what was sent counts
         command=Stamped(time=3.1 + time, value=lengths),  # and when
     )
-    found = from_recording(run, robot, knot_spacing=0.25).sample(0.1 + time).position
-    assert np.abs(found - asked).max() < 2e-3
+    result = from_recording(run, robot, knot_spacing=0.25).sample(0.1 + time).position
+    assert np.abs(result - asked).max() < 2e-3
 
 
 def test_the_real_run_is_followed_to_millimetres(real_data):
     run = load_recording(real_data / "scampi_run_part.csv")
     trajectory = from_recording(run)
-    found = trajectory.sample(run.poses.time - run.poses.time[0]).position
-    rms = np.sqrt(np.mean((found - run.poses.position) ** 2, axis=0))
+    result = trajectory.sample(run.poses.time - run.poses.time[0]).position
+    rms = np.sqrt(np.mean((result - run.poses.position) ** 2, axis=0))
     assert rms.max() < 0.005  # the samples are 0.256 s apart, the sway has 2 s
     assert 0.5 < trajectory.peak_speed < 1.2

@@ -113,8 +113,8 @@ def test_turned_and_scaled_points_give_the_turned_and_scaled_trajectory(factory)
     other = factory(3.0 * POINTS @ turn.T + 1.0, segment_ratios=[1, 1, 2], **LIMITS)
     share = np.linspace(0.0, 1.0, 50)
     expected = 3.0 * one.sample(share * one.duration).position @ turn.T + 1.0
-    found = other.sample(share * other.duration).position
-    np.testing.assert_allclose(found, expected, atol=1e-9)
+    result = other.sample(share * other.duration).position
+    np.testing.assert_allclose(result, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("factory", [minimum_snap, cubic_spline])
@@ -123,7 +123,7 @@ def test_turned_and_scaled_points_give_the_turned_and_scaled_trajectory(factory)
     [
         ([[0, 0, 0]], r"points: got 1 point; allowed: at least 2 points"),
         ([[0, 0], [1, 1]], r"points: got shape \(2, 2\); allowed: shape \(B, 3\)"),
-        ([[0, 0, 0], [0, 0, 0]], r"points\[1\]: got the point before it again"),
+        ([[0, 0, 0], [0, 0, 0]], r"points\[1\]: got the same point as before"),
         ([[0, 0, 0], [0, np.nan, 0]], r"points\[1, 1\]: got nan; allowed: a finite number"),
     ],
 )

@@ -28,7 +28,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable import hanging_kernels
 
-CLOSURE = 1e-11  # of the length, above which a cable counts as not converged
+CATENARY_CLOSURE_MAX = 1e-11  # of the length, above which a cable counts as not converged
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -117,9 +117,9 @@ def _run(values: dict[str, Array], device: str) -> Catenary:
     length, weight = values["unstrained_length"], values["weight_per_length"]
     possible = (length > 0.0) & ((weight > 0.0) | (chord > length))
     warp_setup.load(hanging_kernels, device)
-    given = {k: v[possible] for k, v in values.items()}
+    solvable = {k: v[possible] for k, v in values.items()}
     size = int(possible.sum())
-    inputs = [wp.array(v, dtype=wp.float64, device=device) for v in given.values()]
+    inputs = [wp.array(v, dtype=wp.float64, device=device) for v in solvable.values()]
     numbers = [wp.zeros(size, dtype=wp.float64, device=device) for _ in range(3)]
     jacobian = wp.zeros(size, dtype=wp.mat22d, device=device)
     iterations = wp.zeros(size, dtype=int, device=device)
@@ -130,15 +130,17 @@ def _run(values: dict[str, Array], device: str) -> Catenary:
         device=device,
     )
     horizontal, lower, closure = (a.numpy() for a in numbers)
-    scale = given["unstrained_length"] + chord[possible]
+    scale = solvable["unstrained_length"] + chord[possible]
     good = np.zeros(len(length), dtype=bool)
     good[possible] = (
-        np.isfinite(closure) & (closure <= CLOSURE * scale) & np.isfinite(horizontal + lower)
+        np.isfinite(closure)
+        & (closure <= CATENARY_CLOSURE_MAX * scale)
+        & np.isfinite(horizontal + lower)
     )
 
-    def spread(found: NDArray[np.float64]) -> Array:
-        out = np.full((len(length), *found.shape[1:]), np.nan)
-        out[possible] = found
+    def spread(solved: NDArray[np.float64]) -> Array:
+        out = np.full((len(length), *solved.shape[1:]), np.nan)
+        out[possible] = solved
         out[~good] = np.nan
         return out
 
@@ -147,7 +149,9 @@ def _run(values: dict[str, Array], device: str) -> Catenary:
     return Catenary(
         horizontal=spread(horizontal),
         vertical_lower=spread(lower),
-        vertical_upper=spread(lower + given["weight_per_length"] * given["unstrained_length"]),
+        vertical_upper=spread(
+            lower + solvable["weight_per_length"] * solvable["unstrained_length"]
+        ),
         closure=spread(closure),
         converged=good,
         jacobian=spread(jacobian.numpy().reshape(size, 2, 2)),

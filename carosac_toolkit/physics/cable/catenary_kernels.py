@@ -26,7 +26,7 @@ ZERO = wp.constant(wp.float64(0.0))
 HALF = wp.constant(wp.float64(0.5))
 ONE = wp.constant(wp.float64(1.0))
 TWO = wp.constant(wp.float64(2.0))
-TINY = wp.constant(wp.float64(1.0e-40))  # [N^2] floor of H^2: 1e-20 N
+DIVISION_FLOOR = wp.constant(wp.float64(1.0e-40))  # [N^2] floor of H^2: 1e-20 N
 
 
 @wp.struct
@@ -47,7 +47,7 @@ class Cable:
 
 @wp.func
 def density_of(cable: Cable, gravity: wp.float64) -> wp.float64:
-    """Mass per unstrained length [kg/m]."""
+    """Return the mass per unstrained length [kg/m]."""
     return cable.weight_per_length / gravity
 
 
@@ -63,7 +63,7 @@ class Span:
 
 @wp.struct
 class Wrap:
-    """Where the cable leaves its pulley."""
+    """Departure of the cable from its pulley."""
 
     tangent_point: wp.vec3d  # in W [m]
     tangent_point_q: wp.mat33d  # d tangent_point / d q [m/N]
@@ -72,7 +72,7 @@ class Wrap:
 
 
 @wp.struct
-class Hanging:
+class HungCable:
     """One cable for given q, anchor and unstrained length."""
 
     closure: wp.vec3d  # anchor + reach - tangent point [m]; zero where the cable fits
@@ -86,7 +86,7 @@ class Hanging:
 
 @wp.func
 def log1p_over(x: wp.float64) -> wp.float64:
-    """log(1 + x) / x for x >= 0, exact to rounding."""
+    """Return log(1 + x) / x for x >= 0, exact to rounding."""
     if x < wp.float64(1.0e-4):
         return ONE - x * (HALF - x * (ONE / wp.float64(3.0) - x * wp.float64(0.25)))
     u = ONE + x
@@ -95,7 +95,7 @@ def log1p_over(x: wp.float64) -> wp.float64:
 
 @wp.func
 def inverse33(a: wp.mat33d) -> wp.mat33d:
-    """Inverse by elimination, for a matrix close to symmetric positive definite."""
+    """Invert by elimination a matrix close to symmetric positive definite."""
     l10 = a[1, 0] / a[0, 0]
     l20 = a[2, 0] / a[0, 0]
     u11 = a[1, 1] - l10 * a[0, 1]
@@ -120,8 +120,8 @@ def inverse33(a: wp.mat33d) -> wp.mat33d:
 
 @wp.func
 def catenary_span(q: wp.vec3d, length: wp.float64, w: wp.float64, ea: wp.float64) -> Span:
-    """Irvine's elastic catenary from the tension vector at its exit end."""
-    h2 = q[0] * q[0] + q[1] * q[1] + TINY
+    """Evaluate Irvine's elastic catenary from the tension vector at its exit end."""
+    h2 = q[0] * q[0] + q[1] * q[1] + DIVISION_FLOOR
     va = q[2]
     vb = q[2] - w * length
     ta = wp.sqrt(h2 + va * va)
@@ -166,14 +166,14 @@ def catenary_span(q: wp.vec3d, length: wp.float64, w: wp.float64, ea: wp.float64
 
 @wp.func
 def pulley_wrap(q: wp.vec3d, cable: Cable) -> Wrap:
-    """Tangent point and wrap angle of a swivelling pulley for a cable that leaves along -q."""
+    """Return tangent point and wrap angle of a swivelling pulley; the cable leaves along -q."""
     out = Wrap()
     r = cable.pulley_radius
     if r == ZERO:
         out.tangent_point = cable.exit_point
         return out
     k = cable.swivel_axis
-    tension = wp.sqrt(wp.dot(q, q) + TINY)
+    tension = wp.sqrt(wp.dot(q, q) + DIVISION_FLOOR)
     leaving = -q / tension
     cosine = wp.dot(leaving, k)
     across = leaving - cosine * k
@@ -190,11 +190,11 @@ def pulley_wrap(q: wp.vec3d, cable: Cable) -> Wrap:
 
 
 @wp.func
-def hang(q: wp.vec3d, anchor: wp.vec3d, unstrained_length: wp.float64, cable: Cable) -> Hanging:
+def hang(q: wp.vec3d, anchor: wp.vec3d, unstrained_length: wp.float64, cable: Cable) -> HungCable:
     """Evaluate one cable: closure, force on the platform, and their derivatives."""
     w = cable.weight_per_length
     ea = cable.axial_stiffness
-    tension = wp.sqrt(wp.dot(q, q) + TINY)
+    tension = wp.sqrt(wp.dot(q, q) + DIVISION_FLOOR)
     strained = ONE + tension / ea
     wrap = pulley_wrap(q, cable)
     arc = cable.pulley_radius * wrap.angle
@@ -203,7 +203,7 @@ def hang(q: wp.vec3d, anchor: wp.vec3d, unstrained_length: wp.float64, cable: Ca
         strained * strained * ea * tension
     ) * q - cable.pulley_radius / strained * wrap.angle_q
     span = catenary_span(q, length, w, ea)
-    out = Hanging()
+    out = HungCable()
     out.force = wp.vec3d(q[0], q[1], q[2] - w * length)
     out.closure = anchor + span.reach - wrap.tangent_point
     out.closure_l = span.feed * out.force
@@ -217,7 +217,7 @@ def hang(q: wp.vec3d, anchor: wp.vec3d, unstrained_length: wp.float64, cable: Ca
 @wp.func
 def taut_tension(chord: wp.float64, span: wp.float64, length: wp.float64, w: wp.float64,
                  ea: wp.float64) -> wp.float64:  # fmt: skip
-    """Mean tension of a shallow cable: T^3/EA - s T^2 = (w h L/c)^2 / 24."""
+    """Return the mean tension of a shallow cable: T^3/EA - s T^2 = (w h L/c)^2 / 24."""
     strain = (chord - length) / length
     load = w * span * length / chord
     b = load * load / wp.float64(24.0)
@@ -227,7 +227,7 @@ def taut_tension(chord: wp.float64, span: wp.float64, length: wp.float64, w: wp.
         t = wp.min(root, wp.sqrt(b / -strain))
     for _i in range(8):
         t -= (t * t * (t / ea - strain) - b) / (
-            t * (wp.float64(3.0) * t / ea - TWO * strain) + TINY
+            t * (wp.float64(3.0) * t / ea - TWO * strain) + DIVISION_FLOOR
         )
     return t
 
@@ -236,7 +236,7 @@ def taut_tension(chord: wp.float64, span: wp.float64, length: wp.float64, w: wp.
 def guess_tension_vector(
     d: wp.vec3d, length: wp.float64, w: wp.float64, ea: wp.float64
 ) -> wp.vec3d:
-    """First guess of q for a cable of this length hanging between two points d apart."""
+    """Guess q for a cable of this length hanging between two points d apart."""
     span = wp.sqrt(d[0] * d[0] + d[1] * d[1])
     chord = wp.sqrt(wp.dot(d, d)) + wp.float64(1.0e-12)
     if length < wp.float64(1.03) * chord:
@@ -258,7 +258,7 @@ def guess_tension_vector(
 
 @wp.func
 def guess_cable(anchor: wp.vec3d, unstrained_length: wp.float64, cable: Cable) -> wp.vec3d:
-    """First guess of q for a cable of the robot: pulley and run by their straight geometry."""
+    """Guess q for a cable of the robot: pulley and run by their straight geometry."""
     whole, wrap, direction, _bend, _valid = straight_cable(
         anchor - cable.exit_point, cable.pulley_radius, cable.swivel_axis
     )
@@ -271,18 +271,18 @@ def guess_cable(anchor: wp.vec3d, unstrained_length: wp.float64, cable: Cable) -
 
 
 @wp.struct
-class Settled:
+class SettledCable:
     """A cable after its own Newton iteration."""
 
     q: wp.vec3d
-    hanging: Hanging
+    hanging: HungCable
     inverse: wp.mat33d  # (d closure / d q)^-1 [N/m]
     iterations: int
 
 
 @wp.func
 def settle(q0: wp.vec3d, anchor: wp.vec3d, unstrained_length: wp.float64, cable: Cable,
-           tolerance: wp.float64, limit: int) -> Settled:  # fmt: skip
+           tolerance: wp.float64, limit: int) -> SettledCable:  # fmt: skip
     """Solve closure = 0 for one cable by damped Newton.
 
     The closure is the gradient of a convex function of q (its complementary energy less the work
@@ -311,7 +311,7 @@ def settle(q0: wp.vec3d, anchor: wp.vec3d, unstrained_length: wp.float64, cable:
         inverse = inverse33(state.closure_q)
         count += 1
         going = wp.length(state.closure) > tolerance and count < limit
-    out = Settled()
+    out = SettledCable()
     out.q = q
     out.hanging = state
     out.inverse = inverse

@@ -38,16 +38,16 @@ class Drums:
     advantage: Array
 
     def length(self, motor_angle: Array) -> Array:
-        """Unstrained length at a motor angle counted from length 0 [rad]; shapes (..., n).
+        """Return the unstrained length at a motor angle from length 0 [rad]; shapes (..., n).
 
         The law ends where the drum is empty, at an angle of 2 radius / buildup of the drum.
         """
         angle = motor_angle / self.gear
-        found: Array = angle * (self.radius - 0.25 * self.buildup * angle) / self.advantage
-        return found
+        paid_out: Array = angle * (self.radius - 0.25 * self.buildup * angle) / self.advantage
+        return paid_out
 
     def motor_angle(self, unstrained_length: Array) -> Array:
-        """Motor angle counted from length 0 [rad] at a length [m]; shapes (..., n).
+        """Return the motor angle from length 0 [rad] at a length [m]; shapes (..., n).
 
         Raises:
             InvalidField: The drum is empty before.
@@ -60,12 +60,12 @@ class Drums:
             most = self.radius[i] ** 2 / (self.advantage[i] * self.buildup[i])
             allowed = f"less than the drum holds, {most:.6g} m"
             raise InvalidField(f"unstrained_length[{i}]", f"{asked:.6g} m", allowed)
-        found: Array = self.gear * 2.0 * line / (self.radius + np.sqrt(left))
-        return found
+        angle: Array = self.gear * 2.0 * line / (self.radius + np.sqrt(left))
+        return angle
 
 
 def drums_of(robot: Robot) -> Drums:
-    """The drums of a robot.
+    """Return the drums of a robot.
 
     Raises:
         InvalidField: The robot file does not say how angle and length belong together.

@@ -5,7 +5,7 @@ import warp as wp
 from carosac_toolkit.physics.cable.catenary_kernels import (
     ZERO,
     Cable,
-    Hanging,
+    HungCable,
     catenary_span,
     guess_cable,
     guess_tension_vector,
@@ -15,7 +15,9 @@ from carosac_toolkit.physics.cable.catenary_kernels import (
 from carosac_toolkit.physics.cable.tension_kernels import pull_down
 from carosac_toolkit.physics.rest.platform_kernels import anchor_of
 
-SETTLED = wp.constant(wp.float64(1.0e-12))  # of the length: a cable that fits is left alone
+SETTLED_CLOSURE_MAX = wp.constant(
+    wp.float64(1.0e-12)
+)  # of the length: a cable that fits is left alone
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -33,7 +35,7 @@ def solve_catenary(
     jacobian: wp.array(dtype=wp.mat22d),
     iterations: wp.array(dtype=int),
 ):
-    """One cable per thread, lower end at the origin, upper end at (span, 0, rise)."""
+    """Solve one cable per thread, lower end at the origin, upper end at (span, 0, rise)."""
     b = wp.tid()
     cable = Cable()
     cable.exit_point = wp.vec3d(span[b], ZERO, rise[b])
@@ -61,8 +63,8 @@ def solve_catenary(
 
 
 @wp.func
-def point_of(state: Hanging, q: wp.vec3d, cable: Cable, k: int, count: int):
-    """The k-th of so many points, evenly spaced in unstrained length, exit first."""
+def point_of(state: HungCable, q: wp.vec3d, cable: Cable, k: int, count: int):
+    """Return the k-th of `count` points, evenly spaced in unstrained length, exit first."""
     part = state.free_length * wp.float64(k) / wp.float64(count - 1)
     span = catenary_span(q, part, cable.weight_per_length, cable.axial_stiffness)
     return state.tangent_point - span.reach
@@ -75,7 +77,7 @@ def cable_points(
     q: wp.array2d(dtype=wp.vec3d),
     points: wp.array3d(dtype=wp.vec3d),
 ):
-    """Points along each free cable, evenly spaced in unstrained length, exit first."""
+    """Compute points along each free cable, evenly spaced in unstrained length, exit first."""
     b, i = wp.tid()
     cable = cables[wp.min(b, cables.shape[0] - 1), i]
     state = hang(q[b, i], wp.vec3d(), unstrained_length[b, i], cable)
@@ -96,20 +98,20 @@ def cables_of_tension(
     mismatch: wp.array2d(dtype=wp.float64),
     taut: wp.array2d(dtype=int),
 ):
-    """One cable per thread that reaches its anchor point and pulls there with a given tension."""
+    """Solve one cable per thread that reaches its anchor point with a required tension."""
     b, i = wp.tid()
     cable = cables[wp.min(b, cables.shape[0] - 1), i]
     anchor = anchor_of(cable, position[b], rotation[b])
-    found = pull_down(anchor, tension[b, i], cable)
-    free = found.hanging.free_length
-    span = catenary_span(found.q, free, cable.weight_per_length, cable.axial_stiffness)
-    strain = wp.length(found.q) / cable.axial_stiffness
-    unstrained_length[b, i] = found.unstrained_length
-    sag[b, i] = free + span.stretch - wp.length(found.hanging.tangent_point - anchor)
+    pulling = pull_down(anchor, tension[b, i], cable)
+    free = pulling.hanging.free_length
+    span = catenary_span(pulling.q, free, cable.weight_per_length, cable.axial_stiffness)
+    strain = wp.length(pulling.q) / cable.axial_stiffness
+    unstrained_length[b, i] = pulling.unstrained_length
+    sag[b, i] = free + span.stretch - wp.length(pulling.hanging.tangent_point - anchor)
     stretch[b, i] = span.stretch + cable.run_length * strain / (wp.float64(1.0) + strain)
-    closure[b, i] = wp.length(found.hanging.closure)
-    mismatch[b, i] = wp.abs(found.mismatch)
-    taut[b, i] = found.taut
+    closure[b, i] = wp.length(pulling.hanging.closure)
+    mismatch[b, i] = wp.abs(pulling.mismatch)
+    taut[b, i] = pulling.taut
 
 
 @wp.kernel
@@ -122,13 +124,15 @@ def hanging_points(
     closure: wp.array2d(dtype=wp.float64),
     points: wp.array3d(dtype=wp.vec3d),
 ):
-    """One cable per thread of a given length, hung from its exit to its anchor at a given pose."""
+    """Hang one cable of known length per thread from its exit to its anchor at a pose."""
     b, i = wp.tid()
     cable = cables[wp.min(b, cables.shape[0] - 1), i]
     anchor = anchor_of(cable, position[b], rotation[b])
     length = unstrained_length[b, i]
-    found = settle(guess_cable(anchor, length, cable), anchor, length, cable, SETTLED * length, 100)
-    tension[b, i] = wp.length(found.hanging.force)
-    closure[b, i] = wp.length(found.hanging.closure)
+    settled = settle(
+        guess_cable(anchor, length, cable), anchor, length, cable, SETTLED_CLOSURE_MAX * length, 100
+    )
+    tension[b, i] = wp.length(settled.hanging.force)
+    closure[b, i] = wp.length(settled.hanging.closure)
     for k in range(points.shape[2]):
-        points[b, i, k] = point_of(found.hanging, found.q, cable, k, points.shape[2])
+        points[b, i, k] = point_of(settled.hanging, settled.q, cable, k, points.shape[2])

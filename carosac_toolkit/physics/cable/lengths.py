@@ -1,4 +1,4 @@
-"""Cables between known poses: the length that a cable has when it pulls with a given tension."""
+"""Cable lengths at known poses and tensions."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from carosac_toolkit.physics.cable import hanging_kernels
 from carosac_toolkit.physics.device import device_robot
 from carosac_toolkit.robot.robot import Robot
 
-CLOSURE = 1e-10  # [m]: a larger gap is no solution
-MISMATCH = 1e-9  # of the tension: a larger one is no solution
+TENSIONED_CLOSURE_MAX_M = 1e-10  # [m]: a larger gap is no solution
+TENSION_MISMATCH_MAX = 1e-9  # of the tension: a larger one is no solution
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -27,7 +27,7 @@ class CableLengths:
         unstrained_length: Material from datum to anchor [m], shape (B, n).
         sag: By how much the free cable is longer than its chord, as it hangs [m], shape (B, n).
         stretch: Elongation of free cable and run together [m], shape (B, n).
-        valid: Whether there is such a cable, shape (B, n).
+        valid: True if there is such a cable, shape (B, n).
     """
 
     unstrained_length: Array
@@ -44,7 +44,7 @@ def length_at_tension(
     *,
     device: str = "cpu",
 ) -> CableLengths:
-    """Length of each cable that reaches a pose and pulls there with a given tension.
+    """Solve for the length of each cable that reaches a pose with a required tension.
 
     Of the two cables that may do so, a taut and a deeply sagging one, the taut one is meant; below
     the least tension with which a cable can hang there, there is none.
@@ -83,7 +83,11 @@ def length_at_tension(
         device=device,
     )
     length, sag, stretch, closure, mismatch = (a.numpy() for a in outputs)
-    valid = known & (closure <= CLOSURE) & (mismatch <= MISMATCH * np.where(known, asked, 1.0))
+    valid = (
+        known
+        & (closure <= TENSIONED_CLOSURE_MAX_M)
+        & (mismatch <= TENSION_MISMATCH_MAX * np.where(known, asked, 1.0))
+    )
     valid &= (length > 0.0) & (taut.numpy() == 1)
     return CableLengths(
         unstrained_length=np.where(valid, length, np.nan),

@@ -15,7 +15,7 @@ from carosac_toolkit.physics.cable import hanging_kernels
 from carosac_toolkit.physics.device import check_call, device_robot
 from carosac_toolkit.robot.robot import Robot
 
-CLOSURE = 1e-9  # [m]: a cable that misses its anchor point by more has not been found
+HANGING_CLOSURE_MAX_M = 1e-9  # [m]: a cable that misses its anchor point by more has not been found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,7 +57,7 @@ def hanging_cables(
         The shape and tension of each cable, with a status.
 
     Raises:
-        InvalidField: A wrong shape, or a pose that is none.
+        InvalidField: A wrong shape, or an invalid pose.
     """
     check_call(robot, device)
     if samples < 2:
@@ -85,7 +85,7 @@ def hanging_cables(
         tension, closure, points,
     ]  # fmt: skip
     wp.launch(hanging_kernels.hanging_points, shape, inputs=inputs, device=device)
-    valid = known & (closure.numpy() <= CLOSURE)
+    valid = known & (closure.numpy() <= HANGING_CLOSURE_MAX_M)
     return HangingCables(
         points=np.where(valid[..., None, None], points.numpy(), np.nan),
         tension=np.where(valid, tension.numpy(), np.nan),
@@ -94,7 +94,7 @@ def hanging_cables(
 
 
 def offset_from_chord(points: Array) -> Array:
-    """How far the points of cables lie off the straight line between their ends: the sag.
+    """Return the sag of cables: offsets of their points from the line between their ends.
 
     Args:
         points: Along each cable in W [m], shape (..., samples, 3).

@@ -29,7 +29,7 @@ from carosac_toolkit.physics.cable import straight_line_kernels
 from carosac_toolkit.physics.device import check_device, kept_buffers
 from carosac_toolkit.robot.robot import Robot
 
-TOLERANCE = 1e-10  # gradient norm over the longest length that counts as converged [-]
+GRADIENT_TOLERANCE = 1e-10  # gradient norm over the longest length that counts as converged [-]
 MAX_ITERATIONS = 200
 
 
@@ -79,7 +79,7 @@ def straight_length(
     *,
     device: str = "cpu",
 ) -> StraightCables:
-    """Straight cables at given poses, with the gradient of their lengths.
+    """Return straight cables at known poses, with the gradient of their lengths.
 
     Args:
         robot: Robot description, n cables.
@@ -93,21 +93,21 @@ def straight_length(
     points = batch("position", position, (3,))
     turns = _rotations(robot, rotation, len(points))
     outputs = ("length", "wrap", "direction", "valid")
-    found = _launch(
+    solution = _launch(
         robot,
         device,
         len(points),
         straight_line_kernels.straight_lengths,
         (len(points), robot.n),
         {"position": points, "rotation": turns},
-        ("position", "rotation", *_GEOMETRY, *outputs),
+        ("position", "rotation", *_GEOMETRY_FIELDS, *outputs),
         outputs,
     )
     return StraightCables(
-        length=found["length"],
-        wrap=found["wrap"],
-        direction=found["direction"],
-        valid=found["valid"] != 0,
+        length=solution["length"],
+        wrap=solution["wrap"],
+        direction=solution["direction"],
+        valid=solution["valid"] != 0,
     )
 
 
@@ -118,7 +118,7 @@ def inverse_kinematics(
     *,
     device: str = "cpu",
 ) -> Array:
-    """Straight-line lengths at given poses.
+    """Return straight-line lengths at known poses.
 
     Args:
         robot: Robot description, n cables.
@@ -152,7 +152,7 @@ def forward_kinematics(
     guess: ArrayLike | None = None,
     device: str = "cpu",
 ) -> StraightLineFit:
-    """Positions whose straight-line lengths come closest to the given ones.
+    """Find positions whose straight-line lengths come closest to the target lengths.
 
     The squared error has several minima: where the exit points are near one plane, each solution
     below it has a twin above it. The one found is the one downhill from the guess; the default, the
@@ -163,7 +163,7 @@ def forward_kinematics(
         robot: Robot description, n cables.
         length: Cable lengths from datum to anchor point [m], shape (B, n).
         rotation: From P to W, held fixed, shape (B, 3, 3); None is the home rotation.
-        guess: Where to start [m], shape (B, 3); None is the home position.
+        guess: Initial positions [m], shape (B, 3); None is the home position.
         device: Warp device.
 
     Returns:
@@ -176,22 +176,29 @@ def forward_kinematics(
     if guess is not None and len(start) != len(targets):
         raise InvalidField("guess", f"shape {start.shape}", f"shape {(len(targets), 3)}")
     outputs = ("position", "residual", "converged", "iterations")
-    found = _launch(
+    solution = _launch(
         robot,
         device,
         len(targets),
         straight_line_kernels.fit_position,
         len(targets),
         {"target": targets, "rotation": turns, "position": start},
-        ("target", "rotation", *_GEOMETRY, wp.float64(TOLERANCE), MAX_ITERATIONS, *outputs),
+        (
+            "target",
+            "rotation",
+            *_GEOMETRY_FIELDS,
+            wp.float64(GRADIENT_TOLERANCE),
+            MAX_ITERATIONS,
+            *outputs,
+        ),
         (*outputs, "rotation"),
     )
     return StraightLineFit(
-        position=found["position"],
-        rotation=found["rotation"],
-        residual=found["residual"],
-        converged=found["converged"] != 0,
-        iterations=found["iterations"],
+        position=solution["position"],
+        rotation=solution["rotation"],
+        residual=solution["residual"],
+        converged=solution["converged"] != 0,
+        iterations=solution["iterations"],
     )
 
 
@@ -205,7 +212,7 @@ def _launch(
     buffers = kept_buffers(robot, "straight_line", size, device, lambda: _shapes(size, robot.n))
     with buffers.lock:
         if not buffers.launched:
-            for name in _GEOMETRY:
+            for name in _GEOMETRY_FIELDS:
                 buffers.put(name, getattr(robot, name))
         for name, value in inputs.items():
             buffers.put(name, value)
@@ -214,7 +221,7 @@ def _launch(
 
 
 def _shapes(size: int, n: int) -> dict[str, tuple[Any, Any]]:
-    """Shape and type of every buffer."""
+    """Return shape and type of every buffer."""
     return {
         "exit_points": (n, wp.vec3d), "anchor_points": (n, wp.vec3d),
         "pulley_radius": (n, wp.float64), "swivel_axis": (n, wp.vec3d),
@@ -226,11 +233,11 @@ def _shapes(size: int, n: int) -> dict[str, tuple[Any, Any]]:
     }  # fmt: skip
 
 
-_GEOMETRY = ("exit_points", "anchor_points", "pulley_radius", "swivel_axis")
+_GEOMETRY_FIELDS = ("exit_points", "anchor_points", "pulley_radius", "swivel_axis")
 
 
 def _rotations(robot: Robot, rotation: ArrayLike | None, size: int) -> Array:
-    """Home rotation, or an argument of one rotation matrix per pose."""
+    """Return the home rotation, or an argument of one rotation matrix per pose."""
     if rotation is None:
         return robot.home_rotation
     return rotations("rotation", rotation, size)

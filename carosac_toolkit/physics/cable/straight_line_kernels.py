@@ -9,13 +9,13 @@ vec3 = wp.vec3d
 mat33 = wp.mat33d
 
 PI = wp.constant(wp.float64(3.141592653589793))
-MU_START = wp.constant(wp.float64(1.0e-2))  # first damping, per cable, once a step is refused
-MU_END = wp.constant(wp.float64(1.0e12))  # no step can be accepted any more
+DAMPING_START = wp.constant(wp.float64(1.0e-2))  # first damping, per cable, once a step is refused
+DAMPING_MAX = wp.constant(wp.float64(1.0e12))  # no step can be accepted any more
 
 
 @wp.func
 def perpendicular(axis: vec3):
-    """Any unit vector at right angles to a unit vector."""
+    """Return any unit vector at right angles to a unit vector."""
     other = vec3(f64(1.0), f64(0.0), f64(0.0))
     if wp.abs(axis[0]) > f64(0.7):
         other = vec3(f64(0.0), f64(1.0), f64(0.0))
@@ -24,7 +24,7 @@ def perpendicular(axis: vec3):
 
 @wp.func
 def pulley_cable(relative: vec3, radius: f64, axis: vec3):
-    """See `straight_cable`; radius > 0.
+    """Return the results of `straight_cable` for radius > 0.
 
     In the plane of axis k and e, the direction from the axis to the anchor, the centre is r e from
     the datum, the cable leaves at -r cos(th) e + r sin(th) k from it, along cos(th) k + sin(th) e.
@@ -64,7 +64,7 @@ def pulley_cable(relative: vec3, radius: f64, axis: vec3):
 
 @wp.func
 def straight_cable(relative: vec3, radius: f64, axis: vec3):
-    """One straight cable from its datum over its pulley to its anchor.
+    """Solve one straight cable from its datum over its pulley to its anchor.
 
     Args:
         relative: Datum to anchor point in W [m].
@@ -106,7 +106,7 @@ def straight_lengths(
     direction: wp.array2d(dtype=vec3),
     valid: wp.array2d(dtype=wp.int32),
 ):
-    """Lengths, wraps and gradients of all cables at given poses; one thread per pose and cable."""
+    """Compute lengths, wraps and gradients at known poses; one thread per pose and cable."""
     b, i = wp.tid()
     relative = position[b] + rotation[b] * anchor[i] - exit_point[i]
     span, angle, unit, _bend, inside = straight_cable(relative, radius[i], axis[i])
@@ -127,7 +127,7 @@ def misfit(
     axis: wp.array(dtype=vec3),
     target: wp.array2d(dtype=f64),
 ):
-    """Half the summed squared length error [m^2], its gradient [m], its Hessian [-], validity."""
+    """Return half the summed squared length error [m^2], gradient [m], Hessian [-], validity."""
     cost = f64(0.0)
     gradient = vec3()
     hessian = mat33()
@@ -183,7 +183,7 @@ def fit_position(
     converged: wp.array(dtype=wp.int32),
     iterations: wp.array(dtype=wp.int32),
 ):
-    """Position of least squared length error: damped Newton with accept and reject.
+    """Find the position of least squared length error by damped Newton.
 
     The Hessian is the full one, with the curvature of the lengths: lengths that contradict each
     other leave a large residual, at which Gauss-Newton crawls or cycles. `position` holds the
@@ -202,7 +202,7 @@ def fit_position(
     count = wp.int32(0)
     while (
         count < max_iterations
-        and mu < MU_END
+        and mu < DAMPING_MAX
         and wp.length(gradient) > f64(0.01) * tolerance * scale
     ):
         count += 1
@@ -226,10 +226,10 @@ def fit_position(
                 hessian = hessian_1
                 valid = valid_1
         if gain < f64(0.25):
-            mu = wp.max(f64(4.0) * mu, MU_START * cables)
+            mu = wp.max(f64(4.0) * mu, DAMPING_START * cables)
         elif gain > f64(0.75):
             mu *= f64(0.125)
-            if mu < f64(1.0e-3) * MU_START * cables:
+            if mu < f64(1.0e-3) * DAMPING_START * cables:
                 mu = f64(0.0)
     _step, minimum = solve_positive(hessian, gradient)
     done = wp.int32(0)

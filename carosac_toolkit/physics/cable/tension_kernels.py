@@ -1,4 +1,4 @@
-"""One cable of given tension: the length and shape that make it pull so hard at the platform."""
+"""One cable of known tension at the platform: its length and shape."""
 
 import warp as wp
 
@@ -8,7 +8,7 @@ from carosac_toolkit.physics.cable.catenary_kernels import (
     TWO,
     ZERO,
     Cable,
-    Hanging,
+    HungCable,
     hang,
     inverse33,
 )
@@ -16,8 +16,10 @@ from carosac_toolkit.physics.rest.start_kernels import straight_to
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-MARGIN = wp.constant(wp.float64(1.3))  # over the least tension, where length and tension part ways
-WIDE_MARGIN = wp.constant(wp.float64(4.0))
+LEAST_TENSION_FACTOR = wp.constant(
+    wp.float64(1.3)
+)  # over the least tension, where length and tension part ways
+LEAST_TENSION_FACTOR_WIDE = wp.constant(wp.float64(4.0))
 
 
 @wp.struct
@@ -26,7 +28,7 @@ class Pulling:
 
     q: wp.vec3d  # tension vector at the exit [N]
     unstrained_length: wp.float64  # [m]
-    hanging: Hanging
+    hanging: HungCable
     force_t: wp.vec3d  # d force / d tension
     stiffness: wp.mat33d  # -d force / d anchor at constant tension [N/m]
     mismatch: wp.float64  # [N] left between asked and reached tension
@@ -36,7 +38,7 @@ class Pulling:
 
 @wp.func
 def guess_pull(anchor: wp.vec3d, tension: wp.float64, cable: Cable) -> Pulling:
-    """First guess: straight cable, half its weight at each end."""
+    """Guess a straight cable, half its weight at each end."""
     straight = straight_to(cable, anchor)
     strained = ONE + tension / cable.axial_stiffness
     out = Pulling()
@@ -50,7 +52,7 @@ def guess_pull(anchor: wp.vec3d, tension: wp.float64, cable: Cable) -> Pulling:
 @wp.func
 def pull(start: Pulling, anchor: wp.vec3d, tension: wp.float64, cable: Cable,
          tolerance: wp.float64, limit: int) -> Pulling:  # fmt: skip
-    """Newton on closure and tension together, from a guess; steps limited by a factor of two."""
+    """Solve closure and tension together by Newton; steps limited by a factor of two."""
     q = start.q
     length = start.unstrained_length
     z = wp.vec3d(ZERO, ZERO, cable.weight_per_length)
@@ -90,7 +92,7 @@ def pull(start: Pulling, anchor: wp.vec3d, tension: wp.float64, cable: Cable,
 
 @wp.func
 def end_tension(x: wp.float64, span: wp.float64, rise: wp.float64, w: wp.float64) -> wp.float64:
-    """Tension at the platform of an inextensible catenary, x = w span / (2 H)."""
+    """Return the tension at the platform of an inextensible catenary, x = w span / (2 H)."""
     bulge = span * wp.sinh(x) / x
     length = wp.sqrt(rise * rise + bulge * bulge)
     horizontal = w * span / (TWO * x)
@@ -100,7 +102,7 @@ def end_tension(x: wp.float64, span: wp.float64, rise: wp.float64, w: wp.float64
 
 @wp.func
 def least_tension(anchor: wp.vec3d, cable: Cable) -> wp.float64:
-    """Least tension at the platform with which a cable can hang there at all.
+    """Return the least tension at the platform with which a cable can hang there at all.
 
     Looser and tighter cables both pull harder: golden section over the logarithm of x.
     """
@@ -125,7 +127,7 @@ def least_tension(anchor: wp.vec3d, cable: Cable) -> wp.float64:
 def lowest_allowed(
     anchor: wp.vec3d, cable: Cable, weight: wp.float64, margin: wp.float64
 ) -> wp.float64:
-    """Lower limit of the tension [N]: the robot's, but `margin` over what a hanging cable needs."""
+    """Return the lower tension limit [N]: the robot's, or `margin` times the least possible."""
     lowest = wp.max(cable.tension_min, wp.float64(1.0e-6) * weight)
     # Never more than 1.3 times the weight of the straight cable: often no need to look closer.
     most = wp.float64(1.3) * cable.weight_per_length * straight_to(cable, anchor).length
@@ -136,7 +138,7 @@ def lowest_allowed(
 
 @wp.func
 def pull_down(anchor: wp.vec3d, tension: wp.float64, cable: Cable) -> Pulling:
-    """The taut cable of a given tension, followed down from a tension at which it hardly sags."""
+    """Return the taut cable of a tension, followed down from one at which it hardly sags."""
     t = wp.max(tension, TWO * cable.weight_per_length * straight_to(cable, anchor).length)
     out = pull(guess_pull(anchor, t, cable), anchor, t, cable, wp.float64(1.0e-14), 60)
     while t > tension:

@@ -31,7 +31,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @wp.struct
-class RigidBody:
+class DynamicBody:
     """The platform with its payloads."""
 
     mass: wp.float64  # [kg]
@@ -44,15 +44,19 @@ class RigidBody:
     size: wp.float64  # typical cable length [m]
 
 
-GRID = wp.constant(wp.float64(0.01))  # [s] between two draws of the wind
-SMOOTH = wp.constant(wp.float64(0.7))  # share of very fast motions that is left after a step
-ROUGH = wp.constant(wp.float64(0.2))  # the same while particles fall slack and snap taut
-JUMP = wp.constant(wp.float64(2.0))  # a larger ratio of two steps is a new start
+GUST_INTERVAL_S = wp.constant(wp.float64(0.01))  # [s] between two draws of the wind
+FAST_MOTION_SHARE = wp.constant(
+    wp.float64(0.7)
+)  # share of very fast motions that is left after a step
+FAST_MOTION_SHARE_ROUGH = wp.constant(
+    wp.float64(0.2)
+)  # the same while particles fall slack and snap taut
+STEP_RATIO_MAX = wp.constant(wp.float64(2.0))  # a larger ratio of two steps is a new start
 
 
 @wp.struct
-class Motion:
-    """Where the body is and how it moves; all in W."""
+class BodyMotion:
+    """Pose, velocities and rates of the body, all in W."""
 
     center: wp.vec3d  # centre of mass [m]
     rotation: wp.mat33d  # from P to W
@@ -99,12 +103,12 @@ class Newton:
 
 @wp.func
 def scheme_of(h: wp.float64, last: wp.float64, forget: bool, left: wp.float64) -> Scheme:
-    """Coefficients of a step of h [s] after one of `last`, 0 for none.
+    """Return the coefficients of a step of h [s] after one of `last`, 0 for none.
 
     It is an implicit Euler step after a jump in size and to `forget` what was before; of motions
     that are much faster than another step a share `left` is left.
     """
-    slack = JUMP * wp.float64(1.0 + 1.0e-6)
+    slack = STEP_RATIO_MAX * wp.float64(1.0 + 1.0e-6)
     out = Scheme()
     out.h = h
     if forget or h > slack * last or last > slack * h:
@@ -124,31 +128,31 @@ def scheme_of(h: wp.float64, last: wp.float64, forget: bool, left: wp.float64) -
 
 @wp.func
 def increment(s: Scheme, v: wp.vec3d, a: wp.vec3d, v1: wp.vec3d) -> wp.vec3d:
-    """X' - x for velocity and rate at the start and velocity at the end."""
+    """Return x' - x from velocity and rate at the start and velocity at the end."""
     return (s.h - s.reach) * v + s.coast * a + s.reach * v1
 
 
 @wp.func
 def rate_after(s: Scheme, v: wp.vec3d, a: wp.vec3d, v1: wp.vec3d) -> wp.vec3d:
-    """The algorithmic rate a' at the end."""
+    """Return the algorithmic rate a' at the end."""
     return ((v1 - v) / s.h - (ONE - s.gamma) * a) / s.gamma
 
 
 @wp.func
 def rate_felt(s: Scheme, v: wp.vec3d, a: wp.vec3d, v1: wp.vec3d) -> wp.vec3d:
-    """The rate that balances the forces at the end, (1 - alpha) a' + alpha a."""
+    """Return the rate that balances the forces at the end, (1 - alpha) a' + alpha a."""
     return (ONE - s.alpha) * rate_after(s, v, a, v1) + s.alpha * a
 
 
 @wp.func
-def world_inertia(body: RigidBody, rotation: wp.mat33d) -> wp.mat33d:
-    """Inertia about the centre of mass, axes of W [kg m^2]."""
+def world_inertia(body: DynamicBody, rotation: wp.mat33d) -> wp.mat33d:
+    """Return the inertia about the centre of mass, axes of W [kg m^2]."""
     return rotation * body.inertia * wp.transpose(rotation)
 
 
 @wp.func
-def moved(start: Motion, scheme: Scheme, velocity: wp.vec3d, omega: wp.vec3d) -> Motion:
-    """The motion at the end of a step for given velocities there; the rest as at its start."""
+def moved(start: BodyMotion, scheme: Scheme, velocity: wp.vec3d, omega: wp.vec3d) -> BodyMotion:
+    """Return the motion at the end of a step for trial velocities; rates are those at its start."""
     out = start
     out.velocity = velocity
     out.angular_velocity = omega
@@ -159,9 +163,9 @@ def moved(start: Motion, scheme: Scheme, velocity: wp.vec3d, omega: wp.vec3d) ->
 
 
 @wp.func
-def inertial_system(body: RigidBody, start: Motion, trial: Motion, scheme: Scheme,
+def inertial_system(body: DynamicBody, start: BodyMotion, trial: BodyMotion, scheme: Scheme,
                     wind: wp.vec3d) -> System:  # fmt: skip
-    """Weight, wind, drag and inertia of the body at a trial motion."""
+    """Return weight, wind, drag and inertia of the body at a trial motion."""
     out = System()
     jw = world_inertia(body, trial.rotation)
     v = trial.velocity
@@ -192,7 +196,7 @@ def attach(system: System, arm: wp.vec3d, force: wp.vec3d, k: wp.mat33d) -> Syst
 
 @wp.func
 def solve_system(s: System) -> Newton:
-    """The step that balances force and moment to first order, by blocks."""
+    """Return the step that balances force and moment to first order, by blocks."""
     a = inverse33(s.tt)
     ab = a * s.tr
     schur = s.rr - wp.transpose(s.tr) * ab
@@ -206,7 +210,7 @@ def solve_system(s: System) -> Newton:
 
 
 @wp.func
-def finish(body: RigidBody, start: Motion, trial: Motion, scheme: Scheme) -> Motion:
+def finish(body: DynamicBody, start: BodyMotion, trial: BodyMotion, scheme: Scheme) -> BodyMotion:
     """Accept a trial motion as the end of a step."""
     out = trial
     v = trial.velocity
@@ -225,10 +229,10 @@ def finish(body: RigidBody, start: Motion, trial: Motion, scheme: Scheme) -> Mot
 
 
 @wp.func
-def at_rest(body: RigidBody, position: wp.vec3d, rotation: wp.mat33d, velocity: wp.vec3d,
-            omega: wp.vec3d) -> Motion:  # fmt: skip
-    """A motion without a past, from pose and twist at the platform origin."""
-    out = Motion()
+def at_rest(body: DynamicBody, position: wp.vec3d, rotation: wp.mat33d, velocity: wp.vec3d,
+            omega: wp.vec3d) -> BodyMotion:  # fmt: skip
+    """Return a motion without a past, from pose and twist at the platform origin."""
+    out = BodyMotion()
     lever = rotation * body.center_of_mass
     out.center = position + lever
     out.rotation = rotation
@@ -239,22 +243,22 @@ def at_rest(body: RigidBody, position: wp.vec3d, rotation: wp.mat33d, velocity: 
 
 
 @wp.func
-def origin_of(body: RigidBody, motion: Motion) -> wp.vec3d:
-    """Platform origin in W [m]."""
+def origin_of(body: DynamicBody, motion: BodyMotion) -> wp.vec3d:
+    """Return the platform origin in W [m]."""
     return motion.center - motion.rotation * body.center_of_mass
 
 
 @wp.func
-def origin_velocity(body: RigidBody, motion: Motion) -> wp.vec3d:
-    """Velocity of the platform origin in W [m/s]."""
+def origin_velocity(body: DynamicBody, motion: BodyMotion) -> wp.vec3d:
+    """Return the velocity of the platform origin in W [m/s]."""
     return motion.velocity - wp.cross(
         motion.angular_velocity, motion.rotation * body.center_of_mass
     )
 
 
 @wp.func
-def origin_acceleration(body: RigidBody, motion: Motion) -> wp.vec3d:
-    """Acceleration of the platform origin in W [m/s^2]."""
+def origin_acceleration(body: DynamicBody, motion: BodyMotion) -> wp.vec3d:
+    """Return the acceleration of the platform origin in W [m/s^2]."""
     lever = motion.rotation * body.center_of_mass
     omega = motion.angular_velocity
     return (
@@ -274,17 +278,17 @@ class Wind:
 
 @wp.struct
 class Gusts:
-    """The wind on one platform: forces at two instants `GRID` apart, and between them [N]."""
+    """Wind force on one platform [N], interpolated between draws `GUST_INTERVAL_S` apart."""
 
     force: wp.vec3d  # at the end of the last step
     before: wp.vec3d
     after: wp.vec3d
-    count: int  # of instants drawn so far; `after` is the force at (count - 1) GRID
+    count: int  # of instants drawn so far; `after` is the force at (count - 1) GUST_INTERVAL_S
 
 
 @wp.func
 def draw_gust(wind: Wind, force: wp.vec3d, keep: wp.float64, seed: int, count: int) -> wp.vec3d:
-    """A force of which a share `keep` is an earlier one; `seed` and `count` name the draw."""
+    """Draw a force that keeps a share `keep` of an earlier one; `seed`, `count` name the draw."""
     state = wp.rand_init(seed, count)
     spread = wind.deviation * wp.sqrt(ONE - keep * keep)
     gx = wp.float64(wp.randn(state))
@@ -294,17 +298,17 @@ def draw_gust(wind: Wind, force: wp.vec3d, keep: wp.float64, seed: int, count: i
 
 @wp.func
 def blow(wind: Wind, gusts: Gusts, time: wp.float64, seed: int) -> Gusts:
-    """The wind at a later time [s]. It is drawn on a grid of its own: steps do not change it."""
+    """Return the wind at a later time [s]; its own grid of draws is independent of the steps."""
     out = gusts
     if wind.deviation > ZERO:
         if out.count == 0:
             out.after = draw_gust(wind, out.after, ZERO, seed, 0)  # of the stationary distribution
             out.count = 1
-        keep = wp.exp(-GRID / wind.time)
-        while time > wp.float64(out.count - 1) * GRID:
+        keep = wp.exp(-GUST_INTERVAL_S / wind.time)
+        while time > wp.float64(out.count - 1) * GUST_INTERVAL_S:
             out.before = out.after
             out.after = draw_gust(wind, out.before, keep, seed, out.count)
             out.count += 1
-        share = time / GRID - wp.float64(out.count - 2)
+        share = time / GUST_INTERVAL_S - wp.float64(out.count - 2)
         out.force = out.before + share * (out.after - out.before)
     return out

@@ -27,19 +27,19 @@ from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.motion import braking_kernels, stop_kernels
 from carosac_toolkit.robot.robot import Robot
 
-SETTLE_SLACK = 1e-9  # by how much a shortened step may end beyond what was asked for [m]
-BOX_SLACK = 1e-9  # what the straight-line position is known to [m]
-_EPSILON = 2.0**-52
-_STATE = ("length", "speed", "acceleration", "position")
-_PER_CABLE = (
+SETTLE_SLACK_M = 1e-9  # overshoot allowed to a shortened step beyond its target [m]
+BOX_SLACK_M = 1e-9  # accuracy of the straight-line position [m]
+_MACHINE_EPSILON = 2.0**-52
+_MOTION_FIELDS = ("length", "speed", "acceleration", "position")
+_CABLE_BUFFERS = (
     "length", "speed", "acceleration", "asked", "pace", "actual", "brake_length", "base_length",
     "base_speed", "base_acceleration", "share", "base_end", "walk_length", "walk_speed",
     "walk_acceleration", "sent_length", "sent_speed", "sent_acceleration", "low", "high", "peak",
 )  # fmt: skip
 
 
-class Motion(NamedTuple):
-    """What the winches were last asked for.
+class WinchMotion(NamedTuple):
+    """Commanded motion of the winches.
 
     Attributes:
         length: Unstrained length [m], shape (B, n).
@@ -56,7 +56,7 @@ class Motion(NamedTuple):
 
 
 class Extremes(NamedTuple):
-    """What a motion comes to when it is followed by the controlled stop.
+    """Extremes of a motion followed by the controlled stop.
 
     Attributes:
         low: Shortest length [m], shape (B, n).
@@ -74,7 +74,7 @@ class Extremes(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Slack:
-    """What rounding of lengths in double precision leaves uncertain, plus 1e-12 of each limit.
+    """Rounding error of lengths in double precision and its derivatives, plus 1e-12 of each limit.
 
     Attributes:
         length: [m].
@@ -90,8 +90,8 @@ class Slack:
 
     @classmethod
     def of(cls, robot: Robot, jerk_max: float, period: float) -> Slack:
-        """The slack of a robot's winches at a period [s]."""
-        grain = 4.0 * _EPSILON * float(robot.length_max.max())
+        """Return the slack of a robot's winches at a period [s]."""
+        grain = 4.0 * _MACHINE_EPSILON * float(robot.length_max.max())
         return cls(
             length=grain,
             speed=grain / period + 1e-12 * float(robot.speed_max.min()),
@@ -114,7 +114,7 @@ class Brakes:
             period: Time between two commands [s].
             jerk_max: [m/s^3].
             jump_max: Largest distance of a command from the measured length [m].
-            box: Whether the straight-line position must stay in the workspace box.
+            box: True if the straight-line position must stay in the workspace box.
         """
         warp_setup.load(braking_kernels)
         self.slack = Slack.of(robot, jerk_max, period)
@@ -122,9 +122,10 @@ class Brakes:
         rules.period, rules.jerk_max, rules.jump_max = period, jerk_max, jump_max
         _fill_rules(rules, robot, self.slack)
         rules.steps_max, rules.use_box = most_steps(robot, jerk_max, period), int(box)
-        work = stop_kernels.Work()
+        work = stop_kernels.StopWork()
         arrays = {
-            name: wp.zeros((size, robot.n), dtype=wp.float64, device="cpu") for name in _PER_CABLE
+            name: wp.zeros((size, robot.n), dtype=wp.float64, device="cpu")
+            for name in _CABLE_BUFFERS
         }
         arrays |= {
             k: wp.zeros(size, dtype=wp.vec3d, device="cpu") for k in ("position", "sent_position")
@@ -141,13 +142,15 @@ class Brakes:
             )
         }  # fmt: skip
 
-    def limit(self, motion: Motion, asked: Array, pace: Array, actual: Array | None) -> Motion:
-        """The asked step where it is admissible, else one as far towards it as is.
+    def limit(
+        self, motion: WinchMotion, asked: Array, pace: Array, actual: Array | None
+    ) -> WinchMotion:
+        """Return the asked step if it is admissible, else one as far towards it as is.
 
         Args:
-            motion: Where the winches are, admissible.
+            motion: Current motion of the winches, admissible.
             asked: Lengths [m], shape (B, n).
-            pace: Speed at which what is asked moves [m/s], shape (B, n).
+            pace: Speed of the asked lengths [m/s], shape (B, n).
             actual: Measured lengths [m], shape (B, n), or None: the jump limit does not count.
 
         Returns:
@@ -162,14 +165,14 @@ class Brakes:
         self._launches["limit_step"].launch()
         return self._sent()
 
-    def stop(self, motion: Motion) -> Motion:
-        """The next step of the controlled stop."""
+    def stop(self, motion: WinchMotion) -> WinchMotion:
+        """Return the next step of the controlled stop."""
         self._put(motion)
         self._launches["brake_all"].launch()
         return self._sent()
 
-    def look_ahead(self, motion: Motion) -> Extremes:
-        """What a motion comes to until it is at rest.
+    def look_ahead(self, motion: WinchMotion) -> Extremes:
+        """Return the extremes of a motion until it is at rest.
 
         A row that exceeds a speed or an acceleration now is looked at where it is now only.
         """
@@ -177,18 +180,18 @@ class Brakes:
         self._launches["look_ahead"].launch()
         return Extremes(*(self._views[name].copy() for name in ("low", "high", "peak", "outside")))
 
-    def _put(self, motion: Motion) -> None:
+    def _put(self, motion: WinchMotion) -> None:
         """Copy a motion in."""
-        for name, value in zip(_STATE, motion, strict=True):
+        for name, value in zip(_MOTION_FIELDS, motion, strict=True):
             self._views[name][...] = value
 
-    def _sent(self) -> Motion:
+    def _sent(self) -> WinchMotion:
         """Copy the motion after a step out."""
-        return Motion(*(self._views[f"sent_{name}"].copy() for name in _STATE))
+        return WinchMotion(*(self._views[f"sent_{name}"].copy() for name in _MOTION_FIELDS))
 
 
 def most_steps(robot: Robot, jerk_max: float, period: float) -> int:
-    """A bound on the periods that any controlled stop needs from within the limits."""
+    """Return a bound on the periods that any controlled stop needs from within the limits."""
     jump, a_max = jerk_max * period, robot.acceleration_max
     speed = 2.0 * robot.speed_max + a_max * (a_max / jump + 2.0) * period  # after ramping a down
     ramps = 2.0 * a_max / jump + 2.0 * np.sqrt(2.0 * speed / (jump * period))
@@ -196,7 +199,7 @@ def most_steps(robot: Robot, jerk_max: float, period: float) -> int:
 
 
 def _fill_rules(rules: Any, robot: Robot, slack: Slack) -> None:
-    """Geometry, limits of the robot and slacks, for the kernels."""
+    """Fill in geometry, limits of the robot and slacks, for the kernels."""
     for name in ("exit_points", "anchor_points", "swivel_axis"):
         setattr(rules, name, wp.array(getattr(robot, name), dtype=wp.vec3d, device="cpu"))
     for name in ("pulley_radius", "length_min", "length_max", "speed_max", "acceleration_max"):
@@ -205,4 +208,4 @@ def _fill_rules(rules: Any, robot: Robot, slack: Slack) -> None:
     rules.box_min, rules.box_max = wp.vec3d(robot.workspace_min), wp.vec3d(robot.workspace_max)
     rules.length_slack, rules.speed_slack = slack.length, slack.speed
     rules.acceleration_slack, rules.jerk_slack = slack.acceleration, slack.jerk
-    rules.settle_slack, rules.box_slack = SETTLE_SLACK, BOX_SLACK
+    rules.settle_slack, rules.box_slack = SETTLE_SLACK_M, BOX_SLACK_M

@@ -4,7 +4,7 @@ import warp as wp
 
 from carosac_toolkit.physics.motion.stop_kernels import (
     Rules,
-    Work,
+    StopWork,
     brake_step,
     can_stop,
     landing,
@@ -17,13 +17,13 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 f64 = wp.float64
 
-HALVINGS = wp.constant(20)  # to a millionth of what jerk allows in one period
-SMALLEST_SHARE = wp.constant(wp.float64(1.0e-3))
+BISECTION_STEPS = wp.constant(20)  # to a millionth of what jerk allows in one period
+LIMIT_SHARE_MIN = wp.constant(wp.float64(1.0e-3))
 
 
 @wp.func
-def candidate(b: int, i: int, factor: f64, work: Work, h: f64):
-    """Length, speed and acceleration on the line from the base (0) to the asked step (1)."""
+def candidate(b: int, i: int, factor: f64, work: StopWork, h: f64):
+    """Return length, speed and acceleration between the base (0) and the asked step (1)."""
     x = work.base_length[b, i]
     v = work.base_speed[b, i]
     a = work.base_acceleration[b, i]
@@ -38,7 +38,7 @@ def candidate(b: int, i: int, factor: f64, work: Work, h: f64):
 
 
 @wp.func
-def base_on_brake(b: int, work: Work, rules: Rules):
+def base_on_brake(b: int, work: StopWork, rules: Rules):
     """Take the next step of the controlled stop of each cable as the base."""
     for i in range(rules.length_min.shape[0]):
         jump = rules.jerk_max * rules.period
@@ -56,7 +56,7 @@ def base_on_brake(b: int, work: Work, rules: Rules):
 
 @wp.func
 def ratio(part: f64, whole: f64):
-    """Part of a whole, 0 of nothing."""
+    """Return the ratio of a part to its whole, 0 for a whole of zero."""
     share = f64(0.0)
     if whole > f64(0.0):
         share = wp.abs(part) / whole
@@ -64,7 +64,7 @@ def ratio(part: f64, whole: f64):
 
 
 @wp.func
-def base_in_step(b: int, work: Work, rules: Rules):
+def base_in_step(b: int, work: StopWork, rules: Rules):
     """Take as the base a step in which the cables match the pace of what is asked together.
 
     Each cable brakes, relative to that pace, with its share of jerk and acceleration: that of its
@@ -85,7 +85,7 @@ def base_in_step(b: int, work: Work, rules: Rules):
         share = ratio(work.asked[b, i] - work.length[b, i], gap_max)
         share = wp.max(share, ratio(work.speed[b, i] - work.pace[b, i], speed_max))
         share = wp.max(share, ratio(work.acceleration[b, i], a_most))
-        share = wp.max(share, SMALLEST_SHARE)
+        share = wp.max(share, LIMIT_SHARE_MIN)
         a_max = share * a_least
         jump = share * rules.jerk_max * rules.period
         v, a = brake_step(
@@ -104,8 +104,8 @@ def base_in_step(b: int, work: Work, rules: Rules):
 
 
 @wp.func
-def first_step(b: int, factor: f64, settle: int, work: Work, rules: Rules):
-    """1 where the candidate step itself keeps all limits; it is left in the walk.
+def first_step(b: int, factor: f64, settle: int, work: StopWork, rules: Rules):
+    """Return 1 if the candidate step itself keeps all limits; it is left in the walk.
 
     With `settle`, 1 also needs that it does not end beyond what is asked, seen by one who moves
     along at its pace: a target would be passed at full speed, time and again.
@@ -140,8 +140,8 @@ def first_step(b: int, factor: f64, settle: int, work: Work, rules: Rules):
 
 
 @wp.func
-def admissible(b: int, factor: f64, settle: int, work: Work, rules: Rules):
-    """1 where the candidate keeps all limits and leaves room for the controlled stop."""
+def admissible(b: int, factor: f64, settle: int, work: StopWork, rules: Rules):
+    """Return 1 if the candidate keeps all limits and leaves room for the controlled stop."""
     ok = first_step(b, factor, settle, work, rules)
     if ok == 1:
         ok = can_stop(b, work, rules)
@@ -149,8 +149,8 @@ def admissible(b: int, factor: f64, settle: int, work: Work, rules: Rules):
 
 
 @wp.func
-def search(b: int, good: f64, work: Work, rules: Rules):
-    """The farthest admissible candidate towards the asked step; `good` is one, or negative."""
+def search(b: int, good: f64, work: StopWork, rules: Rules):
+    """Find the farthest admissible candidate towards the asked step; `good` is one, or < 0."""
     best = good
     reach = f64(1.0)
     most = f64(2.0) * rules.jerk_max * rules.period * rules.period * rules.period
@@ -162,7 +162,7 @@ def search(b: int, good: f64, work: Work, rules: Rules):
         best = f64(0.0)
     if best >= f64(0.0):
         bad = reach
-        for _k in range(HALVINGS):
+        for _k in range(BISECTION_STEPS):
             trial = f64(0.5) * (best + bad)
             if admissible(b, trial, 1, work, rules) == 1:
                 best = trial
@@ -172,7 +172,7 @@ def search(b: int, good: f64, work: Work, rules: Rules):
 
 
 @wp.func
-def send(b: int, factor: f64, work: Work, rules: Rules):
+def send(b: int, factor: f64, work: StopWork, rules: Rules):
     """Write the candidate out."""
     for i in range(rules.length_min.shape[0]):
         x, v, a = candidate(b, i, factor, work, rules.period)
@@ -181,13 +181,13 @@ def send(b: int, factor: f64, work: Work, rules: Rules):
         work.sent_acceleration[b, i] = a
     work.sent_position[b] = work.position[b]
     if rules.use_box == 1:
-        p, found = track_position(b, work.position[b], rules, work.sent_length)
-        if found == 1:
+        p, tracked = track_position(b, work.position[b], rules, work.sent_length)
+        if tracked == 1:
             work.sent_position[b] = p
 
 
 @wp.kernel
-def limit_step(work: Work, rules: Rules):
+def limit_step(work: StopWork, rules: Rules):
     """Send the asked step if it is admissible, else one as far towards it as is.
 
     Two lines lead there: from a step in which the cables match its pace together, and where that
@@ -206,7 +206,7 @@ def limit_step(work: Work, rules: Rules):
 
 
 @wp.kernel
-def brake_all(work: Work, rules: Rules):
+def brake_all(work: StopWork, rules: Rules):
     """Send the next step of the controlled stop."""
     b = wp.tid()
     base_on_brake(b, work, rules)
@@ -214,7 +214,7 @@ def brake_all(work: Work, rules: Rules):
 
 
 @wp.func
-def note_extremes(b: int, work: Work, rules: Rules):
+def note_extremes(b: int, work: StopWork, rules: Rules):
     """Widen the extremes by what the walk has come to."""
     for i in range(rules.length_min.shape[0]):
         work.low[b, i] = wp.min(work.low[b, i], work.walk_length[b, i])
@@ -223,8 +223,8 @@ def note_extremes(b: int, work: Work, rules: Rules):
 
 
 @wp.kernel
-def look_ahead(work: Work, rules: Rules):
-    """Extremes of length [m], speed [m/s] and distance outside the box [m] until rest.
+def look_ahead(work: StopWork, rules: Rules):
+    """Compute extremes of length [m], speed [m/s] and distance outside the box [m] until rest.
 
     It starts from the motion now. A row in which a cable exceeds its speed or acceleration is
     looked at there only.
@@ -249,8 +249,8 @@ def look_ahead(work: Work, rules: Rules):
         again = wp.int32(0)
         note_extremes(b, work, rules)
         if rules.use_box == 1:
-            p, found = track_position(b, p, rules, work.walk_length)
-            if found == 1:
+            p, tracked = track_position(b, p, rules, work.walk_length)
+            if tracked == 1:
                 out = wp.max(out, outside_box(p, rules))
             elif whole == 1:
                 out = f64(wp.inf)

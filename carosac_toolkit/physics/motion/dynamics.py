@@ -23,7 +23,7 @@ from carosac_toolkit.physics.cable.catenary_kernels import vec6d
 from carosac_toolkit.physics.motion import dynamics_kernels, world_kernels
 from carosac_toolkit.physics.rest.statics import Equilibrium
 
-CABLE_DRAG = 0.5  # air drag of the cables per mass, unless said otherwise [1/s]
+CABLE_DRAG_PER_S = 0.5  # default air drag of the cables per mass [1/s]
 NodelessCables = Literal["catenary", "straight"]
 
 
@@ -85,7 +85,7 @@ class Advance:
         """Advance all worlds by `count` time steps of h [s] towards the commands of `Worlds`.
 
         Args:
-            follow: Whether the lengths go straight to the command, without winches.
+            follow: True if the lengths go straight to the command, without winches.
             count: Time steps.
             h: Size of each [s].
         """
@@ -145,7 +145,7 @@ class NodelessDynamics:
 
     @property
     def arrays(self) -> dict[str, wp.array]:
-        """What a world needs to go on, beside its `Worlds`."""
+        """Arrays that a world needs to continue, beside its `Worlds`."""
         return {"q": self.hung.q}
 
     def place(self, which: NDArray[np.int32], rest: Equilibrium, twist: Array) -> None:
@@ -158,15 +158,15 @@ class NodelessDynamics:
         )  # fmt: skip
 
     def points(self, segments: int) -> wp.array:
-        """Points on the cables, ends included, shape (B, n, segments + 1) of vectors."""
+        """Return points on the cables, ends included, shape (B, n, segments + 1) of vectors."""
         shape = self._worlds.tension.shape
-        found = wp.zeros((*shape, segments + 1), dtype=wp.vec3d, device=self._device)
+        points = wp.zeros((*shape, segments + 1), dtype=wp.vec3d, device=self._device)
         if self._model == 0:
             warp_setup.load(hanging_kernels, self._device)
             kernel = hanging_kernels.cable_points
-            inputs = [self._plants.cables, self._worlds.unstrained_length, self.hung.q, found]
+            inputs = [self._plants.cables, self._worlds.unstrained_length, self.hung.q, points]
         else:
             kernel = dynamics_kernels.straight_points
-            inputs = [self._plants, self._worlds, found]
+            inputs = [self._plants, self._worlds, points]
         wp.launch(kernel, shape, inputs=inputs, device=self._device)
-        return found
+        return points

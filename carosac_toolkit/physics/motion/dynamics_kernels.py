@@ -18,11 +18,11 @@ from carosac_toolkit.physics.cable.catenary_kernels import (
 )
 from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.motion.body_kernels import (
-    SMOOTH,
+    FAST_MOTION_SHARE,
+    BodyMotion,
+    DynamicBody,
     Gusts,
-    Motion,
     Newton,
-    RigidBody,
     Scheme,
     System,
     at_rest,
@@ -39,9 +39,9 @@ from carosac_toolkit.physics.motion.body_kernels import (
 )
 from carosac_toolkit.physics.motion.winch_kernels import WinchState
 from carosac_toolkit.physics.motion.world_kernels import (
-    ALIKE,
-    LIMIT,
-    STEP,
+    NEWTON_STEP_MIN_M,
+    NEWTON_STEPS_MAX,
+    STEPS_ALIKE,
     Plants,
     Worlds,
     clock_after,
@@ -57,15 +57,21 @@ from carosac_toolkit.physics.rest.platform_kernels import cable_stiffness
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-INNER = wp.constant(60)  # steps of one cable
-LOOSE = wp.constant(wp.float64(1.0e-3))  # of the typical length: a larger closure is closed first
-SNAP = wp.constant(wp.float64(0.5))  # share by which a tension changes in a step that snaps
-TIGHT = wp.constant(wp.float64(1.0e-12))
-NEAR = wp.constant(wp.float64(0.3))  # of q: a larger correction is not of first order any more
-GAP = wp.constant(wp.float64(1.0e-5))  # [m] a larger closure asks for another step
-SAGGING = wp.constant(0)
-INSTANT = wp.constant(wp.float64(1.0e-6))  # [s] in which nothing moves
-CLOSED = wp.constant(3)  # evaluations after which free cables are closed
+MOTION_CABLE_STEPS_MAX = wp.constant(60)  # steps of one cable
+LOOSE_CLOSURE_MAX = wp.constant(
+    wp.float64(1.0e-3)
+)  # of the typical length: a larger closure is closed first
+SNAP_TENSION_CHANGE = wp.constant(
+    wp.float64(0.5)
+)  # share by which a tension changes in a step that snaps
+TIGHT_CLOSURE_MAX = wp.constant(wp.float64(1.0e-12))
+FIRST_ORDER_CORRECTION_MAX = wp.constant(
+    wp.float64(0.3)
+)  # of q: a larger correction is not of first order any more
+MOTION_CLOSURE_MAX_M = wp.constant(wp.float64(1.0e-5))  # [m] a larger closure asks for another step
+SAGGING_MODEL = wp.constant(0)
+RELEASE_STEP_S = wp.constant(wp.float64(1.0e-6))  # [s] in which nothing moves
+RELEASE_EVALUATIONS = wp.constant(3)  # evaluations after which free cables are closed
 
 
 @wp.struct
@@ -80,7 +86,7 @@ class Hung:
 
 @wp.struct
 class Pull:
-    """What one cable does to its anchor point."""
+    """Action of one cable on its anchor point."""
 
     force: wp.vec3d  # [N]
     stiffness: wp.mat33d  # -d force / d anchor within a time step, symmetric [N/m]
@@ -93,11 +99,18 @@ class Pull:
 def sagging_pull(cable: Cable, q: wp.vec3d, anchor: wp.vec3d, velocity: wp.vec3d,
                  length: wp.float64, rate: wp.float64, reach: wp.float64,
                  size: wp.float64) -> Pull:  # fmt: skip
-    """An elastic catenary with axial damping: tension grows by damping / EA times its rate."""
-    s = settle(q, anchor, length, cable, LOOSE * size, INNER)
+    """Evaluate an elastic catenary with axial damping: damping / EA times the rate of tension."""
+    s = settle(q, anchor, length, cable, LOOSE_CLOSURE_MAX * size, MOTION_CABLE_STEPS_MAX)
     rest = s.inverse * s.hanging.closure
-    if not wp.length(rest) < NEAR * wp.length(s.q):
-        s = settle(guess_cable(anchor, length, cable), anchor, length, cable, TIGHT * size, INNER)
+    if not wp.length(rest) < FIRST_ORDER_CORRECTION_MAX * wp.length(s.q):
+        s = settle(
+            guess_cable(anchor, length, cable),
+            anchor,
+            length,
+            cable,
+            TIGHT_CLOSURE_MAX * size,
+            MOTION_CABLE_STEPS_MAX,
+        )
         rest = s.inverse * s.hanging.closure
     force = s.hanging.force - s.hanging.force_q * rest
     k = cable_stiffness(s.hanging, s.inverse)
@@ -119,7 +132,7 @@ def sagging_pull(cable: Cable, q: wp.vec3d, anchor: wp.vec3d, velocity: wp.vec3d
 @wp.func
 def straight_pull(cable: Cable, anchor: wp.vec3d, velocity: wp.vec3d, length: wp.float64,
                   rate: wp.float64, reach: wp.float64) -> Pull:  # fmt: skip
-    """A straight massless spring that does not push, with axial damping."""
+    """Evaluate a straight massless spring that does not push, with axial damping."""
     span, _wrap, unit, bend, _valid = straight_cable(
         anchor - cable.exit_point, cable.pulley_radius, cable.swivel_axis
     )
@@ -138,12 +151,12 @@ def straight_pull(cable: Cable, anchor: wp.vec3d, velocity: wp.vec3d, length: wp
 
 @wp.func
 def anchor_mass(cable: Cable, length: wp.float64, gravity: wp.float64) -> wp.float64:
-    """Mass that moves with the anchor point [kg]."""
+    """Return the mass that moves with the anchor point [kg]."""
     return density_of(cable, gravity) * length / wp.float64(3.0)
 
 
 @wp.struct
-class Loaded:
+class MotionLoad:
     """All cables at a trial motion."""
 
     system: System
@@ -152,10 +165,10 @@ class Loaded:
 
 @wp.func
 def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, model: int,
-                 body: RigidBody, trial: Motion, system: System,
-                 scheme: Scheme) -> Loaded:  # fmt: skip
+                 body: DynamicBody, trial: BodyMotion, system: System,
+                 scheme: Scheme) -> MotionLoad:  # fmt: skip
     """Add the pull and the inertia of each cable; correct q to first order."""
-    out = Loaded()
+    out = MotionLoad()
     total = system
     for i in range(worlds.winch.shape[1]):
         cable = plants.cables[row, i]
@@ -164,7 +177,7 @@ def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, m
         anchor = trial.center + arm
         velocity = trial.velocity + wp.cross(trial.angular_velocity, arm)
         pull = Pull()
-        if model == SAGGING:
+        if model == SAGGING_MODEL:
             pull = sagging_pull(
                 cable,
                 hung.q[b, i],
@@ -183,7 +196,7 @@ def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, m
         hung.tension[b, i] = wp.length(pull.force)
         force = pull.force
         k = pull.stiffness
-        if model == SAGGING:
+        if model == SAGGING_MODEL:
             mass = anchor_mass(cable, winch.length, body.gravity)
             felt = rate_felt(
                 scheme, worlds.anchor_velocity[b, i], worlds.anchor_rate[b, i], velocity
@@ -197,24 +210,24 @@ def load_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, m
 
 
 @wp.func
-def carry_cables(plants: Plants, hung: Hung, b: int, row: int, body: RigidBody, trial: Motion,
+def carry_cables(plants: Plants, hung: Hung, b: int, row: int, body: DynamicBody, trial: BodyMotion,
                  move: wp.vec3d, turn: wp.vec3d):  # fmt: skip
-    """Tension vectors after a small motion of the platform, to first order."""
+    """Update tension vectors after a small motion of the platform, to first order."""
     for i in range(hung.q.shape[1]):
         arm = trial.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
         hung.q[b, i] = hung.q[b, i] - hung.inverse[b, i] * (move + wp.cross(turn, arm))
 
 
 @wp.func
-def keep_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, body: RigidBody,
+def keep_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, body: DynamicBody,
                  scheme: Scheme):  # fmt: skip
-    """Anchor velocities and tensions at the end of a time step."""
+    """Store anchor velocities and tensions at the end of a time step."""
     motion = worlds.motion[b]
     snap = bool(False)
     for i in range(worlds.winch.shape[1]):
         before = worlds.tension[b, i]
         now = hung.tension[b, i]
-        if wp.abs(now - before) > SNAP * wp.max(now, before):
+        if wp.abs(now - before) > SNAP_TENSION_CHANGE * wp.max(now, before):
             snap = True
         worlds.tension[b, i] = now
         arm = motion.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
@@ -229,14 +242,14 @@ def keep_anchors(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, b
 @wp.func
 def time_step(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, model: int,
               h: wp.float64, ticks: int) -> int:  # fmt: skip
-    """One implicit step; lengths are those at its end already. Returns whether it was taken.
+    """Take one implicit step; lengths are those at its end already. Return 1 if it was taken.
 
     A step without a solution is taken only if it is as short as can be, one of the `ticks`.
     """
     body = plants.bodies[row]
     start = worlds.motion[b]
     gusts = blow(plants.winds[row], worlds.gusts[b], worlds.time[b] + h, worlds.seed[b])
-    scheme = scheme_of(h, worlds.last[b], worlds.rough[b] > 0, SMOOTH)
+    scheme = scheme_of(h, worlds.last[b], worlds.rough[b] > 0, FAST_MOTION_SHARE)
     velocity = start.velocity + h * start.velocity_rate
     omega = start.angular_velocity + h * start.angular_rate
     trial = moved(start, scheme, velocity, omega)
@@ -250,13 +263,13 @@ def time_step(plants: Plants, worlds: Worlds, hung: Hung, b: int, row: int, mode
         newton = solve_system(loaded.system)
         velocity += newton.move / scheme.reach
         omega += newton.turn / scheme.reach
-        if model == SAGGING:
+        if model == SAGGING_MODEL:
             carry_cables(plants, hung, b, row, body, trial, newton.move, newton.turn)
         trial = moved(start, scheme, velocity, omega)
         count += 1
         size = wp.length(newton.move) + body.arm * wp.length(newton.turn)
-        solved = size < STEP and loaded.gap < GAP
-        going = (not solved) and count < LIMIT
+        solved = size < NEWTON_STEP_MIN_M and loaded.gap < MOTION_CLOSURE_MAX_M
+        going = (not solved) and count < NEWTON_STEPS_MAX
     if not solved and ticks > 1:
         return 0
     worlds.iterations[b] = wp.max(worlds.iterations[b], count)
@@ -298,7 +311,7 @@ def advance(plants: Plants, worlds: Worlds, hung: Hung, model: int, follow: int,
 
 @wp.struct
 class Freed:
-    """Where worlds are let go: any state, whether it is one of rest or not."""
+    """Initial states of worlds, at rest or not."""
 
     position: wp.array(dtype=wp.vec3d)  # platform origin in W [m]
     rotation: wp.array(dtype=wp.mat33d)
@@ -310,7 +323,7 @@ class Freed:
 
 @wp.kernel
 def release(plants: Plants, worlds: Worlds, hung: Hung, freed: Freed, model: int, h: wp.float64):
-    """Let worlds go with the acceleration that their forces give; steps of `h` are to follow.
+    """Release worlds with the acceleration that their forces give; steps of `h` follow.
 
     With that acceleration the first step needs no past, and is of second order like all others. It
     is found by one Euler step of a microsecond. Impacts do not change the scheme: motions let go
@@ -329,7 +342,7 @@ def release(plants: Plants, worlds: Worlds, hung: Hung, freed: Freed, model: int
     worlds.gusts[b] = gusts
     worlds.time[b] = ZERO
     worlds.last[b] = h
-    worlds.rough[b] = ALIKE
+    worlds.rough[b] = STEPS_ALIKE
     worlds.failed[b] = 0
     for i in range(worlds.winch.shape[1]):
         winch = WinchState()
@@ -339,15 +352,15 @@ def release(plants: Plants, worlds: Worlds, hung: Hung, freed: Freed, model: int
         arm = start.rotation * (plants.cables[row, i].anchor_point - body.center_of_mass)
         worlds.anchor_velocity[b, i] = start.velocity + wp.cross(omega, arm)
         worlds.anchor_rate[b, i] = wp.vec3d()
-    scheme = scheme_of(INSTANT, ZERO, True, SMOOTH)
+    scheme = scheme_of(RELEASE_STEP_S, ZERO, True, FAST_MOTION_SHARE)
     trial = moved(start, scheme, start.velocity, omega)
     newton = Newton()
-    for _ in range(CLOSED):  # the first times close the cables
+    for _ in range(RELEASE_EVALUATIONS):  # the first times close the cables
         system = inertial_system(body, start, trial, scheme, gusts.force)
         loaded = load_anchors(plants, worlds, hung, b, row, model, body, trial, system, scheme)
         newton = solve_system(loaded.system)
-    start.velocity_rate = newton.move / (scheme.reach * INSTANT)
-    start.angular_rate = newton.turn / (scheme.reach * INSTANT)
+    start.velocity_rate = newton.move / (scheme.reach * RELEASE_STEP_S)
+    start.angular_rate = newton.turn / (scheme.reach * RELEASE_STEP_S)
     jw = world_inertia(body, start.rotation)
     start.spin_rate = jw * start.angular_rate + wp.cross(omega, start.spin)
     start.acceleration = start.velocity_rate
@@ -366,7 +379,7 @@ def release(plants: Plants, worlds: Worlds, hung: Hung, freed: Freed, model: int
 
 @wp.kernel
 def place_hung(which: wp.array(dtype=int), q: wp.array2d(dtype=wp.vec3d), hung: Hung):
-    """Tension vectors of worlds that are put somewhere; one thread a row of `which`."""
+    """Store tension vectors of worlds that are placed; one thread a row of `which`."""
     k = wp.tid()
     for i in range(q.shape[1]):
         hung.q[which[k], i] = q[k, i]
@@ -374,7 +387,7 @@ def place_hung(which: wp.array(dtype=int), q: wp.array2d(dtype=wp.vec3d), hung: 
 
 @wp.kernel
 def straight_points(plants: Plants, worlds: Worlds, points: wp.array3d(dtype=wp.vec3d)):
-    """Points on straight cables from tangent point to anchor point; a thread a world and cable."""
+    """Compute points on straight cables, tangent point to anchor; a thread a world and cable."""
     b, i = wp.tid()
     cable = plants.cables[wp.min(b, plants.bodies.shape[0] - 1), i]
     anchor = worlds.position[b] + worlds.rotation[b] * cable.anchor_point

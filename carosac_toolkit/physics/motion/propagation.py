@@ -1,7 +1,7 @@
-"""Motion from any state through any lengths: what filters ask of the dynamics.
+"""Motion from any state through any lengths: the dynamics as filters need them.
 
-The dynamics of `carosac_toolkit.physics.motion.dynamics` for many states of one robot at once.
-Nothing is remembered from call to call: the same arguments give the same motion.
+The dynamics of `carosac_toolkit.physics.motion.dynamics` for many states of one robot at once. Nothing is
+remembered from call to call: the same arguments give the same motion.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from carosac_toolkit.physics.cable.catenary_kernels import vec6d
 from carosac_toolkit.physics.device import Buffers
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.motion import dynamics_kernels
-from carosac_toolkit.physics.motion.dynamics import CABLE_DRAG, NodelessDynamics
+from carosac_toolkit.physics.motion.dynamics import CABLE_DRAG_PER_S, NodelessDynamics
 from carosac_toolkit.physics.motion.winch import WinchSettings
 from carosac_toolkit.physics.motion.worlds import allocate_worlds, rigid_body_record, upload_plants
 from carosac_toolkit.robot.robot import Robot
 
-TIME_STEP = 0.01  # [s]
+PROPAGATION_STEP_S = 0.01  # [s]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,12 +49,12 @@ class Motions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arrived(Motions):
-    """B motions where they end, and what is felt there.
+    """B motions at their end, with acceleration and tension there.
 
     Attributes:
         acceleration: Of the origin in W, linear [m/s^2], then angular [rad/s^2], shape (B, 6).
         tension: At the platform [N], shape (B, n).
-        failed: Where no time step had a finite solution, shape (B,).
+        failed: True if a time step had no finite solution, shape (B,).
     """
 
     acceleration: Array
@@ -76,8 +76,8 @@ class Propagation:
         robot: Robot,
         size: int,
         *,
-        time_step: float = TIME_STEP,
-        cable_drag: float = CABLE_DRAG,
+        time_step: float = PROPAGATION_STEP_S,
+        cable_drag: float = CABLE_DRAG_PER_S,
         device: str = "cpu",
     ) -> None:
         """Allocate.
@@ -110,7 +110,7 @@ class Propagation:
         self._release: Any = None
 
     def load(self, mass: ArrayLike, center_of_mass: ArrayLike) -> None:
-        """Change the platforms; the inertia about the centre of mass stays.
+        """Change mass and centre of the platforms; the inertia about the centre of mass stays.
 
         Args:
             mass: [kg], shape (B,).
@@ -123,7 +123,7 @@ class Propagation:
     def run(
         self, start: Motions, unstrained_length: Array, end_length: Array, duration: float
     ) -> Arrived:
-        """Let all platforms go while the lengths go straight from where they are to their end.
+        """Release all platforms while the lengths move linearly to their end values.
 
         Args:
             start: B motions.
@@ -167,7 +167,7 @@ class Propagation:
 
 
 def _allocate(size: int, n: int, device: str) -> Any:
-    """The `Freed` struct of B worlds of n cables."""
+    """Allocate the `Freed` struct of B worlds of n cables."""
     out = dynamics_kernels.Freed()
     out.position = wp.zeros(size, dtype=wp.vec3d, device=device)
     out.rotation = wp.zeros(size, dtype=wp.mat33d, device=device)

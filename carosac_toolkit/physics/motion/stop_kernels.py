@@ -19,7 +19,7 @@ NEWTON_TOLERANCE = wp.constant(wp.float64(1.0e-12))  # gradient norm over the lo
 
 @wp.struct
 class Rules:
-    """Limits and geometry: arrays per cable (n,), and what all cables share.
+    """Limits and geometry: arrays per cable (n,), and values for all cables.
 
     The slacks are what rounding leaves uncertain in each quantity.
     """
@@ -49,7 +49,7 @@ class Rules:
 
 
 @wp.struct
-class Work:
+class StopWork:
     """Arrays of a batch: (B, n), positions (B,).
 
     The motion now; what is asked, how fast that moves and what was measured; the length after the
@@ -87,7 +87,7 @@ class Work:
 
 @wp.func
 def brake_step(speed: f64, acceleration: f64, a_max: f64, jump: f64, h: f64):
-    """Speed and acceleration after one more period of the controlled stop.
+    """Return speed and acceleration after one more period of the controlled stop.
 
     The acceleration sought is the one from which steps of `jump` = jerk * h down to zero use up
     the speed exactly: |v| / h = (q + 1) x - jump q (q + 1) / 2 with q = floor(x / jump). Where it
@@ -109,7 +109,7 @@ def brake_step(speed: f64, acceleration: f64, a_max: f64, jump: f64, h: f64):
 
 @wp.func
 def landing(gap: f64, speed: f64, acceleration: f64, a_max: f64, jump: f64, rules: Rules):
-    """The gap [m] at which the controlled stop ends that starts at this gap."""
+    """Return the gap [m] at which the controlled stop ends that starts at this gap."""
     v = speed
     a = acceleration
     e = gap
@@ -123,14 +123,14 @@ def landing(gap: f64, speed: f64, acceleration: f64, a_max: f64, jump: f64, rule
 
 @wp.func
 def track_position(b: int, start: vec3, rules: Rules, length: wp.array2d(dtype=f64)):
-    """Straight-line position of row b by plain Newton from a near start; the flag is 1 if found."""
+    """Solve for the straight-line position of row b from a near start; the flag is 1 if found."""
     scale = f64(1.0)
     for i in range(rules.length_min.shape[0]):
         scale = wp.max(scale, wp.abs(length[b, i]))
     p = start
-    found = wp.int32(0)
+    converged = wp.int32(0)
     count = wp.int32(0)
-    while found == 0 and count < NEWTON_STEPS:
+    while converged == 0 and count < NEWTON_STEPS:
         count += 1
         _cost, gradient, hessian, valid = misfit(
             b, p, rules.rotation, rules.exit_points, rules.anchor_points, rules.pulley_radius,
@@ -140,15 +140,15 @@ def track_position(b: int, start: vec3, rules: Rules, length: wp.array2d(dtype=f
         if positive == 0 or valid == 0:
             count = NEWTON_STEPS
         elif wp.length(gradient) <= NEWTON_TOLERANCE * scale:
-            found = wp.int32(1)
+            converged = wp.int32(1)
         else:
             p = p + step
-    return p, found
+    return p, converged
 
 
 @wp.func
 def outside_box(position: vec3, rules: Rules):
-    """Largest distance beyond a face of the workspace box [m]; 0 inside."""
+    """Return the largest distance beyond a face of the workspace box [m]; 0 inside."""
     out = f64(0.0)
     for k in range(3):
         out = wp.max(out, rules.box_min[k] - position[k])
@@ -158,7 +158,7 @@ def outside_box(position: vec3, rules: Rules):
 
 @wp.func
 def within(i: int, length: f64, speed: f64, acceleration: f64, rules: Rules):
-    """1 where the length, speed and acceleration of a cable are within its limits; NaN is not."""
+    """Return 1 if length, speed and acceleration of a cable are within limits; NaN is not."""
     inside = wp.int32(0)
     if (
         length >= rules.length_min[i] - rules.length_slack
@@ -171,8 +171,8 @@ def within(i: int, length: f64, speed: f64, acceleration: f64, rules: Rules):
 
 
 @wp.func
-def can_stop(b: int, work: Work, rules: Rules):
-    """1 where the controlled stop from the walk's motion keeps all limits until it is at rest."""
+def can_stop(b: int, work: StopWork, rules: Rules):
+    """Return 1 if the controlled stop from the walk's motion keeps all limits until rest."""
     ok = wp.int32(1)
     moving = wp.int32(1)
     p = work.position[b]
@@ -180,8 +180,8 @@ def can_stop(b: int, work: Work, rules: Rules):
     count = wp.int32(0)
     while ok == 1 and moving == 1:
         if rules.use_box == 1:
-            p, found = track_position(b, p, rules, work.walk_length)
-            if found == 0 or not (outside_box(p, rules) <= rules.box_slack):
+            p, tracked = track_position(b, p, rules, work.walk_length)
+            if tracked == 0 or not (outside_box(p, rules) <= rules.box_slack):
                 ok = wp.int32(0)
         moving = wp.int32(0)
         for i in range(rules.length_min.shape[0]):

@@ -18,24 +18,24 @@ from carosac_toolkit.physics.motion import winch_kernels
 from carosac_toolkit.physics.motion.winch_kernels import Winch
 from carosac_toolkit.robot.robot import Robot
 
-STEP = float(winch_kernels.STEP)  # [s], longest inner step
-SHORTEST_INTEGRAL = 2.0 * STEP  # [s]; what the inner steps resolve
-_STATE = ("length", "rate", "integral")
+INNER_STEP_MAX_S = float(winch_kernels.WINCH_STEP_MAX_S)  # [s], longest inner step
+INTEGRAL_TIME_MIN_S = 2.0 * INNER_STEP_MAX_S  # [s]; shortest that the inner steps resolve
+_STATE_BUFFERS = ("length", "rate", "integral")
 
 
 @dataclass(frozen=True, kw_only=True)
 class WinchSettings:
-    """How the drives control the winches, beyond the lag and limits of the robot.
+    """Control of the winches by their drives, beyond the lag and limits of the robot.
 
     The drive asks for the rate (e + integral(e) / integral_time + derivative_time * de/dt) / lag of
     its cable, e being the length it is asked for minus the one it has. Without integral and
     derivative it trails a moving command by lag times speed.
 
     Attributes:
-        integral_time: [s]; None: no integral.
-        derivative_time: Acts on the rate of the cable; it makes the drive slower [s].
+        integral_time: Time constant of the integral term [s]; None: no integral.
+        derivative_time: Time constant of the derivative term [s]; it makes the drive slower.
         believed_drum_buildup: Decrease of the squared drum radius per length paid out that the
-            drive believes in [m], for all drums; None: it knows the true one.
+            drives assume [m], for all drums; None: the true one.
     """
 
     integral_time: float | None = None
@@ -43,9 +43,9 @@ class WinchSettings:
     believed_drum_buildup: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what no drive can be."""
+        """Refuse times and build-ups that no drive can have."""
         lowest = {
-            "integral_time": (SHORTEST_INTEGRAL, "s"),
+            "integral_time": (INTEGRAL_TIME_MIN_S, "s"),
             "derivative_time": (0.0, "s"),
             "believed_drum_buildup": (0.0, "m"),
         }
@@ -59,7 +59,7 @@ class WinchSettings:
 
 
 def winch_records(robot: Robot, settings: WinchSettings | None = None) -> NDArray[Any]:
-    """The winches of a robot as an array of `Winch` structs, shape (n,).
+    """Return the winches of a robot as an array of `Winch` structs, shape (n,).
 
     Without drum radius or build-up in the robot, lengths are commanded directly.
 
@@ -95,8 +95,8 @@ def winch_records(robot: Robot, settings: WinchSettings | None = None) -> NDArra
     return records
 
 
-class Winches:
-    """Wound lengths of B robots of the same n winches, which follow what is asked of them."""
+class WinchBatch:
+    """Wound lengths of B robots of the same n winches, which follow commands."""
 
     def __init__(
         self, robot: Robot, unstrained_length: Array, settings: WinchSettings | None = None
@@ -117,7 +117,7 @@ class Winches:
         self._records = wp.array(records[None], dtype=Winch, device="cpu")
         self._encoders = Encoders([robot], len(start), settings)
         self._shape = start.shape
-        names = (*_STATE, "command")
+        names = (*_STATE_BUFFERS, "command")
         shapes: dict[str, tuple[Any, Any]] = {k: (start.shape, wp.float64) for k in names}
         self._buffers = Buffers("cpu", shapes | {"duration": ((1,), wp.float64)})
         self._buffers.put("length", start)
@@ -136,7 +136,7 @@ class Winches:
         """Follow a constant command.
 
         Args:
-            command: Lengths asked of the drives, by the drums that they believe in [m], (B, n).
+            command: Lengths asked of the drives, by the drums that they assume [m], (B, n).
             duration: [s].
         """
         with self._buffers.lock:
@@ -144,16 +144,16 @@ class Winches:
             self._buffers.put("duration", np.array([duration]))
             self._buffers.launch(
                 "advance", winch_kernels.advance, self._shape,
-                self._records, "command", "duration", *_STATE,
+                self._records, "command", "duration", *_STATE_BUFFERS,
             )  # fmt: skip
 
     def read(self) -> Array:
-        """Lengths that perfect encoders on the drums say [m], shape (B, n)."""
+        """Return lengths read by perfect encoders on the drums [m], shape (B, n)."""
         return self._encoders.read(self.length)
 
 
 class Encoders:
-    """Perfect encoders on the drums of B robots of n cables, by the drums that drives believe in.
+    """Perfect encoders on the drums of B robots of n cables, by the drums that the drives assume.
 
     Without drums that build up, they say the wound length itself.
     """
@@ -179,7 +179,7 @@ class Encoders:
         self._buffers = Buffers("cpu", shapes)
 
     def read(self, unstrained_length: Array) -> Array:
-        """What they say of true lengths [m], shape (B, n)."""
+        """Return readings of true lengths [m], shape (B, n)."""
         with self._buffers.lock:
             self._buffers.put("length", unstrained_length)
             self._buffers.launch(

@@ -1,4 +1,4 @@
-"""Winches in float64 Warp: how wound lengths follow what is asked, and the build-up of drums.
+"""Winches in float64 Warp: response of wound lengths to commands, and the build-up of drums.
 
 The drive asks for a rate of the cable by a PID law with the error e = target - length,
 
@@ -24,7 +24,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 f64 = wp.float64
 
 ZERO = wp.constant(wp.float64(0.0))
-STEP = wp.constant(wp.float64(2.0e-3))  # [s], longest inner step
+WINCH_STEP_MAX_S = wp.constant(wp.float64(2.0e-3))  # [s], longest inner step
 
 
 @wp.struct
@@ -44,7 +44,7 @@ class Winch:
 
 @wp.struct
 class WinchState:
-    """What changes of a winch."""
+    """Changing values of a winch."""
 
     length: wp.float64  # true unstrained length [m]
     rate: wp.float64  # of that length [m/s]
@@ -53,20 +53,20 @@ class WinchState:
 
 @wp.func
 def drum_angle(radius: wp.float64, buildup: wp.float64, length: wp.float64) -> wp.float64:
-    """Angle [rad] by which a drum has paid out a length [m]; no cancellation without build-up."""
+    """Return the angle [rad] at which a drum has paid out a length [m]; exact without build-up."""
     left = wp.max(radius * radius - buildup * length, ZERO)
     return f64(2.0) * length / (radius + wp.sqrt(left))
 
 
 @wp.func
 def paid_out(radius: wp.float64, buildup: wp.float64, angle: wp.float64) -> wp.float64:
-    """Length [m] that a drum has paid out after an angle [rad]."""
+    """Return the length [m] that a drum has paid out after an angle [rad]."""
     return angle * (radius - f64(0.25) * buildup * angle)
 
 
 @wp.func
 def wound_length(winch: Winch, command: wp.float64) -> wp.float64:
-    """True length [m] at the angle by which the believed drum pays out what is asked [m]."""
+    """Return the true length [m] at the angle by which the believed drum pays out a command [m]."""
     length = command
     if winch.drum_radius > ZERO:
         angle = drum_angle(winch.believed_radius, winch.believed_buildup, command)
@@ -76,7 +76,7 @@ def wound_length(winch: Winch, command: wp.float64) -> wp.float64:
 
 @wp.func
 def read_length(winch: Winch, length: wp.float64) -> wp.float64:
-    """What a perfect encoder says of a true length [m]; the inverse of `wound_length`."""
+    """Return a perfect encoder's reading of a true length [m]; the inverse of `wound_length`."""
     reading = length
     if winch.drum_radius > ZERO:
         angle = drum_angle(winch.drum_radius, winch.drum_buildup, length)
@@ -88,7 +88,7 @@ def read_length(winch: Winch, length: wp.float64) -> wp.float64:
 def winch_advance(
     winch: Winch, state: WinchState, command: wp.float64, duration: wp.float64
 ) -> WinchState:
-    """Follow a constant command [m] for a time [s], in inner steps of at most `STEP`.
+    """Follow a constant command [m] for a time [s], in inner steps of at most `WINCH_STEP_MAX_S`.
 
     Args:
         winch: The winch.
@@ -105,7 +105,7 @@ def winch_advance(
     integral = state.integral
     if duration > ZERO:
         # Rounding of the duration must not change the count.
-        count = wp.max(int(wp.ceil(duration / STEP - f64(1.0e-6))), 1)
+        count = wp.max(int(wp.ceil(duration / WINCH_STEP_MAX_S - f64(1.0e-6))), 1)
         h = duration / f64(count)
         # The lag must be resolved: a faster winch than one step reaches its command in one.
         lag = wp.max(winch.lag, h) + winch.derivative_time
@@ -153,6 +153,6 @@ def read(
     length: wp.array2d(dtype=wp.float64),
     reading: wp.array2d(dtype=wp.float64),
 ):
-    """What perfect encoders say of true lengths [m]."""
+    """Compute readings of perfect encoders of true lengths [m]."""
     b, i = wp.tid()
     reading[b, i] = read_length(winches[wp.min(b, winches.shape[0] - 1), i], length[b, i])

@@ -1,12 +1,12 @@
-"""What all simulated worlds share, in float64 Warp: plants, state, winches and wind in a step."""
+"""Shared parts of all simulated worlds, in float64 Warp: plants, state, winches, wind."""
 
 import warp as wp
 
 from carosac_toolkit.physics.cable.catenary_kernels import Cable, vec6d
 from carosac_toolkit.physics.motion.body_kernels import (
+    BodyMotion,
+    DynamicBody,
     Gusts,
-    Motion,
-    RigidBody,
     Wind,
     at_rest,
     origin_acceleration,
@@ -17,12 +17,16 @@ from carosac_toolkit.physics.motion.winch_kernels import Winch, WinchState, winc
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-CALM = wp.constant(3)  # steps after which a change from slack to taut is over
-ALIKE = wp.constant(-1)  # in place of such steps: all steps alike, through impacts too
-LIMIT = wp.constant(12)  # Newton steps in one time step
-FINEST = wp.constant(64)  # parts of a time step in which it may be taken where it fails
-STEP = wp.constant(wp.float64(1.0e-7))  # [m] a smaller Newton step of the platform is the last
-LOST = wp.constant(wp.float64(100.0))  # typical cable lengths: farther from the exits is lost
+CALM_STEPS = wp.constant(3)  # steps after which a change from slack to taut is over
+STEPS_ALIKE = wp.constant(-1)  # in place of such steps: all steps alike, through impacts too
+NEWTON_STEPS_MAX = wp.constant(12)  # Newton steps in one time step
+STEP_PARTS_MAX = wp.constant(64)  # parts of a time step in which it may be taken where it fails
+NEWTON_STEP_MIN_M = wp.constant(
+    wp.float64(1.0e-7)
+)  # [m] a smaller Newton step of the platform is the last
+LOST_DISTANCE_LENGTHS = wp.constant(
+    wp.float64(100.0)
+)  # typical cable lengths: farther from the exits is lost
 
 
 @wp.struct
@@ -30,7 +34,7 @@ class Plants:
     """The robots; with one row it serves all worlds."""
 
     cables: wp.array2d(dtype=Cable)
-    bodies: wp.array(dtype=RigidBody)
+    bodies: wp.array(dtype=DynamicBody)
     winches: wp.array2d(dtype=Winch)
     winds: wp.array(dtype=Wind)
 
@@ -39,7 +43,7 @@ class Plants:
 class Worlds:
     """State of B worlds of n cables, and what the last call says about them."""
 
-    motion: wp.array(dtype=Motion)
+    motion: wp.array(dtype=BodyMotion)
     winch: wp.array2d(dtype=WinchState)
     winch_before: wp.array2d(dtype=WinchState)  # scratch
     anchor_velocity: wp.array2d(dtype=wp.vec3d)  # [m/s]
@@ -48,7 +52,7 @@ class Worlds:
     gusts: wp.array(dtype=Gusts)
     seed: wp.array(dtype=int)
     last: wp.array(dtype=wp.float64)  # size of the last step [s]; 0: there was none
-    rough: wp.array(dtype=int)  # steps until an impact of a cable is over, or `ALIKE`
+    rough: wp.array(dtype=int)  # steps until an impact of a cable is over, or `STEPS_ALIKE`
     failed: wp.array(dtype=int)
     time: wp.array(dtype=wp.float64)  # since the last reset [s]
     position: wp.array(dtype=wp.vec3d)  # platform origin [m]
@@ -63,8 +67,8 @@ class Worlds:
 
 
 @wp.struct
-class Clock:
-    """Where a call stands; its time steps can be halved again and again where one fails."""
+class StepClock:
+    """Progress of a call; its time steps are halved again and again where one fails."""
 
     tick: wp.float64  # the shortest step [s]
     ticks: int  # of the call
@@ -73,24 +77,24 @@ class Clock:
 
 
 @wp.func
-def clock_of(h: wp.float64, count: int) -> Clock:
-    """The start of a call of `count` time steps of h [s]."""
-    out = Clock()
-    out.size = int(FINEST)
+def clock_of(h: wp.float64, count: int) -> StepClock:
+    """Return the clock at the start of a call of `count` time steps of h [s]."""
+    out = StepClock()
+    out.size = int(STEP_PARTS_MAX)
     out.tick = h / wp.float64(out.size)
     out.ticks = count * out.size
     return out
 
 
 @wp.func
-def clock_after(clock: Clock, taken: int) -> Clock:
-    """After a step, or after one that failed and is to be tried again in half the time."""
+def clock_after(clock: StepClock, taken: int) -> StepClock:
+    """Return the clock after a step, or after a failed one, to be tried again in half the time."""
     out = clock
     if taken == 0:
         out.size = clock.size / 2
     else:
         out.done = clock.done + clock.size
-        finest = int(FINEST)
+        finest = int(STEP_PARTS_MAX)
         while out.size < finest and out.done % (2 * out.size) == 0:
             out.size = 2 * out.size
     return out
@@ -98,7 +102,7 @@ def clock_after(clock: Clock, taken: int) -> Clock:
 
 @wp.func
 def is_nonsense(worlds: Worlds, b: int) -> int:
-    """Whether a command is no length: not finite, or not positive."""
+    """Return 1 if a command is no length: not finite, or not positive."""
     for i in range(worlds.command.shape[1]):
         if not (worlds.command[b, i] > wp.float64(0.0) and wp.isfinite(worlds.command[b, i])):
             return 1
@@ -108,7 +112,7 @@ def is_nonsense(worlds: Worlds, b: int) -> int:
 @wp.func
 def turn_winches(plants: Plants, worlds: Worlds, b: int, row: int, h: wp.float64, left: wp.float64,
                  follow: int, lane: int, lanes: int):  # fmt: skip
-    """Lengths at the end of a time step.
+    """Advance the lengths to the end of a time step.
 
     Args:
         plants: The robots.
@@ -117,7 +121,7 @@ def turn_winches(plants: Plants, worlds: Worlds, b: int, row: int, h: wp.float64
         row: Its plant.
         h: Time step [s].
         left: Time to the end of the call, this step included [s].
-        follow: Whether the lengths themselves go straight to the command, without winches.
+        follow: True if the lengths themselves go straight to the command, without winches.
         lane: This thread among those of the world, each of which has its own cables.
         lanes: Number of these threads.
     """
@@ -144,18 +148,18 @@ def turn_back(worlds: Worlds, b: int, lane: int, lanes: int):
 @wp.func
 def roughness(rough: int, impact: bool) -> int:
     """Return the steps to go until an impact is over, after a step with or without one."""
-    if rough == ALIKE:
-        return ALIKE
+    if rough == STEPS_ALIKE:
+        return STEPS_ALIKE
     if impact:
-        return CALM
+        return CALM_STEPS
     return wp.max(rough - 1, 0)
 
 
 @wp.func
-def is_lost(motion: Motion, body: RigidBody, home: wp.vec3d) -> bool:
-    """Whether a motion is not finite or far away from everything."""
+def is_lost(motion: BodyMotion, body: DynamicBody, home: wp.vec3d) -> bool:
+    """Return true if a motion is not finite or too far away."""
     return not (
-        wp.length(motion.center - home) < LOST * body.size
+        wp.length(motion.center - home) < LOST_DISTANCE_LENGTHS * body.size
         and wp.length(motion.velocity) < wp.float64(1.0e4)
         and wp.length(motion.angular_velocity) < wp.float64(1.0e5)
         and wp.isfinite(motion.rotation[0, 0])

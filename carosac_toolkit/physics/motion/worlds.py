@@ -12,13 +12,13 @@ from carosac_toolkit.physics.cable.catenary_kernels import Cable, vec6d
 from carosac_toolkit.physics.device import body_record, cable_records
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.motion import world_kernels
-from carosac_toolkit.physics.motion.body_kernels import Gusts, Motion, RigidBody, Wind
+from carosac_toolkit.physics.motion.body_kernels import BodyMotion, DynamicBody, Gusts, Wind
 from carosac_toolkit.physics.motion.winch import WinchSettings, winch_records
 from carosac_toolkit.physics.motion.winch_kernels import Winch, WinchState
 from carosac_toolkit.robot.robot import Robot
 
 # What a world needs to go on, and what people read of it.
-STATE = (
+STATE_FIELDS = (
     "motion", "winch", "anchor_velocity", "anchor_rate", "gusts", "seed", "last", "rough",
     "failed", "time", "command", "position", "rotation", "twist", "acceleration",
     "unstrained_length", "tension", "iterations", "capped", "residual",
@@ -26,8 +26,8 @@ STATE = (
 
 
 def rigid_body_record(robot: Robot) -> NDArray[Any]:
-    """The platform of a robot as one `RigidBody` struct, shape ()."""
-    record = np.zeros((), dtype=RigidBody.numpy_dtype())
+    """Return the platform of a robot as one `DynamicBody` struct, shape ()."""
+    record = np.zeros((), dtype=DynamicBody.numpy_dtype())
     shared = body_record(robot)
     for name in ("center_of_mass", "arm", "size"):
         record[name] = shared[name]
@@ -39,12 +39,12 @@ def rigid_body_record(robot: Robot) -> NDArray[Any]:
 def upload_plants(
     fleet: Fleet, device: str, winch: WinchSettings, wind_force: float, wind_time: float
 ) -> Any:
-    """The `Plants` struct of a fleet.
+    """Upload the `Plants` struct of a fleet.
 
     Args:
         fleet: One robot for all worlds, or one for each.
         device: Warp device.
-        winch: How the drives follow commands.
+        winch: Control of the winches by their drives.
         wind_force: Standard deviation of the wind per horizontal axis [N].
         wind_time: Its correlation time [s].
     """
@@ -54,7 +54,7 @@ def upload_plants(
     out = world_kernels.Plants()
     for name, kind, records in (
         ("cables", Cable, np.stack([cable_records(robot) for robot in robots])),
-        ("bodies", RigidBody, np.stack([rigid_body_record(robot) for robot in robots])),
+        ("bodies", DynamicBody, np.stack([rigid_body_record(robot) for robot in robots])),
         ("winches", Winch, np.stack([winch_records(robot, winch) for robot in robots])),
         ("winds", Wind, winds),
     ):
@@ -63,10 +63,10 @@ def upload_plants(
 
 
 def allocate_worlds(size: int, n: int, device: str, seeds: NDArray[np.int32]) -> Any:
-    """The `Worlds` struct of B worlds of n cables; `seeds` of their wind, shape (B,)."""
+    """Allocate the `Worlds` struct of B worlds of n cables; `seeds` of their wind, shape (B,)."""
     out = world_kernels.Worlds()
     for name, kind in (
-        ("motion", Motion), ("gusts", Gusts), ("rough", int), ("failed", int),
+        ("motion", BodyMotion), ("gusts", Gusts), ("rough", int), ("failed", int),
         ("last", wp.float64),
         ("position", wp.vec3d), ("rotation", wp.mat33d), ("twist", vec6d),
         ("acceleration", vec6d), ("time", wp.float64), ("iterations", int),

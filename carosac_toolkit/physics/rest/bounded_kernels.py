@@ -9,16 +9,16 @@ finitely many changes of the set of cables that are inside their limits.
 
 import warp as wp
 
-from carosac_toolkit.physics.cable.catenary_kernels import HALF, TINY, ZERO, mat66d, vec6d
+from carosac_toolkit.physics.cable.catenary_kernels import DIVISION_FLOOR, HALF, ZERO, mat66d, vec6d
 from carosac_toolkit.physics.rest.platform_kernels import factorise, solve_factored
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-STEPS = wp.constant(100)
-SEARCH = wp.constant(80)
-PRECISION = wp.constant(wp.float64(1.0e-13))
-LENT = wp.constant(wp.float64(1.0e-5))
-FLOOR = wp.constant(wp.float64(1.0e-10))
+DUAL_STEPS_MAX = wp.constant(100)
+LINE_SEARCH_STEPS_MAX = wp.constant(80)
+WRENCH_TOLERANCE = wp.constant(wp.float64(1.0e-13))
+GRAM_RIDGE_SINGULAR = wp.constant(wp.float64(1.0e-5))
+GRAM_RIDGE_REGULAR = wp.constant(wp.float64(1.0e-10))
 
 
 @wp.struct
@@ -36,7 +36,7 @@ def clipped_tensions(column: wp.array2d(dtype=vec6d), lower: wp.array2d(dtype=wp
                      upper: wp.array2d(dtype=wp.float64), middle: wp.array2d(dtype=wp.float64),
                      b: int, dual: vec6d,
                      tension: wp.array2d(dtype=wp.float64)) -> Clipped:  # fmt: skip
-    """Tensions t(y), their wrench and the slope of the wrench."""
+    """Compute tensions t(y), their wrench and the slope of the wrench."""
     out = Clipped()
     for i in range(column.shape[1]):
         a = column[b, i]
@@ -60,7 +60,7 @@ def search_length(column: wp.array2d(dtype=vec6d), lower: wp.array2d(dtype=wp.fl
     a = wp.float64(1.0)
     left = wp.float64(0.0)
     right = wp.float64(-1.0)
-    for _search in range(SEARCH):
+    for _search in range(LINE_SEARCH_STEPS_MAX):
         there = clipped_tensions(column, lower, upper, middle, b, dual + a * direction, tension)
         now = wp.dot(direction, target - there.wrench)
         if now > wp.float64(0.1) * slope:
@@ -86,17 +86,19 @@ def bounded_tensions(column: wp.array2d(dtype=vec6d), lower: wp.array2d(dtype=wp
         whole = whole + wp.outer(column[b, i], column[b, i])
         free_wrench = free_wrench + middle[b, i] * column[b, i]
     for i in range(6):
-        whole[i, i] = whole[i, i] + wp.float64(1.0e-13) * wp.trace(whole) + TINY
+        whole[i, i] = whole[i, i] + wp.float64(1.0e-13) * wp.trace(whole) + DIVISION_FLOOR
     # Start at the answer without limits.
     f = factorise(whole)
     dual = solve_factored(f.ldl, target - free_wrench)
-    for _step in range(STEPS):
+    for _step in range(DUAL_STEPS_MAX):
         here = clipped_tensions(column, lower, upper, middle, b, dual, tension)
         rest = target - here.wrench
-        if wp.length(rest) <= PRECISION * (wp.length(target) + here.size):
+        if wp.length(rest) <= WRENCH_TOLERANCE * (wp.length(target) + here.size):
             return 1
         # With fewer than six cables inside their limits the others lend a little of their slope.
-        f = factorise(here.gram + wp.where(here.free < 6, LENT, FLOOR) * whole)
+        f = factorise(
+            here.gram + wp.where(here.free < 6, GRAM_RIDGE_SINGULAR, GRAM_RIDGE_REGULAR) * whole
+        )
         direction = solve_factored(f.ldl, rest)
         a = search_length(
             column, lower, upper, middle, b, target, dual, direction, wp.dot(rest, direction),
@@ -118,6 +120,6 @@ def distribute(
     tension: wp.array2d(dtype=wp.float64),
     feasible: wp.array(dtype=int),
 ):
-    """One wrench per thread."""
+    """Distribute one wrench per thread."""
     b = wp.tid()
     feasible[b] = bounded_tensions(column, lower, upper, middle, b, target[b], tension)

@@ -1,4 +1,4 @@
-"""How near cables come to each other."""
+"""Clearance between cables."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from carosac_toolkit.robot.robot import Robot
 
 
 def separate_pairs(robot: Robot) -> NDArray[np.int64]:
-    """Pairs of cables that nowhere touch by design, shape (K, 2).
+    """Return pairs of cables that touch nowhere by design, shape (K, 2).
 
     Two cables that end at one anchor point, or leave the frame at one exit point, within the sum
     of their radii, are no such pair.
@@ -36,7 +36,7 @@ def separate_pairs(robot: Robot) -> NDArray[np.int64]:
 def cable_distances(
     robot: Robot, equilibrium: Equilibrium, *, pieces: int = 8, device: str = "cpu"
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Smallest distance between the surfaces of every two free cables.
+    """Return the smallest distance between the surfaces of every two free cables.
 
     Args:
         robot: Robot description, n cables.

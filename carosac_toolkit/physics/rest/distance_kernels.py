@@ -2,21 +2,21 @@
 
 import warp as wp
 
-from carosac_toolkit.physics.cable.catenary_kernels import ONE, TINY, ZERO
+from carosac_toolkit.physics.cable.catenary_kernels import DIVISION_FLOOR, ONE, ZERO
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @wp.func
 def piece_distance(p: wp.vec3d, u: wp.vec3d, q: wp.vec3d, v: wp.vec3d) -> wp.float64:
-    """Distance of the segments p + s u and q + t v, s and t from 0 to 1.
+    """Return the distance of the segments p + s u and q + t v, s and t from 0 to 1.
 
     References:
         Ericson, *Real-Time Collision Detection*, Morgan Kaufmann, 2005, section 5.1.9.
     """
     w = p - q
-    a = wp.dot(u, u) + TINY
-    e = wp.dot(v, v) + TINY
+    a = wp.dot(u, u) + DIVISION_FLOOR
+    e = wp.dot(v, v) + DIVISION_FLOOR
     b = wp.dot(u, v)
     c = wp.dot(u, w)
     f = wp.dot(v, w)
@@ -40,7 +40,7 @@ def smallest_distances(
     pairs: wp.array2d(dtype=int),
     distance: wp.array2d(dtype=wp.float64),
 ):
-    """One pose and one pair of cables per thread."""
+    """Compute one pose and one pair of cables per thread."""
     b, k = wp.tid()
     i = pairs[k, 0]
     j = pairs[k, 1]

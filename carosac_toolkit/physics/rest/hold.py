@@ -24,11 +24,16 @@ from carosac_toolkit.physics import warp_setup
 from carosac_toolkit.physics.cable.catenary_kernels import mat66d, vec6d
 from carosac_toolkit.physics.device import body_record, check_call, device_robot
 from carosac_toolkit.physics.rest import hold_kernels
-from carosac_toolkit.physics.rest.statics import GAP, RESIDUAL, Equilibrium
+from carosac_toolkit.physics.rest.platform_kernels import Poses
+from carosac_toolkit.physics.rest.statics import (
+    EQUILIBRIUM_CLOSURE_MAX,
+    EQUILIBRIUM_RESIDUAL_PER_WEIGHT,
+    Equilibrium,
+)
 from carosac_toolkit.physics.rest.tension_margin import scratch
 from carosac_toolkit.robot.robot import Robot
 
-CHUNK = 8192  # poses at a time, in whole lines: what bounds the memory
+CHUNK_POSES = 8192  # poses at a time, in whole lines: what bounds the memory
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,7 +49,7 @@ class WidestRest:
         low: Multiplier of each lower limit, N of margin per N of limit, shape (B, n).
         high: The same of each upper limit, shape (B, n); low and high have the sum 1.
         lowest: Lower limits used [N], shape (B, n).
-        solved: Whether margin and sign are settled, shape (B,); False is a failure to compute, no
+        solved: True if margin and sign are settled, shape (B,); False is a failure to compute, no
             statement on the robot.
     """
 
@@ -75,9 +80,9 @@ def hold(
         robot: Robot description, n cables.
         position: Platform origin in W [m], shape (B, 3).
         rotation: Rotation from P to W, shape (B, 3, 3); None is the home rotation. With n < 6 it
-            must be None: the rotation is found.
+            must be None: the rotation is solved for.
         wrench: On the platform besides its weight, at its origin, in W [N, N m], shape (6,).
-        lines: Where each line of neighbouring poses begins in the batch, shape (L,), the first one
+        lines: Start of each line of neighbouring poses in the batch, shape (L,), the first one
             0. Along a line with n < 6 a search begins at the neighbour's answer, which is faster.
         device: Warp device.
 
@@ -100,27 +105,27 @@ def hold(
         _solve(robot, where[a:b], turn[a:b], load, begin, device)
         for a, b, begin in _chunks(starts, len(where))
     ]
-    found = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-    return _answer(robot, where, found)
+    solution = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+    return _answer(robot, where, solution)
 
 
 def _starts(lines: ArrayLike, size: int) -> NDArray[np.int64]:
-    """Where lines begin, checked."""
+    """Check the start of each line."""
     starts = np.asarray(lines)
     fits = starts.ndim == 1 and len(starts) > 0 and np.issubdtype(starts.dtype, np.integer)
     if not fits or starts[0] != 0 or (np.diff(starts) <= 0).any() or starts[-1] >= size:
-        allowed = f"rising indices from 0 to below {size}"
+        allowed = f"increasing indices from 0 to below {size}"
         raise InvalidField("lines", np.array2string(starts, threshold=6), allowed)
     return starts.astype(np.int64)
 
 
 def _chunks(starts: NDArray[np.int64], size: int) -> list[tuple[int, int, NDArray[np.int64]]]:
-    """First and last pose of each chunk of whole lines, and where its lines begin and end."""
+    """Return first and last pose of each chunk of whole lines, with the bounds of its lines."""
     ends = np.append(starts[1:], size)
     out = []
     first = 0
     for k in range(len(starts)):
-        if k + 1 == len(starts) or ends[k + 1] - starts[first] > CHUNK:
+        if k + 1 == len(starts) or ends[k + 1] - starts[first] > CHUNK_POSES:
             a, b = int(starts[first]), int(ends[k])
             out.append((a, b, np.append(starts[first : k + 1], b) - a))
             first = k + 1
@@ -140,7 +145,7 @@ def _solve(
     cables, bodies = device_robot(robot, device)
     size, n = len(position), robot.n
     count = n + (3 if n < 6 else 0)
-    poses = hold_kernels.Poses()
+    poses = Poses()
     for name, (shape, kind) in _shapes(size, n, count).items():
         setattr(poses, name, wp.zeros(shape, dtype=kind, device=device))
     poses.position.assign(position)
@@ -154,17 +159,17 @@ def _solve(
         scratch(len(first) - 1, count, device),
     ]
     wp.launch(hold_kernels.hold, len(first) - 1, inputs=inputs, device=device)
-    return {name: getattr(poses, name).numpy() for name in _ANSWER}
+    return {name: getattr(poses, name).numpy() for name in _ANSWER_FIELDS}
 
 
-_ANSWER = (
+_ANSWER_FIELDS = (
     "rotation", "tension", "unstrained_length", "q", "lower", "low", "high", "margin", "gap",
     "status", "steps", "stiffness", "residual", "closure", "stable",
 )  # fmt: skip
 
 
 def _shapes(size: int, n: int, count: int) -> dict[str, tuple[Any, Any]]:
-    """Shape and type of each array of `hold_kernels.Poses`."""
+    """Return shape and type of each array of `Poses`."""
     per_cable, per_unknown = (size, n), (size, count)
     return {
         "position": (size, wp.vec3d), "rotation": (size, wp.mat33d),
@@ -173,46 +178,46 @@ def _shapes(size: int, n: int, count: int) -> dict[str, tuple[Any, Any]]:
         "lower": (per_cable, wp.float64), "upper": (per_cable, wp.float64),
         "low": (per_cable, wp.float64), "high": (per_cable, wp.float64),
         "kept": (per_cable, wp.float64), "column": (per_unknown, vec6d),
-        "found": (per_unknown, wp.float64), "margin": (size, wp.float64),
+        "wanted": (per_unknown, wp.float64), "margin": (size, wp.float64),
         "gap": (size, wp.float64), "status": (size, int), "steps": (size, int),
         "stiffness": (size, mat66d), "residual": (size, wp.float64),
         "closure": (size, wp.float64), "stable": (size, int),
     }  # fmt: skip
 
 
-def _answer(robot: Robot, position: Array, found: dict[str, Array]) -> WidestRest:
-    """Judge what the kernel found."""
-    status, length = found["status"], found["unstrained_length"]
+def _answer(robot: Robot, position: Array, solution: dict[str, Array]) -> WidestRest:
+    """Judge the answers of the kernel."""
+    status, length = solution["status"], solution["unstrained_length"]
     size = float(body_record(robot)["size"])
-    margin = np.where(status == 1, found["margin"], np.where(status == 2, -np.inf, np.nan))
+    margin = np.where(status == 1, solution["margin"], np.where(status == 2, -np.inf, np.nan))
     held = margin >= 0.0
-    hung = found["closure"] <= GAP * size
-    sound = (found["residual"] <= RESIDUAL * robot.weight) & hung
+    hung = solution["closure"] <= EQUILIBRIUM_CLOSURE_MAX * size
+    sound = (solution["residual"] <= EQUILIBRIUM_RESIDUAL_PER_WEIGHT * robot.weight) & hung
     failed = (status == 0) | ~hung | (held & ~sound)
     margin = np.where(failed, np.nan, margin)
     rest = Equilibrium(
         position=position,
-        rotation=found["rotation"],
+        rotation=solution["rotation"],
         unstrained_length=length,
-        tension=found["tension"],
-        residual=np.where(held, found["residual"], np.nan),
-        gap=np.where(held, found["closure"], np.nan),
+        tension=solution["tension"],
+        residual=np.where(held, solution["residual"], np.nan),
+        gap=np.where(held, solution["closure"], np.nan),
         converged=held & sound,
-        stable=held & sound & (found["stable"] == 1),
-        slack=found["tension"] < robot.tension_min * (1.0 - 1e-9),
+        stable=held & sound & (solution["stable"] == 1),
+        slack=solution["tension"] < robot.tension_min * (1.0 - 1e-9),
         in_winch_range=(length >= robot.length_min) & (length <= robot.length_max),
-        stiffness=np.where(held[:, None, None], found["stiffness"], np.nan),
-        exit_tension=found["q"],
+        stiffness=np.where(held[:, None, None], solution["stiffness"], np.nan),
+        exit_tension=solution["q"],
         status=np.where(held & sound, 1, np.where(failed, 0, 2)).astype(np.int32),
-        iterations=found["steps"].astype(np.int32),
+        iterations=solution["steps"].astype(np.int32),
     )
     decided = (status == 1)[:, None]
     return WidestRest(
         rest=rest,
         margin=margin,
-        gap=np.where(status == 2, 0.0, found["gap"]),
-        low=np.where(decided, found["low"], 0.0),
-        high=np.where(decided, found["high"], 0.0),
-        lowest=found["lower"],
+        gap=np.where(status == 2, 0.0, solution["gap"]),
+        low=np.where(decided, solution["low"], 0.0),
+        high=np.where(decided, solution["high"], 0.0),
+        lowest=solution["lower"],
         solved=~failed,
     )

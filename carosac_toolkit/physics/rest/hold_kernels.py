@@ -9,76 +9,54 @@ their limits here: there they are continued to first order, which leaves the sig
 
 import warp as wp
 
-from carosac_toolkit.physics.cable.catenary_kernels import ONE, TINY, TWO, ZERO, Cable, vec6d
-from carosac_toolkit.physics.cable.tension_kernels import MARGIN, Pulling, pull
-from carosac_toolkit.physics.rest.forward_kernels import load_cables
-from carosac_toolkit.physics.rest.inverse_kernels import first_tensions, scaled_wrench, set_limits
+from carosac_toolkit.physics.cable.catenary_kernels import (
+    DIVISION_FLOOR,
+    ONE,
+    TWO,
+    ZERO,
+    Cable,
+    vec6d,
+)
+from carosac_toolkit.physics.cable.tension_kernels import LEAST_TENSION_FACTOR, Pulling, pull
+from carosac_toolkit.physics.rest.inverse_kernels import (
+    first_tensions,
+    judge_pose,
+    scaled_force,
+    scaled_wrench,
+    set_limits,
+)
 from carosac_toolkit.physics.rest.margin_kernels import (
-    SOLVED,
-    UNSOLVED,
-    Work,
+    MARGIN_SOLVED,
+    MARGIN_UNSOLVED,
+    MarginWork,
     largest_margin,
     nearest_balance,
 )
 from carosac_toolkit.physics.rest.platform_kernels import (
-    Body,
+    Poses,
+    StaticBody,
     anchor_of,
-    factorise,
     lever_terms,
-    mat66d,
     orthonormal,
     rotation_of,
-    scaled_norm,
 )
-from carosac_toolkit.physics.rest.start_kernels import cold_start, straight_to
+from carosac_toolkit.physics.rest.start_kernels import (
+    POSITION_FIT_ROUNDS,
+    START_TILT_RAD,
+    fit_straight,
+)
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-ROUNDS = wp.constant(4)  # of fitting straight cables to the position
-STEPS = wp.constant(40)
-ATTEMPTS = wp.constant(5)  # rotations to start from: home, then tilted ones if none was solved
-STABLE = wp.constant(2)  # best rank of an answer; 1: solved, 0: not solved
-TILT = wp.constant(wp.float64(0.7))  # [rad]
-REACH = wp.constant(wp.float64(0.3))  # [rad] first trust region
-REST = wp.constant(wp.float64(1.0e-11))  # wrench left, of the weight
-STILL = wp.constant(wp.float64(1.0e-9))  # margin still to be gained, of the weight
-SHORTEST = wp.constant(wp.float64(1.0e-3))  # part of a step
-NOISE = wp.constant(wp.float64(1.0e-10))  # of the weight
-PENALTY = wp.constant(wp.float64(1.0))  # N of margin that a N of wrench left costs
-
-
-@wp.struct
-class Poses:
-    """One entry for each pose; (B, n) where there is one for each cable."""
-
-    position: wp.array(dtype=wp.vec3d)
-    rotation: wp.array(dtype=wp.mat33d)  # where to begin, then the answer
-    tension: wp.array2d(dtype=wp.float64)
-    unstrained_length: wp.array2d(dtype=wp.float64)
-    q: wp.array2d(dtype=wp.vec3d)
-    inverse: wp.array2d(dtype=wp.mat33d)
-    lower: wp.array2d(dtype=wp.float64)
-    upper: wp.array2d(dtype=wp.float64)
-    low: wp.array2d(dtype=wp.float64)  # multipliers of the lower limits
-    high: wp.array2d(dtype=wp.float64)
-    column: wp.array2d(dtype=vec6d)  # (B, unknowns)
-    found: wp.array2d(dtype=wp.float64)  # (B, unknowns)
-    kept: wp.array2d(dtype=wp.float64)
-    margin: wp.array(dtype=wp.float64)
-    gap: wp.array(dtype=wp.float64)  # of the margin [N]
-    status: wp.array(dtype=int)
-    steps: wp.array(dtype=int)
-    stiffness: wp.array(dtype=mat66d)
-    residual: wp.array(dtype=wp.float64)
-    closure: wp.array(dtype=wp.float64)
-    stable: wp.array(dtype=int)
-
-
-@wp.func
-def scaled_force(force: wp.vec3d, moment: wp.vec3d, arm: wp.float64) -> vec6d:
-    """A wrench with its moment divided by the typical lever arm [N]."""
-    m = moment / arm
-    return vec6d(force[0], force[1], force[2], m[0], m[1], m[2])
+HOLD_STEPS_MAX = wp.constant(40)
+HOLD_ATTEMPTS = wp.constant(5)  # rotations to start from: home, then tilted ones if none was solved
+RANK_STABLE = wp.constant(2)  # best rank of an answer; 1: solved, 0: not solved
+TRUST_RADIUS_RAD = wp.constant(wp.float64(0.3))  # [rad] first trust region
+HOLD_RESIDUAL_PER_WEIGHT = wp.constant(wp.float64(1.0e-11))  # wrench left, of the weight
+MARGIN_GAIN_PER_WEIGHT = wp.constant(wp.float64(1.0e-9))  # margin still to be gained, of the weight
+STEP_PORTION_MIN = wp.constant(wp.float64(1.0e-3))  # part of a step
+GAIN_NOISE_PER_WEIGHT = wp.constant(wp.float64(1.0e-10))  # of the weight
+WRENCH_PENALTY = wp.constant(wp.float64(1.0))  # N of margin that a N of wrench left costs
 
 
 @wp.struct
@@ -104,9 +82,10 @@ def add_turning(total: Turning, arm: wp.vec3d, force: wp.vec3d, k: wp.mat33d) ->
 
 
 @wp.func
-def continued_cables(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: wp.vec3d,
-                     r: wp.mat33d, external: vec6d, poses: Poses) -> vec6d:  # fmt: skip
-    """Wrench, moments divided by the lever arm; cables to first order beyond their limits.
+def continued_cables(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+                     p: wp.vec3d, r: wp.mat33d, external: vec6d,
+                     poses: Poses) -> vec6d:  # fmt: skip
+    """Return the scaled wrench; cables continue to first order beyond their limits.
 
     Sets the columns: of the tensions, then of the rotation in units of 1 / weight; and by how much
     a cable at most misses its anchor point, where it could not be hung.
@@ -141,7 +120,7 @@ def continued_cables(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Bo
 
 @wp.func
 def margin_of(b: int, poses: Poses) -> wp.float64:
-    """Least distance of the tensions to their limits [N]."""
+    """Return the least distance of the tensions to their limits [N]."""
     out = wp.float64(1.0e300)
     for i in range(poses.tension.shape[1]):
         t = poses.tension[b, i]
@@ -150,8 +129,8 @@ def margin_of(b: int, poses: Poses) -> wp.float64:
 
 
 @wp.struct
-class Held:
-    """Where one search ended."""
+class HoldSearch:
+    """End of one search."""
 
     rotation: wp.mat33d
     status: int
@@ -162,21 +141,21 @@ class Held:
 
 @wp.func
 def go(b: int, n: int, free: int, start: wp.mat33d, weight: wp.float64, poses: Poses) -> wp.mat33d:
-    """Take the step that was found, scaled down where it turns too far; the rotation after it."""
+    """Take the step, scaled down if it turns too far; return the rotation after it."""
     turn = wp.vec3d()
     for j in range(free):
-        turn[j] = poses.found[b, n + j] / weight
-    scale = wp.min(ONE, wp.float64(0.5) / (wp.length(turn) + TINY))
+        turn[j] = poses.wanted[b, n + j] / weight
+    scale = wp.min(ONE, wp.float64(0.5) / (wp.length(turn) + DIVISION_FLOOR))
     for i in range(n):
         t = poses.tension[b, i]
         poses.kept[b, i] = t
-        poses.tension[b, i] = t + scale * (poses.found[b, i] - t)
+        poses.tension[b, i] = t + scale * (poses.wanted[b, i] - t)
     return orthonormal(rotation_of(scale * turn) * start)
 
 
 @wp.func
-def keep_weights(line: int, b: int, n: int, poses: Poses, work: Work):
-    """Multipliers of the tension limits."""
+def keep_weights(line: int, b: int, n: int, poses: Poses, work: MarginWork):
+    """Store the multipliers of the tension limits."""
     for i in range(n):
         poses.low[b, i] = work.weight[line, i]
         poses.high[b, i] = work.weight[line, n + i]
@@ -184,34 +163,35 @@ def keep_weights(line: int, b: int, n: int, poses: Poses, work: Work):
 
 @wp.func
 def angle_between(a: wp.mat33d, b: wp.mat33d) -> wp.float64:
-    """Angle of the rotation from one to the other [rad]."""
+    """Return the angle of the rotation from one to the other [rad]."""
     return TWO * wp.asin(wp.min(ONE, wp.sqrt(wp.ddot(a - b, a - b) / wp.float64(8.0))))
 
 
 @wp.func
 def step_back(b: int, n: int, portion: wp.float64, poses: Poses):
-    """Take a smaller portion of the step that was found from the tensions that were kept."""
+    """Take a smaller portion of the step from the tensions before it."""
     for i in range(n):
         t = poses.kept[b, i]
-        poses.tension[b, i] = t + portion * (poses.found[b, i] - t)
+        poses.tension[b, i] = t + portion * (poses.wanted[b, i] - t)
 
 
 @wp.func
 def aim(b: int, wrench: vec6d, poses: Poses) -> vec6d:
-    """What the columns have to add up to; `found` holds the present tensions and no rotation."""
+    """Return the target for the columns; `wanted` gets the present tensions and no rotation."""
     n = poses.tension.shape[1]
     target = -wrench
     for j in range(poses.column.shape[1]):
-        poses.found[b, j] = ZERO
+        poses.wanted[b, j] = ZERO
     for i in range(n):
-        poses.found[b, i] = poses.tension[b, i]
+        poses.wanted[b, i] = poses.tension[b, i]
         target = target + poses.tension[b, i] * poses.column[b, i]
     return target
 
 
 @wp.func
-def come_to_rest(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, external: vec6d,
-                 line: int, poses: Poses, work: Work, start: Held) -> Held:  # fmt: skip
+def come_to_rest(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+                 external: vec6d, line: int, poses: Poses, work: MarginWork,
+                 start: HoldSearch) -> HoldSearch:  # fmt: skip
     """Balance a search that ended early, changing as little as possible.
 
     Its margin may not be the largest; the gap says what a last step promised. It decides only
@@ -220,29 +200,29 @@ def come_to_rest(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, 
     n = poses.tension.shape[1]
     count = poses.column.shape[1]
     out = start
-    out.status = UNSOLVED
+    out.status = MARGIN_UNSOLVED
     balanced = int(1)
     for _step in range(12):
-        if balanced == 1 and out.status == UNSOLVED:
+        if balanced == 1 and out.status == MARGIN_UNSOLVED:
             wrench = continued_cables(
                 cables, row, b, body, poses.position[b], out.rotation, external, poses
             )  # fmt: skip
             out.steps += 1
             out.margin = margin_of(b, poses)
             decided = out.margin >= ZERO or out.margin + start.gap < ZERO
-            if wp.length(wrench) <= REST * body.weight and decided:
-                out.status = SOLVED
+            if wp.length(wrench) <= HOLD_RESIDUAL_PER_WEIGHT * body.weight and decided:
+                out.status = MARGIN_SOLVED
             else:
                 target = aim(b, wrench, poses)
-                balanced = nearest_balance(poses.column, b, count, target, line, work, poses.found)
+                balanced = nearest_balance(poses.column, b, count, target, line, work, poses.wanted)
                 out.rotation = go(b, n, count - n, out.rotation, body.weight, poses)
     keep_weights(line, b, n, poses, work)
     return out
 
 
 @wp.func
-def seek(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, start: wp.mat33d,
-         external: vec6d, line: int, poses: Poses, work: Work) -> Held:  # fmt: skip
+def seek(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, start: wp.mat33d,
+         external: vec6d, line: int, poses: Poses, work: MarginWork) -> HoldSearch:  # fmt: skip
     """Climb to the largest margin from a rotation and the tensions of the pose.
 
     Margin less penalty times the wrench left is what has to grow. Where a step did not do so, it
@@ -251,22 +231,25 @@ def seek(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, start: w
     n = poses.tension.shape[1]
     count = poses.column.shape[1]
     p = poses.position[b]
-    out = Held()
+    out = HoldSearch()
     out.rotation = start
     r = start
-    reach = REACH
+    reach = TRUST_RADIUS_RAD
     portion = wp.float64(1.0)
-    penalty = PENALTY
+    penalty = WRENCH_PENALTY
     margin = wp.float64(0.0)
     left = wp.float64(0.0)
     promised = wp.float64(0.0)
     going = bool(True)
-    while going and out.steps < STEPS:
+    while going and out.steps < HOLD_STEPS_MAX:
         wrench = continued_cables(cables, row, b, body, p, r, external, poses)
         out.steps += 1
         gain = margin_of(b, poses) - margin - penalty * (wp.length(wrench) - left)
-        poor = out.steps > 1 and gain < wp.float64(0.05) * promised - NOISE * body.weight
-        if poor and count == n and portion > SHORTEST:
+        poor = (
+            out.steps > 1
+            and gain < wp.float64(0.05) * promised - GAIN_NOISE_PER_WEIGHT * body.weight
+        )
+        if poor and count == n and portion > STEP_PORTION_MIN:
             portion = wp.float64(0.25) * portion
             promised = wp.float64(0.25) * promised
             step_back(b, n, portion, poses)
@@ -277,7 +260,7 @@ def seek(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, start: w
                 step_back(b, n, ZERO, poses)
                 wrench = continued_cables(cables, row, b, body, p, r, external, poses)
             elif out.steps > 1:
-                reach = wp.min(TWO * reach, REACH)
+                reach = wp.min(TWO * reach, TRUST_RADIUS_RAD)
             portion = wp.float64(1.0)
             out.rotation = r
             margin = margin_of(b, poses)
@@ -285,17 +268,20 @@ def seek(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, start: w
             target = aim(b, wrench, poses)
             best = largest_margin(
                 poses.column, b, n, count, target, reach * body.weight, poses.lower, poses.upper,
-                line, work, poses.found,
+                line, work, poses.wanted,
             )  # fmt: skip
-            penalty = wp.max(penalty, TWO * (margin - best.margin) / (left + TINY))
+            penalty = wp.max(penalty, TWO * (margin - best.margin) / (left + DIVISION_FLOOR))
             promised = best.margin - margin + penalty * left
             out.margin = margin
             out.gap = wp.abs(best.margin - margin) + best.gap
-            if best.status != SOLVED:
+            if best.status != MARGIN_SOLVED:
                 out.status = best.status
                 going = False
-            elif left <= REST * body.weight and out.gap <= STILL * body.weight:
-                out.status = SOLVED
+            elif (
+                left <= HOLD_RESIDUAL_PER_WEIGHT * body.weight
+                and out.gap <= MARGIN_GAIN_PER_WEIGHT * body.weight
+            ):
+                out.status = MARGIN_SOLVED
                 keep_weights(line, b, n, poses, work)
                 going = False
             else:
@@ -307,19 +293,13 @@ def seek(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, start: w
 
 
 @wp.func
-def start_cold(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, given: wp.mat33d,
-               poses: Poses) -> wp.mat33d:  # fmt: skip
-    """Rotation and tensions of a rest of straight cables near the position."""
-    p = poses.position[b]
-    r = given
+def start_cold(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+               first: wp.mat33d, poses: Poses) -> wp.mat33d:  # fmt: skip
+    """Return the rotation of a rest of straight cables near the position; set its tensions."""
+    r = first
     n = poses.tension.shape[1]
     if poses.column.shape[1] > n:
-        for _round in range(ROUNDS):
-            for i in range(n):
-                s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
-                poses.unstrained_length[b, i] = s.length
-            nearby = cold_start(cables, poses.unstrained_length, poses.tension, row, b, body, p, r)
-            r = nearby.rotation
+        r = fit_straight(cables, row, b, body, poses.position[b], first, poses)
     else:
         for i in range(n):
             poses.tension[b, i] = body.weight
@@ -327,25 +307,13 @@ def start_cold(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, gi
 
 
 @wp.func
-def begin(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, r: wp.mat33d,
-          poses: Poses):  # fmt: skip
-    """Straight cables of the tensions of the pose, clipped to the limits."""
-    p = poses.position[b]
-    set_limits(cables, row, b, body, p, r, MARGIN, poses.lower, poses.upper)
-    first_tensions(
-        cables, row, b, p, r, poses.lower, poses.upper, poses.tension, poses.unstrained_length,
-        poses.q,
-    )  # fmt: skip
-
-
-@wp.func
-def limits_moved(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, r: wp.mat33d,
+def limits_moved(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, r: wp.mat33d,
                  poses: Poses) -> bool:  # fmt: skip
     """Set the limits anew; whether a heavy cable's lower one has changed with the rotation."""
     most = wp.float64(0.0)
     for i in range(poses.tension.shape[1]):
         poses.kept[b, i] = poses.lower[b, i]
-    set_limits(cables, row, b, body, poses.position[b], r, MARGIN, poses.lower, poses.upper)
+    set_limits(cables, row, b, body, poses.position[b], r, LEAST_TENSION_FACTOR, poses)
     for i in range(poses.tension.shape[1]):
         most = wp.max(most, wp.abs(poses.lower[b, i] - poses.kept[b, i]))
     return most > wp.float64(1.0e-8) * body.weight
@@ -353,46 +321,45 @@ def limits_moved(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, 
 
 @wp.func
 def tilted(attempt: int, rotation: wp.mat33d) -> wp.mat33d:
-    """The rotation itself, then four tilted ones."""
+    """Return the rotation itself, then four tilted ones."""
     tilt = wp.vec3d()
     if attempt > 0:
-        tilt[attempt % 2] = wp.where(attempt > 2, -TILT, TILT)
+        tilt[attempt % 2] = wp.where(attempt > 2, -START_TILT_RAD, START_TILT_RAD)
     return rotation_of(tilt) * rotation
 
 
 @wp.func
-def judge_rest(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, r: wp.mat33d,
+def judge_rest(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, r: wp.mat33d,
                external: vec6d, poses: Poses) -> int:  # fmt: skip
-    """Judge a rest by its lengths alone; 1 where it is stable."""
+    """Judge a rest by its lengths alone, its tensions kept; 1 where it is stable."""
     for i in range(poses.tension.shape[1]):
         poses.kept[b, i] = poses.tension[b, i]
-    here = load_cables(
-        cables, poses.unstrained_length, row, b, body, poses.position[b], r,
-        wp.float64(1.0e-13) * body.size, poses.q, poses.inverse, poses.tension,
-    )  # fmt: skip
-    f = factorise(here.balance.stiffness)
-    poses.stiffness[b] = here.balance.stiffness
-    poses.residual[b] = scaled_norm(here.balance.wrench + external, body.arm)
-    poses.closure[b] = here.gap
+    stable = judge_pose(cables, row, b, body, r, external, poses)
     for i in range(poses.tension.shape[1]):
         poses.tension[b, i] = poses.kept[b, i]
-    return wp.where(f.pivot_min > ZERO, 1, 0)
+    return stable
 
 
 @wp.func
-def try_from(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, r: wp.mat33d,
-             external: vec6d, line: int, poses: Poses, work: Work) -> int:  # fmt: skip
-    """One search, its answer stored with the pose; returns how good it is, STABLE at best."""
-    begin(cables, row, b, body, r, poses)
+def try_from(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, r: wp.mat33d,
+             external: vec6d, line: int, poses: Poses, work: MarginWork) -> int:  # fmt: skip
+    """Search once, store the answer with the pose and return its rank, RANK_STABLE at best."""
+    p = poses.position[b]
+    set_limits(cables, row, b, body, p, r, LEAST_TENSION_FACTOR, poses)
+    first_tensions(cables, row, b, p, r, poses)
     out = seek(cables, row, b, body, r, external, line, poses, work)
     steps = out.steps
     changed = limits_moved(cables, row, b, body, out.rotation, poses)
     rounds = int(1)
-    while poses.column.shape[1] > poses.tension.shape[1] and changed and out.status == SOLVED:
+    while (
+        poses.column.shape[1] > poses.tension.shape[1] and changed and out.status == MARGIN_SOLVED
+    ):
         out = seek(cables, row, b, body, out.rotation, external, line, poses, work)
         steps += out.steps
         rounds += 1
-        changed = rounds < ROUNDS and limits_moved(cables, row, b, body, out.rotation, poses)
+        changed = rounds < POSITION_FIT_ROUNDS and limits_moved(
+            cables, row, b, body, out.rotation, poses
+        )
     out.steps = steps
     poses.status[b] = out.status
     poses.margin[b] = out.margin
@@ -400,26 +367,26 @@ def try_from(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, r: w
     poses.steps[b] = poses.steps[b] + out.steps
     poses.rotation[b] = out.rotation
     poses.stable[b] = 0
-    if out.status == SOLVED and out.margin >= ZERO:
+    if out.status == MARGIN_SOLVED and out.margin >= ZERO:
         poses.stable[b] = judge_rest(cables, row, b, body, out.rotation, external, poses)
-    return wp.where(out.status != UNSOLVED, 1 + poses.stable[b], 0)
+    return wp.where(out.status != MARGIN_UNSOLVED, 1 + poses.stable[b], 0)
 
 
 @wp.kernel
 def hold(
     cables: wp.array2d(dtype=Cable),
-    bodies: wp.array(dtype=Body),
+    bodies: wp.array(dtype=StaticBody),
     external: vec6d,
     first: wp.array(dtype=int),
     poses: Poses,
-    work: Work,
+    work: MarginWork,
 ):
-    """One line of poses per thread, each with a free rotation starting from its neighbour."""
+    """Hold one line of poses per thread; each free rotation starts from its neighbour."""
     line = wp.tid()
     n = poses.tension.shape[1]
     free = poses.column.shape[1] - n
     body = bodies[0]
-    attempts = wp.where(free > 0, ATTEMPTS, 1)
+    attempts = wp.where(free > 0, HOLD_ATTEMPTS, 1)
     warm = int(-1)
     for b in range(first[line], first[line + 1]):
         home = poses.rotation[b]
@@ -431,7 +398,7 @@ def hold(
                 poses.tension[b, i] = poses.tension[warm, i]
             best = try_from(cables, 0, b, body, poses.rotation[warm], external, line, poses, work)
         attempt = int(0)
-        while best < STABLE and attempt < attempts:
+        while best < RANK_STABLE and attempt < attempts:
             r = start_cold(cables, 0, b, body, tilted(attempt, home), poses)
             rank = try_from(cables, 0, b, body, r, external, line, poses, work)
             if rank > best or attempt == 0:
@@ -441,7 +408,7 @@ def hold(
         if chosen >= 0 and chosen < attempt - 1:
             r = start_cold(cables, 0, b, body, tilted(chosen, home), poses)
             best = try_from(cables, 0, b, body, r, external, line, poses, work)
-        warm = wp.where(free > 0 and best == STABLE, b, -1)
+        warm = wp.where(free > 0 and best == RANK_STABLE, b, -1)
 
 
 @wp.kernel
@@ -450,16 +417,16 @@ def margins(
     target: wp.array(dtype=vec6d),
     lower: wp.array2d(dtype=wp.float64),
     upper: wp.array2d(dtype=wp.float64),
-    work: Work,
+    work: MarginWork,
     tension: wp.array2d(dtype=wp.float64),
     margin: wp.array(dtype=wp.float64),
     gap: wp.array(dtype=wp.float64),
     status: wp.array(dtype=int),
 ):
-    """One wrench per thread."""
+    """Solve one wrench per thread."""
     b = wp.tid()
     n = column.shape[1]
-    found = largest_margin(column, b, n, n, target[b], ZERO, lower, upper, b, work, tension)
-    margin[b] = found.margin
-    gap[b] = found.gap
-    status[b] = found.status
+    best = largest_margin(column, b, n, n, target[b], ZERO, lower, upper, b, work, tension)
+    margin[b] = best.margin
+    gap[b] = best.gap
+    status[b] = best.status

@@ -6,42 +6,56 @@ the least squared tensions within the limits, starting from a stable rest on str
 
 import warp as wp
 
-from carosac_toolkit.physics.cable.catenary_kernels import HALF, ONE, TINY, TWO, ZERO, Cable, vec6d
-from carosac_toolkit.physics.cable.tension_kernels import MARGIN, WIDE_MARGIN
+from carosac_toolkit.physics.cable.catenary_kernels import (
+    DIVISION_FLOOR,
+    HALF,
+    ONE,
+    TWO,
+    ZERO,
+    Cable,
+    vec6d,
+)
+from carosac_toolkit.physics.cable.tension_kernels import (
+    LEAST_TENSION_FACTOR,
+    LEAST_TENSION_FACTOR_WIDE,
+)
 from carosac_toolkit.physics.rest.inverse_kernels import (
-    CONVERGED,
-    FAILED,
-    INFEASIBLE,
-    LIMIT,
-    RESIDUAL,
-    STEADY,
+    STATUS_CONVERGED,
+    STATUS_FAILED,
+    STATUS_INFEASIBLE,
+    TENSION_CHANGE_PER_WEIGHT,
+    TENSION_RESIDUAL_PER_WEIGHT,
+    TENSION_STEPS_MAX,
     first_tensions,
     pull_cables,
     set_limits,
 )
 from carosac_toolkit.physics.rest.platform_kernels import (
-    Body,
-    anchor_of,
+    Poses,
+    StaticBody,
     mat66d,
     orthonormal,
     rotation_of,
     scaled_norm,
 )
-from carosac_toolkit.physics.rest.start_kernels import Straight, cold_start, straight_to
+from carosac_toolkit.physics.rest.start_kernels import (
+    START_TILT_RAD,
+    Straight,
+    fit_straight,
+    straight_to,
+)
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 mat99d = wp.types.matrix((9, 9), wp.float64)
 vec9d = wp.types.vector(9, wp.float64)
 
-ROUNDS = wp.constant(4)  # of fitting straight cables to the position
-ATTEMPTS = wp.constant(6)  # rotations to start from, the later ones only where the first fails
-TILT = wp.constant(wp.float64(0.7))  # [rad]
+FREE_ATTEMPTS = wp.constant(6)  # rotations to start from, the later ones only where the first fails
 
 
 @wp.func
 def solve9(matrix: mat99d, right: vec9d) -> vec9d:
-    """Gaussian elimination with partial pivoting."""
+    """Solve by Gaussian elimination with partial pivoting."""
     a = matrix
     x = right
     for j in range(9):
@@ -56,7 +70,7 @@ def solve9(matrix: mat99d, right: vec9d) -> vec9d:
         above = x[j]
         x[j] = x[p]
         x[p] = above
-        pivot = a[j, j] + TINY
+        pivot = a[j, j] + DIVISION_FLOOR
         for i in range(j + 1, 9):
             f = a[i, j] / pivot
             for k in range(j, 9):
@@ -67,7 +81,7 @@ def solve9(matrix: mat99d, right: vec9d) -> vec9d:
         s = x[j]
         for k in range(j + 1, 9):
             s -= a[j, k] * x[k]
-        x[j] = s / (a[j, j] + TINY)
+        x[j] = s / (a[j, j] + DIVISION_FLOOR)
     return x
 
 
@@ -75,41 +89,41 @@ def solve9(matrix: mat99d, right: vec9d) -> vec9d:
 def dual_gradient(
     straight: Straight, arm: wp.vec3d, dual_force: wp.vec3d, dual_moment: wp.vec3d
 ) -> wp.vec3d:
-    """Gradient of u . (y_f + y_m x arm) under a rotation of the platform, straight cable."""
+    """Return the rotation gradient of u . (y_f + y_m x arm) of a straight cable."""
     v = dual_force + wp.cross(dual_moment, arm)
     h = wp.cross(straight.unit, dual_moment) - straight.bend * v
     return wp.cross(arm, h)
 
 
 @wp.func
-def dual_gradient_sum(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: wp.vec3d,
-                      r: wp.mat33d, tension: wp.array2d(dtype=wp.float64), dual_force: wp.vec3d,
-                      dual_moment: wp.vec3d) -> wp.vec3d:  # fmt: skip
-    """Gradient of y . wrench under a rotation of the platform."""
+def dual_gradient_sum(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+                      p: wp.vec3d, r: wp.mat33d, dual_force: wp.vec3d, dual_moment: wp.vec3d,
+                      poses: Poses) -> wp.vec3d:  # fmt: skip
+    """Return the gradient of y . wrench under a rotation of the platform."""
     weight = wp.vec3d(ZERO, ZERO, -body.weight)
     out = wp.cross(r * body.center_of_mass, wp.cross(weight, dual_moment))
-    for i in range(tension.shape[1]):
+    for i in range(poses.tension.shape[1]):
         arm = r * cables[row, i].anchor_point
         s = straight_to(cables[row, i], p + arm)
-        out += tension[b, i] * dual_gradient(s, arm, dual_force, dual_moment)
+        out += poses.tension[b, i] * dual_gradient(s, arm, dual_force, dual_moment)
     return out
 
 
 @wp.func
-def dual_curvature(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: wp.vec3d,
-                   r: wp.mat33d, tension: wp.array2d(dtype=wp.float64), dual_force: wp.vec3d,
-                   dual_moment: wp.vec3d) -> wp.mat33d:  # fmt: skip
-    """Minus the second derivative of y . wrench for the rotation, by central differences."""
+def dual_curvature(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+                   p: wp.vec3d, r: wp.mat33d, dual_force: wp.vec3d, dual_moment: wp.vec3d,
+                   poses: Poses) -> wp.mat33d:  # fmt: skip
+    """Return minus the second rotation derivative of y . wrench, by central differences."""
     h = wp.float64(1.0e-4)
     out = wp.mat33d()
     for axis in range(3):
         tilt = wp.vec3d()
         tilt[axis] = h
         plus = dual_gradient_sum(
-            cables, row, b, body, p, rotation_of(tilt) * r, tension, dual_force, dual_moment
+            cables, row, b, body, p, rotation_of(tilt) * r, dual_force, dual_moment, poses
         )
         minus = dual_gradient_sum(
-            cables, row, b, body, p, rotation_of(-tilt) * r, tension, dual_force, dual_moment
+            cables, row, b, body, p, rotation_of(-tilt) * r, dual_force, dual_moment, poses
         )
         change = (minus - plus) / (TWO * h)
         for k in range(3):
@@ -119,7 +133,7 @@ def dual_curvature(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body
 
 @wp.func
 def optimality_row(column: vec6d, twist: wp.vec3d) -> vec9d:
-    """How a cable's tension follows multipliers and rotation."""
+    """Return the derivatives of a cable's tension by multipliers and rotation."""
     return vec9d(
         column[0], column[1], column[2], column[3], column[4], column[5],
         twist[0], twist[1], twist[2],
@@ -127,13 +141,9 @@ def optimality_row(column: vec6d, twist: wp.vec3d) -> vec9d:
 
 
 @wp.func
-def optimality_step(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64),
-                    b: int, balance_wrench: vec6d, stiffness: mat66d, arm: wp.float64,
-                    curvature: wp.mat33d, ridge: wp.float64,
-                    tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
-                    twist: wp.array2d(dtype=wp.vec3d),
-                    bound: wp.array2d(dtype=int)) -> vec9d:  # fmt: skip
-    """Newton step (new multipliers, rotation) for the set of cables now held at their limits."""
+def optimality_step(b: int, balance_wrench: vec6d, stiffness: mat66d, arm: wp.float64,
+                    curvature: wp.mat33d, ridge: wp.float64, poses: Poses) -> vec9d:  # fmt: skip
+    """Return the Newton step (multipliers, rotation) for the cables now held at limits."""
     matrix = mat99d()
     right = vec9d()
     for i in range(6):
@@ -147,14 +157,14 @@ def optimality_step(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype
         for j in range(3):
             matrix[6 + i, 6 + j] = -curvature[i, j]
         matrix[6 + i, 6 + i] = matrix[6 + i, 6 + i] - ridge
-    for i in range(tension.shape[1]):
-        line = optimality_row(column[b, i], twist[b, i])
-        if bound[b, i] == 0:
+    for i in range(poses.tension.shape[1]):
+        line = optimality_row(poses.column[b, i], poses.twist[b, i])
+        if poses.bound[b, i] == 0:
             matrix = matrix + wp.outer(line, line)
-            right = right + tension[b, i] * line
+            right = right + poses.tension[b, i] * line
         else:
-            held = wp.where(bound[b, i] == 1, lower[b, i], upper[b, i])
-            right = right - (held - tension[b, i]) * line
+            held = wp.where(poses.bound[b, i] == 1, poses.lower[b, i], poses.upper[b, i])
+            right = right - (held - poses.tension[b, i]) * line
     return solve9(matrix, right)
 
 
@@ -170,7 +180,7 @@ class Choice:
 
 @wp.func
 def beyond(lower: wp.float64, upper: wp.float64, tension: wp.float64) -> int:
-    """1 below the lower limit, 2 above the upper one, 0 between."""
+    """Return 1 below the lower limit, 2 above the upper one, 0 between."""
     if tension < lower:
         return 1
     if tension > upper:
@@ -179,12 +189,8 @@ def beyond(lower: wp.float64, upper: wp.float64, tension: wp.float64) -> int:
 
 
 @wp.func
-def choose(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64), b: int,
-           step: vec9d,
-           tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
-           twist: wp.array2d(dtype=wp.vec3d), bound: wp.array2d(dtype=int),
-           wanted: wp.array2d(dtype=wp.float64)) -> Choice:  # fmt: skip
-    """Tensions of a step, and which cables to hold at a limit.
+def choose(b: int, step: vec9d, poses: Poses) -> Choice:
+    """Choose tensions of a step, and which cables to hold at a limit.
 
     n tensions and 3 rotations fulfil 6 balances, so no more than n - 3 cables can be held. Those
     held already stay while their multiplier keeps them there; then the worst offender joins. Other
@@ -195,17 +201,17 @@ def choose(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float
     held = int(0)
     worst = int(-1)
     most = wp.float64(0.0)
-    for i in range(tension.shape[1]):
-        low = lower[b, i]
-        high = upper[b, i]
-        t = wp.dot(optimality_row(column[b, i], twist[b, i]), step)
+    for i in range(poses.tension.shape[1]):
+        low = poses.lower[b, i]
+        high = poses.upper[b, i]
+        t = wp.dot(optimality_row(poses.column[b, i], poses.twist[b, i]), step)
         side = beyond(low, high, t)
-        if side != 0 or bound[b, i] != 0 or beyond(low, high, tension[b, i]) != 0:
+        if side != 0 or poses.bound[b, i] != 0 or beyond(low, high, poses.tension[b, i]) != 0:
             out.inside = 0
-        if bound[b, i] != 0 and side != bound[b, i]:
-            bound[b, i] = 0
+        if poses.bound[b, i] != 0 and side != poses.bound[b, i]:
+            poses.bound[b, i] = 0
             out.changed = 1
-        if bound[b, i] != 0:
+        if poses.bound[b, i] != 0:
             held += 1
             t = wp.clamp(t, low, high)
         elif side != 0:
@@ -213,19 +219,21 @@ def choose(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float
             if offence > most:
                 most = offence
                 worst = i
-        t = wp.max(t, wp.max(wp.float64(0.2) * tension[b, i], HALF * low))
-        wanted[b, i] = t
-        out.slope += tension[b, i] * (t - tension[b, i])
-        out.jump = wp.max(out.jump, wp.abs(t - tension[b, i]))
-    if worst >= 0 and held < tension.shape[1] - 3:
-        line = optimality_row(column[b, worst], twist[b, worst])
-        bound[b, worst] = beyond(lower[b, worst], upper[b, worst], wp.dot(line, step))
+        t = wp.max(t, wp.max(wp.float64(0.2) * poses.tension[b, i], HALF * low))
+        poses.wanted[b, i] = t
+        out.slope += poses.tension[b, i] * (t - poses.tension[b, i])
+        out.jump = wp.max(out.jump, wp.abs(t - poses.tension[b, i]))
+    if worst >= 0 and held < poses.tension.shape[1] - 3:
+        line = optimality_row(poses.column[b, worst], poses.twist[b, worst])
+        poses.bound[b, worst] = beyond(
+            poses.lower[b, worst], poses.upper[b, worst], wp.dot(line, step)
+        )
         out.changed = 1
     return out
 
 
 @wp.struct
-class Found:
+class TensionStep:
     """A Newton step and the tensions it leads to."""
 
     step: vec9d
@@ -233,27 +241,20 @@ class Found:
 
 
 @wp.func
-def search(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64), b: int,
-           body: Body, wrench: vec6d,
-           stiffness: mat66d, curvature: wp.mat33d, balanced: bool,
-           tension: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
-           twist: wp.array2d(dtype=wp.vec3d), bound: wp.array2d(dtype=int),
-           wanted: wp.array2d(dtype=wp.float64)) -> Found:  # fmt: skip
-    """Newton step for the right set of cables at their limits.
+def search(b: int, body: StaticBody, wrench: vec6d, stiffness: mat66d, curvature: wp.mat33d,
+           balanced: bool, poses: Poses) -> TensionStep:  # fmt: skip
+    """Find the Newton step for the right set of cables at their limits.
 
     At balance a step must not raise the squared tensions: there a ridge on the rotation grows
     until it does not, so that the end is a minimum and no other stationary point.
     """
-    out = Found()
+    out = TensionStep()
     ridge = wp.float64(0.0)
     tries = int(0)
     searching = bool(True)
     while searching:
-        out.step = optimality_step(
-            lower, upper, b, wrench, stiffness, body.arm, curvature, ridge, tension, column,
-            twist, bound,
-        )  # fmt: skip
-        out.choice = choose(lower, upper, b, out.step, tension, column, twist, bound, wanted)
+        out.step = optimality_step(b, wrench, stiffness, body.arm, curvature, ridge, poses)
+        out.choice = choose(b, out.step, poses)
         tries += 1
         searching = out.choice.changed == 1 and tries < 12
         rising = out.choice.slope > wp.float64(1.0e-6) * body.weight * body.weight
@@ -267,19 +268,18 @@ def search(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float
 
 
 @wp.func
-def verdict(lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64), b: int,
-            tension: wp.array2d(dtype=wp.float64)) -> int:  # fmt: skip
+def verdict(b: int, tension: wp.array2d(dtype=wp.float64), poses: Poses) -> int:
     """Judge tensions by their limits."""
     for i in range(tension.shape[1]):
-        slip = wp.float64(1.0e-9) * upper[b, i]
-        if tension[b, i] < lower[b, i] - slip or tension[b, i] > upper[b, i] + slip:
-            return INFEASIBLE
-    return CONVERGED
+        slip = wp.float64(1.0e-9) * poses.upper[b, i]
+        if tension[b, i] < poses.lower[b, i] - slip or tension[b, i] > poses.upper[b, i] + slip:
+            return STATUS_INFEASIBLE
+    return STATUS_CONVERGED
 
 
 @wp.struct
-class Outcome:
-    """Where one search ended."""
+class TensionSearch:
+    """End of one search."""
 
     rotation: wp.mat33d
     status: int
@@ -287,81 +287,69 @@ class Outcome:
 
 
 @wp.func
-def optimise(cables: wp.array2d(dtype=Cable), row: int, b: int, body: Body, p: wp.vec3d,
-             r0: wp.mat33d, lower: wp.array2d(dtype=wp.float64),
-             upper: wp.array2d(dtype=wp.float64), lengths: wp.array2d(dtype=wp.float64),
-             q: wp.array2d(dtype=wp.vec3d), tension: wp.array2d(dtype=wp.float64),
-             wanted: wp.array2d(dtype=wp.float64), column: wp.array2d(dtype=vec6d),
-             twist: wp.array2d(dtype=wp.vec3d),
-             bound: wp.array2d(dtype=int)) -> Outcome:  # fmt: skip
-    """Newton on the conditions of optimality from one rotation and its first tensions."""
-    n = tension.shape[1]
-    out = Outcome()
+def optimise(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, p: wp.vec3d,
+             r0: wp.mat33d, poses: Poses) -> TensionSearch:  # fmt: skip
+    """Solve the conditions of optimality by Newton from one rotation and its first tensions."""
+    n = poses.tension.shape[1]
+    out = TensionSearch()
     out.rotation = r0
     out.status = -1
     dual_force = wp.vec3d()
     dual_moment = wp.vec3d()
     while out.status < 0:
         r = out.rotation
-        here = pull_cables(cables, row, b, body, p, r, tension, lengths, q, column)
+        here = pull_cables(cables, row, b, body, p, r, poses)
         out.steps += 1
         norm = scaled_norm(here.balance.wrench, body.arm)
-        curvature = dual_curvature(cables, row, b, body, p, r, tension, dual_force, dual_moment)
+        curvature = dual_curvature(cables, row, b, body, p, r, dual_force, dual_moment, poses)
         for i in range(n):
             arm = r * cables[row, i].anchor_point
             s = straight_to(cables[row, i], p + arm)
-            twist[b, i] = dual_gradient(s, arm, dual_force, dual_moment)
-        found = search(
-            lower, upper, b, body, here.balance.wrench, here.balance.stiffness, curvature,
-            norm < wp.float64(1.0e-3) * body.weight, tension, column, twist, bound, wanted,
+            poses.twist[b, i] = dual_gradient(s, arm, dual_force, dual_moment)
+        newton = search(
+            b, body, here.balance.wrench, here.balance.stiffness, curvature,
+            norm < wp.float64(1.0e-3) * body.weight, poses,
         )  # fmt: skip
-        step = found.step
+        step = newton.step
         turn = wp.vec3d(step[6], step[7], step[8])
         angle = wp.length(turn)
         dual_force = wp.vec3d(step[0], step[1], step[2])
         dual_moment = wp.vec3d(step[3], step[4], step[5]) / body.arm
-        steady = found.choice.jump <= STEADY * body.weight and angle <= wp.float64(10.0) * STEADY
-        if norm <= RESIDUAL * body.weight and steady and found.choice.changed == 0:
-            out.status = verdict(lower, upper, b, tension)
-        elif out.steps >= LIMIT:
-            refused = verdict(lower, upper, b, wanted) == INFEASIBLE
-            out.status = wp.where(refused, INFEASIBLE, FAILED)
+        steady = (
+            newton.choice.jump <= TENSION_CHANGE_PER_WEIGHT * body.weight
+            and angle <= wp.float64(10.0) * TENSION_CHANGE_PER_WEIGHT
+        )
+        if (
+            norm <= TENSION_RESIDUAL_PER_WEIGHT * body.weight
+            and steady
+            and newton.choice.changed == 0
+        ):
+            out.status = verdict(b, poses.tension, poses)
+        elif out.steps >= TENSION_STEPS_MAX:
+            refused = verdict(b, poses.wanted, poses) == STATUS_INFEASIBLE
+            out.status = wp.where(refused, STATUS_INFEASIBLE, STATUS_FAILED)
         else:
-            scale = wp.min(ONE, wp.float64(0.2) / (angle + TINY))
+            scale = wp.min(ONE, wp.float64(0.2) / (angle + DIVISION_FLOOR))
             for i in range(n):
-                tension[b, i] = tension[b, i] + scale * (wanted[b, i] - tension[b, i])
+                poses.tension[b, i] = poses.tension[b, i] + scale * (
+                    poses.wanted[b, i] - poses.tension[b, i]
+                )
             out.rotation = orthonormal(rotation_of(scale * turn) * r)
     return out
 
 
 @wp.func
 def start_rotation(attempt: int, rotation: wp.mat33d) -> wp.mat33d:
-    """The rotation that was given, twice, then four tilted ones."""
+    """Return the initial rotation, twice, then four tilted ones."""
     tilt = wp.vec3d()
     if attempt > 1:
-        tilt[attempt % 2] = wp.where(attempt > 3, -TILT, TILT)
+        tilt[attempt % 2] = wp.where(attempt > 3, -START_TILT_RAD, START_TILT_RAD)
     return rotation_of(tilt) * rotation
 
 
 @wp.kernel
-def inverse_free(
-    cables: wp.array2d(dtype=Cable),
-    bodies: wp.array(dtype=Body),
-    position: wp.array(dtype=wp.vec3d),
-    rotation: wp.array(dtype=wp.mat33d),
-    unstrained_length: wp.array2d(dtype=wp.float64),
-    q: wp.array2d(dtype=wp.vec3d),
-    tension: wp.array2d(dtype=wp.float64),
-    wanted: wp.array2d(dtype=wp.float64),
-    lower: wp.array2d(dtype=wp.float64),
-    upper: wp.array2d(dtype=wp.float64),
-    column: wp.array2d(dtype=vec6d),
-    twist: wp.array2d(dtype=wp.vec3d),
-    bound: wp.array2d(dtype=int),
-    status: wp.array(dtype=int),
-    iterations: wp.array(dtype=int),
-):
-    """Rotation free: least squared tensions in equilibrium, from a stable rest nearby.
+def inverse_free(cables: wp.array2d(dtype=Cable), bodies: wp.array(dtype=StaticBody), poses: Poses):
+    """Find least squared tensions in equilibrium, rotation free, from a stable rest nearby.
 
     Where that fails, once more with a wider margin over the least tension of a hanging cable, then
     from other rotations; what is reported then is the last attempt.
@@ -369,30 +357,21 @@ def inverse_free(
     b = wp.tid()
     row = wp.min(b, cables.shape[0] - 1)
     body = bodies[wp.min(b, bodies.shape[0] - 1)]
-    p = position[b]
-    given = rotation[b]
-    out = Outcome()
+    p = poses.position[b]
+    first_rotation = poses.rotation[b]
+    out = TensionSearch()
     steps = int(0)
     attempt = int(0)
-    while attempt < ATTEMPTS and out.status != CONVERGED:
-        r = start_rotation(attempt, given)
-        margin = wp.where(attempt == 1, WIDE_MARGIN, MARGIN)
-        for _round in range(ROUNDS):
-            for i in range(tension.shape[1]):
-                s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
-                unstrained_length[b, i] = s.length
-            nearby = cold_start(cables, unstrained_length, tension, row, b, body, p, r)
-            r = nearby.rotation
-        set_limits(cables, row, b, body, p, r, margin, lower, upper)
-        first_tensions(cables, row, b, p, r, lower, upper, tension, unstrained_length, q)
-        for i in range(tension.shape[1]):
-            bound[b, i] = 0
-        out = optimise(
-            cables, row, b, body, p, r, lower, upper, unstrained_length, q, tension, wanted,
-            column, twist, bound,
-        )  # fmt: skip
+    while attempt < FREE_ATTEMPTS and out.status != STATUS_CONVERGED:
+        r = fit_straight(cables, row, b, body, p, start_rotation(attempt, first_rotation), poses)
+        margin = wp.where(attempt == 1, LEAST_TENSION_FACTOR_WIDE, LEAST_TENSION_FACTOR)
+        set_limits(cables, row, b, body, p, r, margin, poses)
+        first_tensions(cables, row, b, p, r, poses)
+        for i in range(poses.tension.shape[1]):
+            poses.bound[b, i] = 0
+        out = optimise(cables, row, b, body, p, r, poses)
         steps += out.steps
         attempt += 1
-    rotation[b] = out.rotation
-    status[b] = out.status
-    iterations[b] = steps
+    poses.rotation[b] = out.rotation
+    poses.status[b] = out.status
+    poses.steps[b] = steps

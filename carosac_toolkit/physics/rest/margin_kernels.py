@@ -11,25 +11,29 @@ other balanced tensions have a margin over sum l (x - lower) + sum l (upper - x)
 
 import warp as wp
 
-from carosac_toolkit.physics.cable.catenary_kernels import ONE, TINY, ZERO, vec6d
+from carosac_toolkit.physics.cable.catenary_kernels import DIVISION_FLOOR, ONE, ZERO, vec6d
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-RANK = wp.constant(wp.float64(1.0e-11))  # of the largest pivot: a smaller one counts as none
+RANK_PIVOT_MIN = wp.constant(
+    wp.float64(1.0e-11)
+)  # of the largest pivot: a smaller one counts as none
 ZERO_COST = wp.constant(wp.float64(1.0e-11))  # N of margin per N of slack
 ZERO_PIVOT = wp.constant(wp.float64(1.0e-10))
-DANTZIG = wp.constant(40)  # pivots by the steepest rule, then by Bland's, which cannot cycle
-PIVOTS = wp.constant(1000)
-INERT = wp.constant(-1000000)  # a column that moves no tension
+STEEPEST_PIVOTS = wp.constant(
+    40
+)  # pivots by the steepest rule, then by Bland's, which cannot cycle
+SIMPLEX_PIVOTS_MAX = wp.constant(1000)
+INERT_COLUMN = wp.constant(-1000000)  # a column that moves no tension
 
-UNSOLVED = wp.constant(0)
-SOLVED = wp.constant(1)
-UNBALANCED = wp.constant(2)  # A x = b has no solution
+MARGIN_UNSOLVED = wp.constant(0)
+MARGIN_SOLVED = wp.constant(1)
+MARGIN_UNBALANCED = wp.constant(2)  # A x = b has no solution
 
 
 @wp.struct
-class Work:
-    """What a linear program works in, one row per thread; c unknowns of which n are tensions."""
+class MarginWork:
+    """Work arrays of a linear program, one row per thread; c unknowns of which n are tensions."""
 
     rows: wp.array3d(dtype=wp.float64)  # (lines, 6, c + 1)
     order: wp.array2d(dtype=int)  # (lines, c)
@@ -50,7 +54,7 @@ class Space:
 
 @wp.func
 def set_rows(
-    column: wp.array2d(dtype=vec6d), b: int, count: int, target: vec6d, line: int, work: Work
+    column: wp.array2d(dtype=vec6d), b: int, count: int, target: vec6d, line: int, work: MarginWork
 ) -> wp.float64:
     """Fill in A and b; returns the largest entry of A."""
     size = wp.float64(0.0)
@@ -65,7 +69,7 @@ def set_rows(
 
 
 @wp.func
-def bring_pivot(line: int, k: int, count: int, work: Work) -> wp.float64:
+def bring_pivot(line: int, k: int, count: int, work: MarginWork) -> wp.float64:
     """Exchange rows and columns so that the largest entry left is at k, k; returns it."""
     r = int(k)
     c = int(k)
@@ -89,7 +93,7 @@ def bring_pivot(line: int, k: int, count: int, work: Work) -> wp.float64:
 
 
 @wp.func
-def clear_column(line: int, k: int, count: int, work: Work):
+def clear_column(line: int, k: int, count: int, work: MarginWork):
     """Scale row k to a pivot of one and take it out of the other rows."""
     pivot = work.rows[line, k, k]
     for j in range(k, count + 1):
@@ -103,9 +107,9 @@ def clear_column(line: int, k: int, count: int, work: Work):
 
 @wp.func
 def eliminate(
-    column: wp.array2d(dtype=vec6d), b: int, count: int, target: vec6d, line: int, work: Work
+    column: wp.array2d(dtype=vec6d), b: int, count: int, target: vec6d, line: int, work: MarginWork
 ) -> Space:
-    """Gauss-Jordan with complete pivoting.
+    """Eliminate by Gauss-Jordan with complete pivoting.
 
     Then unknown order[k], k < rank, is rows[k, count] - sum over j >= rank of rows[k, j] times
     unknown order[j].
@@ -114,20 +118,22 @@ def eliminate(
     out = Space()
     going = bool(True)
     while going and out.rank < wp.min(6, count):
-        going = wp.abs(bring_pivot(line, out.rank, count, work)) > RANK * size
+        going = wp.abs(bring_pivot(line, out.rank, count, work)) > RANK_PIVOT_MIN * size
         if going:
             clear_column(line, out.rank, count, work)
             out.rank = out.rank + 1
     out.balanced = 1
     for i in range(out.rank, 6):
-        if wp.abs(work.rows[line, i, count]) > wp.float64(1.0e-9) * (wp.length(target) + TINY):
+        if wp.abs(work.rows[line, i, count]) > wp.float64(1.0e-9) * (
+            wp.length(target) + DIVISION_FLOOR
+        ):
             out.balanced = 0
     return out
 
 
 @wp.func
-def set_null_space(line: int, count: int, rank: int, work: Work):
-    """Columns 0 to count - rank - 1 of `null`: N; the next one: x_p."""
+def set_null_space(line: int, count: int, rank: int, work: MarginWork):
+    """Set columns 0 to count - rank - 1 of `null` to N, and the next one to x_p."""
     free = count - rank
     for j in range(count):
         for c in range(free + 1):
@@ -144,8 +150,8 @@ def set_null_space(line: int, count: int, rank: int, work: Work):
 
 
 @wp.func
-def along(line: int, c: int, other: int, count: int, work: Work) -> wp.float64:
-    """Scalar product of two columns of the null space."""
+def along(line: int, c: int, other: int, count: int, work: MarginWork) -> wp.float64:
+    """Return the scalar product of two columns of the null space."""
     out = wp.float64(0.0)
     for j in range(count):
         out += work.null[line, j, c] * work.null[line, j, other]
@@ -153,7 +159,7 @@ def along(line: int, c: int, other: int, count: int, work: Work) -> wp.float64:
 
 
 @wp.func
-def orthogonalise(line: int, count: int, free: int, work: Work):
+def orthogonalise(line: int, count: int, free: int, work: MarginWork):
     """Make N orthonormal, by Gram and Schmidt."""
     for c in range(free):
         for other in range(c):
@@ -167,22 +173,27 @@ def orthogonalise(line: int, count: int, free: int, work: Work):
 
 @wp.func
 def come_near(
-    line: int, b: int, count: int, free: int, work: Work, found: wp.array2d(dtype=wp.float64)
+    line: int,
+    b: int,
+    count: int,
+    free: int,
+    work: MarginWork,
+    unknowns: wp.array2d(dtype=wp.float64),
 ):
-    """Make N orthonormal and x_p the solution nearest to `found`."""
+    """Make N orthonormal and x_p the solution nearest to `unknowns`."""
     orthogonalise(line, count, free, work)
     orthogonalise(line, count, free, work)
     for c in range(free):
         part = wp.float64(0.0)
         for j in range(count):
-            part += work.null[line, j, c] * (found[b, j] - work.null[line, j, free])
+            part += work.null[line, j, c] * (unknowns[b, j] - work.null[line, j, free])
         for j in range(count):
             work.null[line, j, free] = work.null[line, j, free] + part * work.null[line, j, c]
 
 
 @wp.func
-def exchange(line: int, r: int, e: int, height: int, width: int, work: Work):
-    """Simplex pivot: the variable of row r and that of column e change places."""
+def exchange(line: int, r: int, e: int, height: int, width: int, work: MarginWork):
+    """Exchange the variable of row r and that of column e: a simplex pivot."""
     pivot = work.table[line, r, e]
     for c in range(width + 1):
         work.table[line, r, c] = -work.table[line, r, c] / pivot
@@ -199,8 +210,10 @@ def exchange(line: int, r: int, e: int, height: int, width: int, work: Work):
 
 
 @wp.func
-def blocking_row(line: int, e: int, sign: wp.float64, height: int, width: int, work: Work) -> int:
-    """The slack that reaches zero first along a column; the lowest name of several, or -1."""
+def blocking_row(
+    line: int, e: int, sign: wp.float64, height: int, width: int, work: MarginWork
+) -> int:
+    """Return the slack that reaches zero first along a column; ties by lowest name; -1: none."""
     out = int(-1)
     least = wp.float64(0.0)
     for j in range(height):
@@ -217,12 +230,12 @@ def blocking_row(line: int, e: int, sign: wp.float64, height: int, width: int, w
 
 
 @wp.func
-def entering_column(line: int, height: int, width: int, bland: bool, work: Work) -> int:
-    """A slack whose growth raises the margin, or -1 at the top."""
+def entering_column(line: int, height: int, width: int, bland: bool, work: MarginWork) -> int:
+    """Return a slack whose growth raises the margin, or -1 at the top."""
     out = int(-1)
     for c in range(width):
         cost = work.table[line, height, c]
-        if work.column_of[line, c] != INERT and cost > ZERO_COST:
+        if work.column_of[line, c] != INERT_COLUMN and cost > ZERO_COST:
             if out < 0:
                 out = c
             elif bland and work.column_of[line, c] < work.column_of[line, out]:
@@ -233,8 +246,8 @@ def entering_column(line: int, height: int, width: int, bland: bool, work: Work)
 
 
 @wp.func
-def climb(line: int, height: int, width: int, work: Work) -> int:
-    """Simplex method from an allowed point; SOLVED or UNSOLVED."""
+def climb(line: int, height: int, width: int, work: MarginWork) -> int:
+    """Run the simplex method from a feasible point; MARGIN_SOLVED or MARGIN_UNSOLVED."""
     for back in range(width):  # the margin itself, the last column, comes first
         e = width - 1 - back
         sign = wp.where(work.table[line, height, e] < ZERO, -ONE, ONE)
@@ -242,25 +255,25 @@ def climb(line: int, height: int, width: int, work: Work) -> int:
         if r < 0 and wp.abs(work.table[line, height, e]) <= ZERO_COST:
             r = blocking_row(line, e, -sign, height, width, work)
         if r < 0:
-            work.column_of[line, e] = INERT
+            work.column_of[line, e] = INERT_COLUMN
         else:
             exchange(line, r, e, height, width, work)
-    for pivots in range(PIVOTS):
-        e = entering_column(line, height, width, pivots > DANTZIG, work)
+    for pivots in range(SIMPLEX_PIVOTS_MAX):
+        e = entering_column(line, height, width, pivots > STEEPEST_PIVOTS, work)
         if e < 0:
-            return SOLVED
+            return MARGIN_SOLVED
         r = blocking_row(line, e, ONE, height, width, work)
         if r < 0:
-            return UNSOLVED
+            return MARGIN_UNSOLVED
         exchange(line, r, e, height, width, work)
-    return UNSOLVED
+    return MARGIN_UNSOLVED
 
 
 @wp.func
 def set_table(line: int, b: int, n: int, count: int, free: int, reach: wp.float64,
               lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64),
-              work: Work):  # fmt: skip
-    """Slacks over (z, s) at x_p: n lower limits, n upper ones, then the trust region."""
+              work: MarginWork):  # fmt: skip
+    """Set slacks over (z, s) at x_p: n lower limits, n upper ones, then the trust region."""
     height = 2 * count
     start = wp.float64(1.0e300)
     for i in range(n):
@@ -296,9 +309,9 @@ class Margin:
 
 
 @wp.func
-def read_table(line: int, b: int, n: int, count: int, free: int, work: Work,
-               found: wp.array2d(dtype=wp.float64)):  # fmt: skip
-    """Unknowns and multipliers of the final table."""
+def read_table(line: int, b: int, n: int, count: int, free: int, work: MarginWork,
+               unknowns: wp.array2d(dtype=wp.float64)):  # fmt: skip
+    """Read unknowns and multipliers off the final table."""
     height = 2 * count
     for j in range(height):
         work.weight[line, j] = ZERO
@@ -309,20 +322,20 @@ def read_table(line: int, b: int, n: int, count: int, free: int, work: Work,
             work.weight[line, name] = wp.max(-work.table[line, height, c], ZERO)
             total += wp.where(name < 2 * n, work.weight[line, name], ZERO)
     for j in range(height):
-        work.weight[line, j] = work.weight[line, j] / (total + TINY)
+        work.weight[line, j] = work.weight[line, j] / (total + DIVISION_FLOOR)
     for j in range(count):
-        found[b, j] = work.null[line, j, free]
+        unknowns[b, j] = work.null[line, j, free]
     for row in range(height):
         c = -1 - work.row_of[line, row]
         if c >= 0 and c < free:
             z = work.table[line, row, free + 1]
             for j in range(count):
-                found[b, j] = found[b, j] + work.null[line, j, c] * z
+                unknowns[b, j] = unknowns[b, j] + work.null[line, j, c] * z
 
 
 @wp.func
-def slope_left(line: int, n: int, count: int, free: int, work: Work) -> wp.float64:
-    """Sum over the columns of |N^T (l_lower - l_upper)|: zero where the multipliers prove."""
+def slope_left(line: int, n: int, count: int, free: int, work: MarginWork) -> wp.float64:
+    """Return the sum over columns of |N^T (l_lower - l_upper)|: zero for proving multipliers."""
     out = wp.float64(0.0)
     for c in range(free):
         slope = wp.float64(0.0)
@@ -337,20 +350,20 @@ def slope_left(line: int, n: int, count: int, free: int, work: Work) -> wp.float
 @wp.func
 def judge(line: int, b: int, n: int, count: int, free: int, reach: wp.float64,
           lower: wp.array2d(dtype=wp.float64), upper: wp.array2d(dtype=wp.float64),
-          work: Work, found: wp.array2d(dtype=wp.float64)) -> Margin:  # fmt: skip
-    """Margin of what was found, with a bound by weak duality."""
+          work: MarginWork, unknowns: wp.array2d(dtype=wp.float64)) -> Margin:  # fmt: skip
+    """Return the margin of the unknowns found, with a bound by weak duality."""
     out = Margin()
     out.margin = wp.float64(1.0e300)
     bound = wp.float64(0.0)
     span = wp.float64(0.0)
     for i in range(n):
-        low = found[b, i] - lower[b, i]
-        high = upper[b, i] - found[b, i]
+        low = unknowns[b, i] - lower[b, i]
+        high = upper[b, i] - unknowns[b, i]
         out.margin = wp.min(out.margin, wp.min(low, high))
         bound += work.weight[line, i] * low + work.weight[line, n + i] * high
-        span += upper[b, i] - lower[b, i] + wp.abs(found[b, i])
+        span += upper[b, i] - lower[b, i] + wp.abs(unknowns[b, i])
     for j in range(n, count):
-        x = found[b, j] - work.null[line, j, free]
+        x = unknowns[b, j] - work.null[line, j, free]
         bound += work.weight[line, n + j] * (reach + x)
         bound += work.weight[line, count + j] * (reach - x)
         span += wp.float64(2.0) * reach
@@ -360,33 +373,33 @@ def judge(line: int, b: int, n: int, count: int, free: int, reach: wp.float64,
 
 @wp.func
 def nearest_balance(column: wp.array2d(dtype=vec6d), b: int, count: int, target: vec6d, line: int,
-                    work: Work, found: wp.array2d(dtype=wp.float64)) -> int:  # fmt: skip
-    """Move `found` to the nearest solution of A x = b; 0 where there is none."""
+                    work: MarginWork, unknowns: wp.array2d(dtype=wp.float64)) -> int:  # fmt: skip
+    """Move `unknowns` to the nearest solution of A x = b; 0 where there is none."""
     space = eliminate(column, b, count, target, line, work)
     if space.balanced == 1:
         set_null_space(line, count, space.rank, work)
-        come_near(line, b, count, count - space.rank, work, found)
+        come_near(line, b, count, count - space.rank, work, unknowns)
         for j in range(count):
-            found[b, j] = work.null[line, j, count - space.rank]
+            unknowns[b, j] = work.null[line, j, count - space.rank]
     return space.balanced
 
 
 @wp.func
 def largest_margin(column: wp.array2d(dtype=vec6d), b: int, n: int, count: int, target: vec6d,
                    reach: wp.float64, lower: wp.array2d(dtype=wp.float64),
-                   upper: wp.array2d(dtype=wp.float64), line: int, work: Work,
-                   found: wp.array2d(dtype=wp.float64)) -> Margin:  # fmt: skip
-    """Solve for n tensions and count - n unlimited unknowns, near what `found` holds."""
+                   upper: wp.array2d(dtype=wp.float64), line: int, work: MarginWork,
+                   unknowns: wp.array2d(dtype=wp.float64)) -> Margin:  # fmt: skip
+    """Solve for n tensions and count - n unlimited unknowns, near what `unknowns` holds."""
     out = Margin()
-    out.status = UNBALANCED
+    out.status = MARGIN_UNBALANCED
     space = eliminate(column, b, count, target, line, work)
     if space.balanced == 1:
         set_null_space(line, count, space.rank, work)
         free = count - space.rank
-        come_near(line, b, count, free, work, found)
+        come_near(line, b, count, free, work, unknowns)
         set_table(line, b, n, count, free, reach, lower, upper, work)
         status = climb(line, 2 * count, free + 1, work)
-        read_table(line, b, n, count, free, work, found)
-        out = judge(line, b, n, count, free, reach, lower, upper, work, found)
+        read_table(line, b, n, count, free, work, unknowns)
+        out = judge(line, b, n, count, free, reach, lower, upper, work, unknowns)
         out.status = status
     return out

@@ -28,7 +28,7 @@ class Modes:
 
 
 def mass_matrix(robot: Robot, rotation: Array, unstrained_length: Array | None = None) -> Array:
-    r"""Inertia of the platform about its origin.
+    r"""Return the inertia of the platform about its origin.
 
     .. math:: M = \begin{bmatrix} m 1 & -m [c]_\times \\ m [c]_\times & I_c - m [c]_\times^2
         \end{bmatrix}, \qquad c = R\, c_P
@@ -66,14 +66,14 @@ def mass_matrix(robot: Robot, rotation: Array, unstrained_length: Array | None =
 
 
 def natural_modes(robot: Robot, equilibrium: Equilibrium, *, cable_mass: bool = True) -> Modes:
-    """Undamped small motions of the platform with the winches held.
+    """Solve for undamped small motions of the platform with the winches held.
 
     The cables follow quasi-statically: their own waves lie far above (tens of Hz for taut ones).
 
     Args:
         robot: Robot description.
         equilibrium: B equilibria of this robot.
-        cable_mass: Whether the cables have inertia; see `mass_matrix`.
+        cable_mass: True if the cables have inertia; see `mass_matrix`.
 
     Returns:
         Frequencies and mode shapes of K x = (2 pi f)^2 M x.
@@ -97,5 +97,5 @@ def natural_modes(robot: Robot, equilibrium: Equilibrium, *, cable_mass: bool = 
 def natural_frequencies(
     robot: Robot, equilibrium: Equilibrium, *, cable_mass: bool = True
 ) -> Array:
-    """Frequencies of `natural_modes` [Hz], shape (B, 6), slowest first."""
+    """Return the frequencies of `natural_modes` [Hz], shape (B, 6), slowest first."""
     return natural_modes(robot, equilibrium, cable_mass=cable_mass).frequency

@@ -3,12 +3,12 @@
 import warp as wp
 
 from carosac_toolkit.physics.cable.catenary_kernels import (
+    DIVISION_FLOOR,
     HALF,
     ONE,
-    TINY,
     ZERO,
     Cable,
-    Hanging,
+    HungCable,
     mat66d,
     vec6d,
 )
@@ -17,8 +17,8 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @wp.struct
-class Body:
-    """What statics needs to know of the platform."""
+class StaticBody:
+    """Platform with its payloads, as statics needs it."""
 
     weight: wp.float64  # [N]
     center_of_mass: wp.vec3d  # in P [m]
@@ -27,22 +27,52 @@ class Body:
 
 
 @wp.struct
-class Balance:
+class WrenchBalance:
     """Wrench on the platform at its origin, and minus its derivative."""
 
     wrench: vec6d  # [N, N m]
     stiffness: mat66d  # -d wrench / d (translation, rotation vector), in W
 
 
+@wp.struct
+class Poses:
+    """Poses of a batch, (B,), and their cables, (B, n); arrays that a kernel skips stay empty."""
+
+    position: wp.array(dtype=wp.vec3d)  # in W [m]
+    rotation: wp.array(dtype=wp.mat33d)  # from P to W: where to begin, then the answer
+    unstrained_length: wp.array2d(dtype=wp.float64)  # [m]
+    tension: wp.array2d(dtype=wp.float64)  # at the platform [N]
+    q: wp.array2d(dtype=wp.vec3d)  # tension vector at the exit [N]
+    inverse: wp.array2d(dtype=wp.mat33d)  # (d closure / d q)^-1 [N/m]
+    stiffness: wp.array(dtype=mat66d)
+    residual: wp.array(dtype=wp.float64)  # norm of the wrench [N]
+    closure: wp.array(dtype=wp.float64)  # largest of a cable [m]
+    status: wp.array(dtype=int)
+    stable: wp.array(dtype=int)
+    steps: wp.array(dtype=int)
+    lower: wp.array2d(dtype=wp.float64)  # limits of the tensions [N]
+    upper: wp.array2d(dtype=wp.float64)
+    middle: wp.array2d(dtype=wp.float64)  # tensions to stay close to [N]
+    wanted: wp.array2d(dtype=wp.float64)  # tensions after a step [N], or unknowns (B, unknowns)
+    column: wp.array2d(dtype=vec6d)  # d scaled wrench / d unknown, (B, unknowns)
+    twist: wp.array2d(dtype=wp.vec3d)  # dual gradient of each cable
+    bound: wp.array2d(dtype=int)  # 1: held at the lower limit, 2: at the upper one
+    low: wp.array2d(dtype=wp.float64)  # multipliers of the lower limits
+    high: wp.array2d(dtype=wp.float64)
+    kept: wp.array2d(dtype=wp.float64)  # tensions before a step [N]
+    margin: wp.array(dtype=wp.float64)  # [N]
+    gap: wp.array(dtype=wp.float64)  # of the margin [N]
+
+
 @wp.func
 def cross_matrix(a: wp.vec3d) -> wp.mat33d:
-    """The matrix [a]x of a x b = [a]x b."""
+    """Return the matrix [a]x of a x b = [a]x b."""
     return wp.mat33d(ZERO, -a[2], a[1], a[2], ZERO, -a[0], -a[1], a[0], ZERO)
 
 
 @wp.func
 def rotation_of(v: wp.vec3d) -> wp.mat33d:
-    """Rotation matrix of a rotation vector (Rodrigues)."""
+    """Return the rotation matrix of a rotation vector (Rodrigues)."""
     angle = wp.length(v)
     s = ONE - angle * angle / wp.float64(6.0)
     c = HALF - angle * angle / wp.float64(24.0)
@@ -74,11 +104,11 @@ def lever_terms(arm: wp.vec3d, force: wp.vec3d, k: wp.mat33d):
 
 @wp.func
 def add_lever(stiffness: mat66d, wrench: vec6d, arm: wp.vec3d, force: wp.vec3d,
-              k: wp.mat33d) -> Balance:  # fmt: skip
+              k: wp.mat33d) -> WrenchBalance:  # fmt: skip
     """Add a force with an anchor stiffness k = -d force / d anchor at a lever arm."""
     moment, kx, xkx, turn = lever_terms(arm, force, k)
     turn = HALF * (turn + wp.transpose(turn))  # at equilibrium the whole of it, summed over forces
-    out = Balance()
+    out = WrenchBalance()
     out.wrench = wrench + vec6d(force[0], force[1], force[2], moment[0], moment[1], moment[2])
     s = stiffness
     for i in range(3):
@@ -92,9 +122,9 @@ def add_lever(stiffness: mat66d, wrench: vec6d, arm: wp.vec3d, force: wp.vec3d,
 
 
 @wp.func
-def gravity_balance(body: Body, rotation: wp.mat33d) -> Balance:
-    """Weight of the platform about its origin."""
-    zero = Balance()
+def gravity_balance(body: StaticBody, rotation: wp.mat33d) -> WrenchBalance:
+    """Return the weight of the platform about its origin."""
+    zero = WrenchBalance()
     return add_lever(
         zero.stiffness,
         zero.wrench,
@@ -105,8 +135,8 @@ def gravity_balance(body: Body, rotation: wp.mat33d) -> Balance:
 
 
 @wp.func
-def cable_stiffness(state: Hanging, inverse: wp.mat33d) -> wp.mat33d:
-    """Anchor stiffness -d force / d anchor at constant unstrained length [N/m], symmetric."""
+def cable_stiffness(state: HungCable, inverse: wp.mat33d) -> wp.mat33d:
+    """Return -d force / d anchor at constant unstrained length [N/m], symmetric."""
     k = state.force_q * inverse
     return HALF * (k + wp.transpose(k))
 
@@ -121,7 +151,7 @@ class Factor:
 
 @wp.func
 def factorise(a: mat66d) -> Factor:
-    """LDL^T of a symmetric 6x6 matrix; stops improving sense where a pivot is not positive."""
+    """Factorise a symmetric 6x6 matrix as LDL^T; pivot_min <= 0: not positive definite."""
     m = a
     least = m[0, 0]
     for j in range(6):
@@ -162,7 +192,7 @@ def solve_factored(m: mat66d, b: vec6d) -> vec6d:
 
 @wp.func
 def scaled_norm(wrench: vec6d, arm: wp.float64) -> wp.float64:
-    """Norm of a wrench [N], moments divided by the typical lever arm."""
+    """Return the norm of a wrench [N], moments divided by the typical lever arm."""
     f = wp.vec3d(wrench[0], wrench[1], wrench[2])
     t = wp.vec3d(wrench[3], wrench[4], wrench[5]) / arm
     return wp.sqrt(wp.dot(f, f) + wp.dot(t, t))
@@ -179,7 +209,7 @@ def regularised(a: mat66d, mu: wp.float64, arm: wp.float64) -> mat66d:
 
 
 @wp.struct
-class Step:
+class DescentStep:
     """A step of the platform towards rest."""
 
     step: vec6d  # translation [m], rotation vector [rad], in W
@@ -187,8 +217,10 @@ class Step:
 
 
 @wp.func
-def descent_step(total: Balance, body: Body, reach: wp.float64, turn: wp.float64) -> Step:
-    """Newton step down the energy: regularised until positive definite, then limited in size.
+def descent_step(
+    total: WrenchBalance, body: StaticBody, reach: wp.float64, turn: wp.float64
+) -> DescentStep:
+    """Return a Newton step down the energy, regularised and limited in size.
 
     Args:
         total: Wrench and stiffness at the pose.
@@ -197,7 +229,7 @@ def descent_step(total: Balance, body: Body, reach: wp.float64, turn: wp.float64
         turn: Largest rotation [rad].
     """
     f = factorise(total.stiffness)
-    out = Step()
+    out = DescentStep()
     out.pivot_min = f.pivot_min
     soft = wp.float64(1.0e-3) * body.weight / body.size
     mu = wp.float64(0.0)
@@ -209,24 +241,24 @@ def descent_step(total: Balance, body: Body, reach: wp.float64, turn: wp.float64
     step = solve_factored(f.ldl, total.wrench)
     move = wp.sqrt(step[0] * step[0] + step[1] * step[1] + step[2] * step[2])
     angle = wp.sqrt(step[3] * step[3] + step[4] * step[4] + step[5] * step[5])
-    limit = wp.min(reach * body.size / (move + TINY), turn / (angle + TINY))
+    limit = wp.min(reach * body.size / (move + DIVISION_FLOOR), turn / (angle + DIVISION_FLOOR))
     out.step = wp.min(ONE, limit) * step
     return out
 
 
 @wp.func
 def translation(step: vec6d) -> wp.vec3d:
-    """Linear part."""
+    """Return the linear part."""
     return wp.vec3d(step[0], step[1], step[2])
 
 
 @wp.func
 def turned(rotation: wp.mat33d, step: vec6d) -> wp.mat33d:
-    """Rotation after the angular part of a step, orthonormal to rounding."""
+    """Return the rotation after the angular part of a step, orthonormal to rounding."""
     return orthonormal(rotation_of(wp.vec3d(step[3], step[4], step[5])) * rotation)
 
 
 @wp.func
 def anchor_of(cable: Cable, position: wp.vec3d, rotation: wp.mat33d) -> wp.vec3d:
-    """Anchor point in W."""
+    """Return the anchor point in W."""
     return position + rotation * cable.anchor_point

@@ -10,8 +10,9 @@ import warp as wp
 from carosac_toolkit.physics.cable.catenary_kernels import HALF, TWO, ZERO, Cable
 from carosac_toolkit.physics.cable.straight_line_kernels import straight_cable
 from carosac_toolkit.physics.rest.platform_kernels import (
-    Balance,
-    Body,
+    Poses,
+    StaticBody,
+    WrenchBalance,
     add_lever,
     anchor_of,
     descent_step,
@@ -23,9 +24,13 @@ from carosac_toolkit.physics.rest.platform_kernels import (
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-ROUNDS = wp.constant(12)
-STEPS = wp.constant(25)
-SOFTNESS = wp.constant(wp.float64(0.03))  # stretch under the weight, as a share of cable length
+MULTIPLIER_ROUNDS_MAX = wp.constant(12)
+SOFT_STEPS_MAX = wp.constant(25)
+POSITION_FIT_ROUNDS = wp.constant(4)  # of fitting straight cables to a position
+START_TILT_RAD = wp.constant(wp.float64(0.7))  # of further rotations to start from
+STRETCH_UNDER_WEIGHT = wp.constant(
+    wp.float64(0.03)
+)  # stretch under the weight, as a share of cable length
 
 
 @wp.struct
@@ -39,7 +44,7 @@ class Straight:
 
 @wp.func
 def straight_to(cable: Cable, anchor: wp.vec3d) -> Straight:
-    """Straight cable to an anchor point, its pulley included."""
+    """Return the straight cable to an anchor point, its pulley included."""
     out = Straight()
     length, _wrap, direction, bend, _valid = straight_cable(
         anchor - cable.exit_point, cable.pulley_radius, cable.swivel_axis
@@ -51,7 +56,7 @@ def straight_to(cable: Cable, anchor: wp.vec3d) -> Straight:
 
 
 @wp.struct
-class Start:
+class StraightStart:
     """The pose reached."""
 
     position: wp.vec3d
@@ -60,29 +65,28 @@ class Start:
 
 
 @wp.func
-def soft_energy(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
-                multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: Body,
-                p: wp.vec3d, r: wp.mat33d, k: wp.float64) -> wp.float64:  # fmt: skip
-    """Energy of the augmented problem [J]."""
+def soft_energy(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+                p: wp.vec3d, r: wp.mat33d, k: wp.float64, poses: Poses) -> wp.float64:  # fmt: skip
+    """Return the energy of the augmented problem [J]."""
     center = p + r * body.center_of_mass
     energy = body.weight * center[2]
-    for i in range(lengths.shape[1]):
+    for i in range(poses.unstrained_length.shape[1]):
         s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
-        t = wp.max(multiplier[b, i] + k * (s.length - lengths[b, i]), ZERO)
+        t = wp.max(poses.tension[b, i] + k * (s.length - poses.unstrained_length[b, i]), ZERO)
         energy += HALF * t * t / k
     return energy
 
 
 @wp.func
-def soft_balance(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
-                 multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: Body,
-                 p: wp.vec3d, r: wp.mat33d, k: wp.float64) -> Balance:  # fmt: skip
-    """Wrench and stiffness of the augmented problem."""
+def soft_balance(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+                 p: wp.vec3d, r: wp.mat33d, k: wp.float64,
+                 poses: Poses) -> WrenchBalance:  # fmt: skip
+    """Return wrench and stiffness of the augmented problem."""
     total = gravity_balance(body, r)
-    for i in range(lengths.shape[1]):
+    for i in range(poses.unstrained_length.shape[1]):
         anchor = anchor_of(cables[row, i], p, r)
         s = straight_to(cables[row, i], anchor)
-        t = multiplier[b, i] + k * (s.length - lengths[b, i])
+        t = poses.tension[b, i] + k * (s.length - poses.unstrained_length[b, i])
         if t > ZERO:
             pull = k * wp.outer(s.unit, s.unit) + t * s.bend
             total = add_lever(total.stiffness, total.wrench, anchor - p, t * s.unit, pull)
@@ -90,18 +94,15 @@ def soft_balance(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.f
 
 
 @wp.func
-def minimise(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
-             multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: Body,
-             start: Start, k: wp.float64) -> Start:  # fmt: skip
-    """One round: damped Newton on the energy, Armijo line search."""
+def minimise(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+             start: StraightStart, k: wp.float64, poses: Poses) -> StraightStart:  # fmt: skip
+    """Minimise the energy of one round by damped Newton with Armijo line search."""
     out = start
-    energy = soft_energy(
-        cables, lengths, multiplier, row, b, body, start.position, start.rotation, k
-    )
-    for _step in range(STEPS):
+    energy = soft_energy(cables, row, b, body, start.position, start.rotation, k, poses)
+    for _step in range(SOFT_STEPS_MAX):
         p = out.position
         r = out.rotation
-        total = soft_balance(cables, lengths, multiplier, row, b, body, p, r, k)
+        total = soft_balance(cables, row, b, body, p, r, k, poses)
         out.steps += 1
         if scaled_norm(total.wrench, body.arm) < wp.float64(1.0e-2) * body.weight:
             break
@@ -112,9 +113,7 @@ def minimise(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float
         for _half in range(20):
             out.position = p + translation(step)
             out.rotation = turned(r, step)
-            after = soft_energy(
-                cables, lengths, multiplier, row, b, body, out.position, out.rotation, k
-            )
+            after = soft_energy(cables, row, b, body, out.position, out.rotation, k, poses)
             if after <= energy - gain:
                 break
             step = step * HALF
@@ -124,26 +123,39 @@ def minimise(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float
 
 
 @wp.func
-def cold_start(cables: wp.array2d(dtype=Cable), lengths: wp.array2d(dtype=wp.float64),
-               multiplier: wp.array2d(dtype=wp.float64), row: int, b: int, body: Body,
-               p0: wp.vec3d, r0: wp.mat33d) -> Start:  # fmt: skip
-    """Rest on straight inextensible cables, to about a millimetre; tensions in multiplier."""
-    out = Start()
+def cold_start(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody,
+               p0: wp.vec3d, r0: wp.mat33d, poses: Poses) -> StraightStart:  # fmt: skip
+    """Rest on straight inextensible cables, to about a millimetre; sets its tensions."""
+    out = StraightStart()
     out.position = p0
     out.rotation = r0
-    k = body.weight / (SOFTNESS * body.size)
-    for i in range(lengths.shape[1]):
-        multiplier[b, i] = ZERO
-    for _round in range(ROUNDS):
-        out = minimise(cables, lengths, multiplier, row, b, body, out, k)
+    k = body.weight / (STRETCH_UNDER_WEIGHT * body.size)
+    for i in range(poses.unstrained_length.shape[1]):
+        poses.tension[b, i] = ZERO
+    for _round in range(MULTIPLIER_ROUNDS_MAX):
+        out = minimise(cables, row, b, body, out, k, poses)
         worst = wp.float64(0.0)
-        for i in range(lengths.shape[1]):
+        for i in range(poses.unstrained_length.shape[1]):
             anchor = anchor_of(cables[row, i], out.position, out.rotation)
             s = straight_to(cables[row, i], anchor)
-            t = wp.max(multiplier[b, i] + k * (s.length - lengths[b, i]), ZERO)
-            worst = wp.max(worst, wp.abs(t - multiplier[b, i]) / k)
-            multiplier[b, i] = t
+            t = wp.max(poses.tension[b, i] + k * (s.length - poses.unstrained_length[b, i]), ZERO)
+            worst = wp.max(worst, wp.abs(t - poses.tension[b, i]) / k)
+            poses.tension[b, i] = t
         if worst < wp.float64(1.0e-4) * body.size:
             break
         k = k * TWO
     return out
+
+
+@wp.func
+def fit_straight(cables: wp.array2d(dtype=Cable), row: int, b: int, body: StaticBody, p: wp.vec3d,
+                 first: wp.mat33d, poses: Poses) -> wp.mat33d:  # fmt: skip
+    """Return the rotation of a rest of straight cables near a position; set its tensions."""
+    r = first
+    for _round in range(POSITION_FIT_ROUNDS):
+        for i in range(poses.tension.shape[1]):
+            s = straight_to(cables[row, i], anchor_of(cables[row, i], p, r))
+            poses.unstrained_length[b, i] = s.length
+        nearby = cold_start(cables, row, b, body, p, r, poses)
+        r = nearby.rotation
+    return r

@@ -23,11 +23,12 @@ from carosac_toolkit.physics.cable.shapes import offset_from_chord
 from carosac_toolkit.physics.device import Buffers, check_call, device_robot, kept_buffers
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest import forward_kernels, inverse_free_kernels, inverse_kernels
+from carosac_toolkit.physics.rest.platform_kernels import Poses
 from carosac_toolkit.robot.robot import Robot
 
-RESIDUAL = 1e-9  # of the weight: a larger wrench left over is no equilibrium
-GAP = 1e-11  # of the typical cable length: a larger closure is no equilibrium
-REASONS = ("not converged", "converged", "no tensions within the limits found")
+EQUILIBRIUM_RESIDUAL_PER_WEIGHT = 1e-9  # of the weight: a larger wrench left over is no equilibrium
+EQUILIBRIUM_CLOSURE_MAX = 1e-11  # of the typical cable length: a larger closure is no equilibrium
+STATUS_REASONS = ("not converged", "converged", "no tensions within the limits found")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,16 +42,16 @@ class Equilibrium:
         tension: At the platform [N], shape (B, n).
         residual: Norm of the wrench left over, moments divided by the largest lever arm [N], (B,).
         gap: Largest distance by which a cable misses its anchor point [m], shape (B,).
-        converged: Whether this is an equilibrium that fulfils what was asked, shape (B,).
-        stable: Whether it is at rest and the stiffness at constant lengths is positive definite,
+        converged: True if this is an equilibrium that meets all requirements, shape (B,).
+        stable: True if it is at rest and the stiffness at constant lengths is positive definite,
             shape (B,).
-        slack: Whether a tension is below `tension_min`, shape (B, n).
-        in_winch_range: Whether a length lies within the winch's, shape (B, n); lengths are not
+        slack: True if a tension is below `tension_min`, shape (B, n).
+        in_winch_range: True if a length is in the winch's range, shape (B, n); lengths are not
             limited by the solvers, which know no winches.
         stiffness: -d wrench / d (translation, rotation vector) in W at the platform origin, at
             constant lengths, shape (B, 6, 6): blocks in N/m, N, N and N m.
         exit_tension: Tension vector at the exit, pointing from platform to exit [N], (B, n, 3).
-        status: Index into `REASONS`, shape (B,).
+        status: Index into `STATUS_REASONS`, shape (B,).
         iterations: Newton steps, shape (B,).
     """
 
@@ -77,7 +78,7 @@ def forward_kinematics(
     guess: Equilibrium | Pose | None = None,
     device: str = "cpu",
 ) -> Equilibrium:
-    """Pose of rest for given cable lengths.
+    """Solve for the poses at rest on known cable lengths.
 
     There may be several stable equilibria. A guess is left for the one nearby, as a rule; without
     a guess the way leads downhill in energy from the robot's home pose, on straight cables first.
@@ -112,8 +113,7 @@ def forward_kinematics(
         warm = _put_guess(robot, buffers, guess)
         buffers.launch(
             f"forward{warm}", forward_kernels.forward, size, cables, bodies, warm,
-            "unstrained_length", "position", "rotation", "q", "inverse", "tension", "stiffness",
-            "residual", "gap", "status", "stable", "iterations",
+            Poses,
         )  # fmt: skip
         return _equilibrium(robot, buffers)
 
@@ -126,7 +126,7 @@ def inverse_kinematics(
     guess: Equilibrium | Pose | None = None,
     device: str = "cpu",
 ) -> Equilibrium:
-    """Cable lengths and tensions that hold the platform origin at a position, at rest.
+    """Solve for cable lengths and tensions that hold the platform origin at rest.
 
     With n >= 6 cables the rotation is held and the tensions are the least squared ones within
     ``[tension_min, tension_max]``. With n < 6 the rotation is free: among the statically stable
@@ -137,7 +137,7 @@ def inverse_kinematics(
         position: Platform origin in W [m], shape (B, 3).
         rotation: Rotation from P to W, shape (B, 3, 3); None is the home rotation. With n < 6 it
             must be None.
-        guess: Where the search for a free rotation starts; unused with n >= 6.
+        guess: Start of the search for a free rotation; unused with n >= 6.
         device: Warp device.
 
     Returns:
@@ -171,29 +171,18 @@ def _launch_inverse(
     robot: Robot | Fleet, buffers: Buffers, size: int, free: bool, device: str
 ) -> None:
     """Solve, then judge the answer by its lengths alone."""
-    cables, bodies = device_robot(robot, device)
-    common = (cables, bodies, "position", "rotation", "unstrained_length", "q", "tension", "wanted")
+    inputs = (*device_robot(robot, device), Poses)
     if free:
-        buffers.launch(
-            "free", inverse_free_kernels.inverse_free, size, *common,
-            "lower", "upper", "column", "twist", "bound", "status", "iterations",
-        )  # fmt: skip
+        buffers.launch("free", inverse_free_kernels.inverse_free, size, *inputs)
     else:
-        buffers.launch(
-            "held", inverse_kernels.inverse_held, size, *common,
-            "lower", "upper", "middle", "column", "status", "iterations",
-        )  # fmt: skip
-    buffers.launch(
-        "evaluate", inverse_kernels.evaluate, size, cables, bodies, "unstrained_length",
-        "position", "rotation", "q", "inverse", "tension", "stiffness", "residual", "gap",
-        "stable",
-    )  # fmt: skip
+        buffers.launch("held", inverse_kernels.inverse_held, size, *inputs)
+    buffers.launch("evaluate", inverse_kernels.evaluate, size, *inputs)
 
 
 def cable_shape(
     robot: Robot, equilibrium: Equilibrium, samples: int = 24, *, device: str = "cpu"
 ) -> Array:
-    """Points along the free part of each hanging cable.
+    """Return points along the free part of each hanging cable.
 
     Args:
         robot: Robot description, n cables.
@@ -217,12 +206,12 @@ def cable_shape(
         points,
     ]
     wp.launch(hanging_kernels.cable_points, shape, inputs=inputs, device=device)
-    found: Array = points.numpy()
-    return found
+    shapes: Array = points.numpy()
+    return shapes
 
 
 def sag(robot: Robot, equilibrium: Equilibrium, *, samples: int = 101) -> Array:
-    """Largest distance of each free cable from the chord between its ends [m], shape (B, n)."""
+    """Return the largest distance of each free cable from its chord [m], shape (B, n)."""
     points = cable_shape(robot, equilibrium, samples)
     distance: Array = np.linalg.norm(offset_from_chord(points), axis=-1).max(axis=-1)
     return distance
@@ -263,19 +252,19 @@ def _put_guess(robot: Robot | Fleet, buffers: Buffers, guess: Equilibrium | Pose
 
 
 def _held_rotation(robot: Robot | Fleet, rotation: ArrayLike | None, size: int) -> Array:
-    """The rotation to hold, checked."""
+    """Return the rotation to hold; refuse one for fewer than six cables."""
     if rotation is None:
         return np.broadcast_to(robot.home_rotation, (size, 3, 3))
     return rotations("rotation", rotation, size)
 
 
 def _shapes(size: int, n: int) -> dict[str, tuple[Any, Any]]:
-    """Shape and type of every buffer of a batch."""
+    """Return shape and type of every buffer of a batch."""
     per_cable = (size, n)
     return {
         "position": (size, wp.vec3d), "rotation": (size, wp.mat33d), "stiffness": (size, mat66d),
-        "residual": (size, wp.float64), "gap": (size, wp.float64), "status": (size, int),
-        "stable": (size, int), "iterations": (size, int),
+        "residual": (size, wp.float64), "closure": (size, wp.float64), "status": (size, int),
+        "stable": (size, int), "steps": (size, int),
         "unstrained_length": (per_cable, wp.float64), "tension": (per_cable, wp.float64),
         "q": (per_cable, wp.vec3d), "inverse": (per_cable, wp.mat33d),
         "wanted": (per_cable, wp.float64), "lower": (per_cable, wp.float64),
@@ -288,8 +277,10 @@ def _equilibrium(robot: Robot | Fleet, buffers: Buffers) -> Equilibrium:
     """Copy the answer out and judge it."""
     tension = buffers.get("tension")
     length = buffers.get("unstrained_length")
-    residual, gap, status = (buffers.get(k) for k in ("residual", "gap", "status"))
-    sound = (residual <= RESIDUAL * robot.weight) & (gap <= GAP * buffers.length_scale)
+    residual, gap, status = (buffers.get(k) for k in ("residual", "closure", "status"))
+    sound = (residual <= EQUILIBRIUM_RESIDUAL_PER_WEIGHT * robot.weight) & (
+        gap <= EQUILIBRIUM_CLOSURE_MAX * buffers.length_scale
+    )
     converged = (status == 1) & sound
     return Equilibrium(
         position=buffers.get("position"),
@@ -305,5 +296,5 @@ def _equilibrium(robot: Robot | Fleet, buffers: Buffers) -> Equilibrium:
         stiffness=buffers.get("stiffness"),
         exit_tension=buffers.get("q"),
         status=np.where(converged, 1, np.where(status == 1, 0, status)).astype(np.int32),
-        iterations=buffers.get("iterations"),
+        iterations=buffers.get("steps"),
     )

@@ -37,7 +37,7 @@ def structure_matrix(robot: Robot, position: ArrayLike, rotation: ArrayLike | No
 
 
 def constrained_motion(mass: Array, jacobian: Array) -> Array:
-    """Least motion, by kinetic energy, that changes the lengths as wanted.
+    """Return the least motion, by kinetic energy, that changes lengths as required.
 
     Args:
         mass: Mass matrix at the origin, shape (6, 6).

@@ -32,7 +32,7 @@ class Distribution:
 
     Attributes:
         tension: [N], shape (B, n); within the limits always.
-        feasible: Whether they balance the wrench, shape (B,). Where False, no tensions within the
+        feasible: True if they balance the wrench, shape (B,). If False, no tensions within the
             limits do, and `tension` is the last attempt.
         residual: Norm of A f + w, moments divided by `arm` [N], shape (B,).
     """
@@ -52,7 +52,7 @@ def solve(
     arm: float = 1.0,
     device: str = "cpu",
 ) -> Distribution:
-    """Least-squares tensions within limits, B problems at once.
+    """Solve for least-squares tensions within limits, B problems at once.
 
     Args:
         structure_matrix: A, maps tensions to the wrench on the platform, shape (B, 6, n).
@@ -141,7 +141,7 @@ class SingleRobot:
     def solve(
         self, structure_matrix: ArrayLike, wrench: ArrayLike, *, reference: ArrayLike = 0.0
     ) -> Distribution:
-        """Tensions for one wrench.
+        """Solve for the tensions of one wrench.
 
         Args:
             structure_matrix: Shape (1, 6, n).

@@ -1,4 +1,4 @@
-r"""How far tensions that balance a wrench can be kept from their limits.
+r"""Largest margin to their limits of tensions that balance a wrench.
 
 .. math:: s^* = \max_{f, s} s \quad \text{subject to} \quad A f + w = 0, \quad
     f_{min} + s \le f \le f_{max} - s
@@ -24,8 +24,8 @@ from carosac_toolkit.physics.cable.catenary_kernels import vec6d
 from carosac_toolkit.physics.rest import hold_kernels, margin_kernels
 from carosac_toolkit.physics.rest.tension_problem import TensionProblem, prepare
 
-ROUNDING = 1e-9  # of the largest limit: how well a margin must be proved
-CHUNK = 16384  # problems at a time: what bounds the memory; rows do not know of each other
+PROOF_GAP_MAX = 1e-9  # of the largest limit: how well a margin must be proved
+CHUNK_PROBLEMS = 16384  # problems at a time: what bounds the memory; rows do not know of each other
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,7 +60,7 @@ def solve(
     arm: float = 1.0,
     device: str = "cpu",
 ) -> TensionMargin:
-    """Largest margins of tensions to their limits, B problems at once.
+    """Solve for the largest margins of tensions to their limits, B problems at once.
 
     Args:
         structure_matrix: A, maps tensions to the wrench on the platform, shape (B, 6, n).
@@ -78,7 +78,10 @@ def solve(
     """
     asked = prepare(structure_matrix, wrench, tension_min, tension_max, arm)
     count, n, _ = asked.columns.shape
-    parts = [_launch(asked, slice(k, k + CHUNK), device) for k in range(0, count, CHUNK)]
+    parts = [
+        _launch(asked, slice(k, k + CHUNK_PROBLEMS), device)
+        for k in range(0, count, CHUNK_PROBLEMS)
+    ]
     margin, gap, status, tension, weight = (np.concatenate(x) for x in zip(*parts, strict=True))
     size = np.abs(asked.upper).max(axis=1)
     scaled = np.where(np.isfinite(margin), np.abs(margin), 0.0)
@@ -89,12 +92,12 @@ def solve(
         low=np.where(unbalanced[:, None], 0.0, weight[:, :n]),
         high=np.where(unbalanced[:, None], 0.0, weight[:, n : 2 * n]),
         gap=np.where(unbalanced, 0.0, gap),
-        solved=unbalanced | ((status == 1) & (gap <= ROUNDING * (size + scaled))),
+        solved=unbalanced | ((status == 1) & (gap <= PROOF_GAP_MAX * (size + scaled))),
     )
 
 
 def scratch(lines: int, count: int, device: str) -> Any:
-    """What the linear programs of `lines` threads work in of `count` unknowns."""
+    """Allocate the work arrays of `lines` linear programs of `count` unknowns."""
     shapes: dict[str, tuple[tuple[int, ...], type]] = {
         "rows": ((lines, 6, count + 1), wp.float64),
         "order": ((lines, count), int),
@@ -104,7 +107,7 @@ def scratch(lines: int, count: int, device: str) -> Any:
         "column_of": ((lines, count + 1), int),
         "weight": ((lines, 2 * count), wp.float64),
     }
-    work = margin_kernels.Work()
+    work = margin_kernels.MarginWork()
     for name, (shape, kind) in shapes.items():
         setattr(work, name, wp.zeros(shape, dtype=kind, device=device))
     return work

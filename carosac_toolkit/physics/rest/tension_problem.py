@@ -1,4 +1,4 @@
-"""What every search for tensions begins with: structure matrix, wrench and limits, checked once."""
+"""Input of every search for tensions: structure matrix, wrench and limits, checked once."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def prepare(
 
 
 def per_cable(name: str, value: ArrayLike, size: int, n: int) -> Array:
-    """One number, (n,) or (B, n) as (B, n)."""
+    """Broadcast a number, (n,) or (B, n), to (B, n)."""
     array = as_floats(name, value)
     if array.shape not in ((), (n,), (size, n)):
         raise InvalidField(name, f"shape {array.shape}", f"a number, shape ({n},) or ({size}, {n})")

@@ -12,7 +12,6 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.drive_state import Fault
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.physics.cable import straight_line
-from carosac_toolkit.physics.motion.braking import Motion
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.homing import DEGREES_OF_FREEDOM
 from carosac_toolkit.robot.robot import Robot
@@ -91,7 +90,7 @@ class Checks:
         self._speed = np.zeros(self.robot.n)
         self._count.clear()
 
-    def sent(self, motion: Motion) -> None:
+    def sent(self, motion: WinchMotion) -> None:
         """Predict where the winches should be after a period with this command."""
         if self._expected is None:
             return

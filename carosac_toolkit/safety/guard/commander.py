@@ -8,7 +8,7 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Command, LimitHit
-from carosac_toolkit.physics.motion.braking import Motion
+from carosac_toolkit.physics.motion.braking import WinchMotion
 from carosac_toolkit.safety.guard.monitor import Monitor
 from carosac_toolkit.safety.limiter import Limiter
 from carosac_toolkit.safety.stop import CoordinatedStop
@@ -35,7 +35,7 @@ class Commander:
         self.dry = False
 
     @property
-    def motion(self) -> Motion:
+    def motion(self) -> WinchMotion:
         """Motion that was last sent, in lengths with the offsets of homing."""
         return self._limiter.motion
 

@@ -13,7 +13,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.protocols import Driver
 from carosac_toolkit.loop.values import Command, Measurement
-from carosac_toolkit.physics.motion.braking import Motion
+from carosac_toolkit.physics.motion.braking import WinchMotion
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.guard.checks import Checks, Finding
 from carosac_toolkit.safety.guard.inner import (
@@ -104,7 +104,7 @@ class Monitor:
         self.note(self.journal.measured, measurement)
         return measurement
 
-    def send(self, command: Command, motion: Motion) -> Command:
+    def send(self, command: Command, motion: WinchMotion) -> Command:
         """Hand a command to the driver, and its motion to the checks."""
         self.sent = True
         shifted = self.offset.any()

@@ -16,7 +16,7 @@ from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.plugin_settings import check_types
 from carosac_toolkit.loop.protocols import replays
 from carosac_toolkit.robot.file import load_robot
-from carosac_toolkit.robot.perturbations import CONDITIONS
+from carosac_toolkit.robot.perturbations import CONDITIONS_BY_NAME
 from carosac_toolkit.studies.run.folder import check_statuses
 from carosac_toolkit.studies.run.run_case import GIVEN, own_settings, plugin_name
 
@@ -40,9 +40,13 @@ def check_study(study: Study) -> None:
     for robot in study.robots:
         load_robot(robot)
     driver = _plugin("drivers", study.driver)
-    paths = (RECORDED, *trajectories.NAMES) if replays(driver) else trajectories.NAMES
+    paths = (
+        (RECORDED, *trajectories.TRAJECTORY_NAMES)
+        if replays(driver)
+        else trajectories.TRAJECTORY_NAMES
+    )
     _known("trajectory", study.trajectories, paths)
-    _known("perturbation", study.perturbations, sorted(CONDITIONS))
+    _known("perturbation", study.perturbations, sorted(CONDITIONS_BY_NAME))
     own = own_settings(study.driver, study.driver_settings)
     for taken in sorted(set(GIVEN) & set(own)):
         value = repr(own[taken])

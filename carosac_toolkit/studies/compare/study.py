@@ -42,8 +42,8 @@ class Study:
         controllers: Names, ``module:Class``, or classes; a class is kept as ``module:Class``.
         estimators: The same; ``truth`` is what a simulated driver knows.
         suites: Sensor suites that the driver has.
-        trajectories: Of the catalogue, `carosac_toolkit.trajectories.NAMES`; on the driver
-            `replay` all of these are ``recorded`` instead, the path of the recording.
+        trajectories: Of the catalogue, `carosac_toolkit.trajectories.TRAJECTORY_NAMES`; on the
+            driver `replay` all of these are ``recorded`` instead, the path of the recording.
         perturbations: Conditions that the plants are drawn from.
         seeds: How many draws, 0, 1, 2 and so on; or which.
         driver: Name, ``module:Class``, or class.

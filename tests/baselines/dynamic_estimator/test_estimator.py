@@ -12,7 +12,7 @@ from baselines.dynamic_estimator.model import Model
 from baselines.dynamic_estimator.start import Rest
 from baselines.kinematic_solver import KinematicSolver
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.drivers.sensors import PERFECT, SensorSettings
+from carosac_toolkit.drivers.sensors import PERFECT_SENSORS, SensorSettings
 from carosac_toolkit.loop.consistency import band, normalised_square, state_error
 from carosac_toolkit.loop.values import Command, Measurement
 from sim_warp.driver import SimDriver, SimDriverSettings
@@ -74,7 +74,7 @@ def rms(errors):
 
 def test_perfect_lengths_alone_give_the_swing(robot):
     """The plant is the model: what is left is the time step, and the last 20 ms of lengths."""
-    found = swing(robot, "lengths", PERFECT)
+    found = swing(robot, "lengths", PERFECT_SENSORS)
     own, _ = believe(DynamicEstimator.build(robot), found)
     solver, _ = believe(KinematicSolver.build(robot), found)
     assert rms(solver) > 0.04
@@ -114,7 +114,7 @@ def test_nees_is_in_its_band_where_the_model_is_right(robot):
 
 def test_poses_find_the_biases_of_the_lengths(robot):
     """Readings that are wrong by centimetres move the platform of a solver, not of this."""
-    biased = replace(PERFECT, encoder_bias=0.02, position_noise=1e-3, rotation_noise=5e-4)
+    biased = replace(PERFECT_SENSORS, encoder_bias=0.02, position_noise=1e-3, rotation_noise=5e-4)
     found = swing(robot, "lengths+pose", biased, seed=5)
     estimator = DynamicEstimator.build(robot, DynamicEstimatorSettings(length_bias=0.02))
     errors, beliefs = believe(estimator, found)
@@ -164,7 +164,7 @@ def test_a_lost_imu_is_missed_and_found_again(robot):
 
 
 def test_an_outlier_of_a_length_is_counted_and_not_believed(robot):
-    found = swing(robot, "lengths", PERFECT, duration=2.0)
+    found = swing(robot, "lengths", PERFECT_SENSORS, duration=2.0)
     k = 60
     measurement, truth = found[k]
     wrong = measurement.unstrained_length + np.array([0.5, 0.0, 0.0, 0.0])
@@ -223,7 +223,7 @@ def test_an_encoder_that_comes_free_is_believed(robot):
 
 def test_lengths_that_lead_the_poses_are_waited_for(robot):
     """A robot whose readings lead by 60 ms: the belief is where the platform is, not will be."""
-    found = swing(robot, "lengths", PERFECT, duration=3.0)
+    found = swing(robot, "lengths", PERFECT_SENSORS, duration=3.0)
     early = [
         (replace(found[k + 3][0], time=measurement.time, length_rate=None), truth)
         for k, (measurement, truth) in enumerate(found[:-3])
@@ -260,7 +260,7 @@ def test_settings_that_make_no_sense_are_refused(name, value):
 
 def test_poses_newer_than_the_lengths_wait_for_them(robot):
     """Motion capture without delay, encoders 10 ms late: no pose is lost."""
-    fresh = replace(PERFECT, pose_delay=0.0, encoder_delay=0.01, encoder_bias=0.01)
+    fresh = replace(PERFECT_SENSORS, pose_delay=0.0, encoder_delay=0.01, encoder_bias=0.01)
     found = swing(robot, "lengths+pose", fresh, duration=3.0)
     errors, beliefs = believe(DynamicEstimator.build(robot), found)
     assert sum(belief.memory.innovations.dof[0] for belief in beliefs) > 6 * 0.9 * len(found)
@@ -269,7 +269,7 @@ def test_poses_newer_than_the_lengths_wait_for_them(robot):
 
 def test_late_poses_count_for_less_and_too_late_ones_not_at_all(robot):
     def late(delay):
-        sensors = replace(PERFECT, pose_delay=delay)
+        sensors = replace(PERFECT_SENSORS, pose_delay=delay)
         found = swing(robot, "lengths+pose", sensors, duration=3.0)
         errors, beliefs = believe(DynamicEstimator.build(robot), found)
         return rms(errors[50:]), sum(b.memory.innovations.rejected[0] for b in beliefs)
@@ -311,7 +311,7 @@ def joined(rows):
 
 
 def test_lengths_that_stop_coming_are_held_and_doubted(robot):
-    found = swing(robot, "lengths", PERFECT, duration=2.0)
+    found = swing(robot, "lengths", PERFECT_SENSORS, duration=2.0)
     last = found[40][0]
     silent = found[:41] + [
         (replace(last, time=measurement.time), truth) for measurement, truth in found[41:]

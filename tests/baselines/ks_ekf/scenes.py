@@ -14,7 +14,7 @@ from baselines.kinematic_solver_controller import KinematicSolverController
 from baselines.ks_ekf import KsEkf, KsEkfSettings
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.drivers.sensors import PERFECT, SensorSettings
+from carosac_toolkit.drivers.sensors import PERFECT_SENSORS, SensorSettings
 from carosac_toolkit.loop.consistency import normalised_square, state_error
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Command, Measurement, State
@@ -82,7 +82,7 @@ def swaying(seed: int, *, perfect: bool = False) -> Run:
     controller = KinematicSolverController.build(robot)
     settings = SimDriverSettings(
         suite="lengths+imu", cables="catenary", start_position=start, period=controller.period,
-        sensors=PERFECT if perfect else SensorSettings(),
+        sensors=PERFECT_SENSORS if perfect else SensorSettings(),
     )  # fmt: skip
     driver = SimDriver.build(robot, settings, seed=seed)
     recorder = Recorder(driver, robot)

@@ -15,7 +15,7 @@ from baselines.smoother import SmootherSettings, smooth
 from baselines.smoother.measured import arrange
 from baselines.smoother.report import sentences, warnings
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.drivers.sensors import PERFECT
+from carosac_toolkit.drivers.sensors import PERFECT_SENSORS
 from carosac_toolkit.loop.consistency import band, normalised_square
 from carosac_toolkit.recordings.bundled import find_recording
 from carosac_toolkit.recordings.poses import PoseSamples
@@ -48,7 +48,7 @@ def with_poses(noisy, robot):
 
 def test_perfect_lengths_alone_give_the_swing(robot):
     """The plant is the model: what is left is the time step, and lengths between samples."""
-    recording, truths = swing(robot, sensors=PERFECT, duration=2.0, every=2)
+    recording, truths = swing(robot, sensors=PERFECT_SENSORS, duration=2.0, every=2)
     found = smooth(recording, robot, settings(imu=False))
     moved = np.ptp([truth.position[0] for truth in truths], axis=0)
     assert moved.max() > 0.2

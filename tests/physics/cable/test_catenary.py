@@ -40,34 +40,34 @@ def random_cables(rng, count):
 
 def test_known_cables_to_1e_8():
     span, rise, length, stiffness, weight, h, lower, upper = KNOWN.T
-    found = ct.catenary.solve(span, rise, length, weight, stiffness)
-    assert found.converged.all()
+    solution = ct.catenary.solve(span, rise, length, weight, stiffness)
+    assert solution.converged.all()
     for value, expected in (
-        (found.horizontal, h),
-        (found.vertical_lower, lower),
-        (found.vertical_upper, upper),
+        (solution.horizontal, h),
+        (solution.vertical_lower, lower),
+        (solution.vertical_upper, upper),
     ):
         assert value == pytest.approx(expected, rel=1e-8)
 
 
 def test_every_random_cable_converges_and_closes():
     span, rise, length, weight, stiffness = random_cables(np.random.default_rng(1), 100_000)
-    found = ct.catenary.solve(span, rise, length, weight, stiffness)
-    assert found.converged.all()
-    assert (found.closure / length).max() < 1e-9
-    assert (found.horizontal >= 0.0).all()
+    solution = ct.catenary.solve(span, rise, length, weight, stiffness)
+    assert solution.converged.all()
+    assert (solution.closure / length).max() < 1e-9
+    assert (solution.horizontal >= 0.0).all()
 
 
 def test_agrees_with_an_independent_solution():
     rng = np.random.default_rng(2)
     cables = np.array(random_cables(rng, 20_000)).T
     cables = cables[cables[:, 0] > 1e-3 * cables[:, 2]][:200]
-    found = ct.catenary.solve(*cables.T)
+    solution = ct.catenary.solve(*cables.T)
     for k, cable in enumerate(cables):
         h, v = reference.catenary(*cable)
         scale = np.hypot(h, v)
-        assert found.horizontal[k] == pytest.approx(h, rel=1e-9, abs=1e-9 * scale)
-        assert found.vertical_lower[k] == pytest.approx(v, rel=1e-9, abs=1e-9 * scale)
+        assert solution.horizontal[k] == pytest.approx(h, rel=1e-9, abs=1e-9 * scale)
+        assert solution.vertical_lower[k] == pytest.approx(v, rel=1e-9, abs=1e-9 * scale)
 
 
 def test_jacobian_agrees_with_finite_differences():
@@ -76,10 +76,10 @@ def test_jacobian_agrees_with_finite_differences():
     span, rise, length, weight, stiffness = (
         a[keep] for a in (span, rise, length, weight, stiffness)
     )
-    found = ct.catenary.solve(span, rise, length, weight, stiffness)
-    size = np.abs(found.jacobian).max(axis=(1, 2))
+    solution = ct.catenary.solve(span, rise, length, weight, stiffness)
+    size = np.abs(solution.jacobian).max(axis=(1, 2))
     # A step that changes the tension by a 1e-4th, extrapolated from two step sizes (error h^4).
-    step = 1e-4 * np.hypot(found.horizontal, found.vertical_lower) / size
+    step = 1e-4 * np.hypot(solution.horizontal, solution.vertical_lower) / size
     step = np.minimum(step, 1e-4 * span)
 
     def slope(h, along):
@@ -93,7 +93,7 @@ def test_jacobian_agrees_with_finite_differences():
 
     for along in (0, 1):
         difference = (4.0 * slope(step / 2.0, along) - slope(step, along)) / 3.0
-        error = np.abs(difference - found.jacobian[:, :, along]).max(axis=1) / size
+        error = np.abs(difference - solution.jacobian[:, :, along]).max(axis=1) / size
         # Closure of 1e-16 L divided by the step is the noise of the difference itself.
         noise = 1e-15 * (length + span) / step
         assert (error < 1e-6 + 10.0 * noise).all()
@@ -102,21 +102,21 @@ def test_jacobian_agrees_with_finite_differences():
 
 def test_a_vertical_slack_cable_is_the_limit_of_a_nearly_vertical_one():
     weight, length, rise = 0.1, 12.0, 8.0
-    found = ct.catenary.solve([0.0, 1e-9, 1e-6], [rise] * 3, [length] * 3, weight, 1e9)
-    assert found.converged.all()
+    solution = ct.catenary.solve([0.0, 1e-9, 1e-6], [rise] * 3, [length] * 3, weight, 1e9)
+    assert solution.converged.all()
     # Two strands hang down: the upper carries (L + rise) / 2 of the weight, the lower the rest.
-    assert found.vertical_upper == pytest.approx(weight * (length + rise) / 2, rel=1e-6)
-    assert found.vertical_lower == pytest.approx(-weight * (length - rise) / 2, rel=1e-6)
-    assert (np.diff(found.horizontal) > 0.0).all()
-    assert found.horizontal[2] < 1e-6 * weight * length
+    assert solution.vertical_upper == pytest.approx(weight * (length + rise) / 2, rel=1e-6)
+    assert solution.vertical_lower == pytest.approx(-weight * (length - rise) / 2, rel=1e-6)
+    assert (np.diff(solution.horizontal) > 0.0).all()
+    assert solution.horizontal[2] < 1e-6 * weight * length
 
 
 def test_a_taut_vertical_cable_is_a_spring_with_weight():
     weight, length, rise, stiffness = 2.0, 10.0, 10.05, 1e5
-    found = ct.catenary.solve([0.0], [rise], [length], weight, stiffness)
+    solution = ct.catenary.solve([0.0], [rise], [length], weight, stiffness)
     lower = stiffness * (rise - length) / length - weight * length / 2
-    assert found.vertical_lower[0] == pytest.approx(lower, rel=1e-9)
-    assert found.horizontal[0] == pytest.approx(0.0, abs=1e-12)
+    assert solution.vertical_lower[0] == pytest.approx(lower, rel=1e-9)
+    assert solution.horizontal[0] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_light_cable_tends_to_a_straight_spring():
@@ -124,12 +124,12 @@ def test_a_light_cable_tends_to_a_straight_spring():
     tension = stiffness * (10.0 - length) / length
     previous = np.inf
     for weight in (1.0, 0.1, 0.01, 0.0):
-        found = ct.catenary.solve([span], [rise], [length], weight, stiffness)
-        error = abs(found.horizontal[0] - 0.6 * tension)
+        solution = ct.catenary.solve([span], [rise], [length], weight, stiffness)
+        error = abs(solution.horizontal[0] - 0.6 * tension)
         assert error <= previous
         previous = error
-    assert found.horizontal[0] == pytest.approx(0.6 * tension, rel=1e-12)
-    assert found.vertical_lower[0] == pytest.approx(0.8 * tension, rel=1e-12)
+    assert solution.horizontal[0] == pytest.approx(0.6 * tension, rel=1e-12)
+    assert solution.vertical_lower[0] == pytest.approx(0.8 * tension, rel=1e-12)
 
 
 def test_mirrored_ends_swap_their_forces():
@@ -140,12 +140,12 @@ def test_mirrored_ends_swap_their_forces():
 
 
 def test_no_solution_is_a_status_and_never_a_number():
-    found = ct.catenary.solve(
+    solution = ct.catenary.solve(
         [3.0, 3.0, 3.0, 3.0], [4.0] * 4, [0.0, -1.0, 6.0, 6.0], [1.0, 1.0, 0.0, 1.0], 1e5
     )
-    assert found.converged.tolist() == [False, False, False, True]
+    assert solution.converged.tolist() == [False, False, False, True]
     for field in ("horizontal", "vertical_lower", "vertical_upper", "closure"):
-        assert np.isnan(getattr(found, field)).tolist() == [True, True, True, False]
+        assert np.isnan(getattr(solution, field)).tolist() == [True, True, True, False]
 
 
 @pytest.mark.parametrize(

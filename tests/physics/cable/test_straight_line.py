@@ -147,14 +147,14 @@ def test_random_lengths_reach_the_minimum_that_slsqp_reaches():
             distance = np.linalg.norm(p + robot.anchor_points - robot.exit_points, axis=1)
             return ((distance - target) ** 2).sum()
 
-        found = minimize(
+        optimum = minimize(
             cost, robot.home_position, method="SLSQP", options={"ftol": 1e-14, "maxiter": 500}
         )
         assert cost(position) == pytest.approx(4 * residual**2, rel=1e-9)
-        if np.linalg.norm(found.x - position) > 1e-4:  # SLSQP stepped over the exit points' plane
+        if np.linalg.norm(optimum.x - position) > 1e-4:  # SLSQP stepped over the exit points' plane
             twins += 1
-            assert found.x[2] > 8.5 > position[2]
-            assert cost(position) == pytest.approx(found.fun, rel=0.01, abs=1e-4)
+            assert optimum.x[2] > 8.5 > position[2]
+            assert cost(position) == pytest.approx(optimum.fun, rel=0.01, abs=1e-4)
     assert twins <= 4
 
 
@@ -273,7 +273,7 @@ def test_arguments_of_a_wrong_kind_are_named():
         forward_kinematics(robot, [[9.0] * 4], guess=[[0.0] * 3] * 2)
     with pytest.raises(InvalidField, match=r"rotation: got shape \(2, 3, 3\)"):
         forward_kinematics(robot, [[9.0] * 4], rotation=np.tile(np.eye(3), (2, 1, 1)))
-    with pytest.raises(InvalidField, match=r"rotation\[0\]: got no rotation matrix"):
+    with pytest.raises(InvalidField, match=r"rotation\[0\]: got not a rotation matrix"):
         forward_kinematics(robot, [[9.0] * 4], rotation=2.0 * np.eye(3)[None])
     with pytest.raises(InvalidField, match=r"length\[0, 1\]: got nan"):
         forward_kinematics(robot, [[9.0, np.nan, 9.0, 9.0]])
@@ -283,4 +283,4 @@ def test_many_batch_sizes_keep_few_buffers():
     robot = simple_robot()
     for size in range(1, 30):
         inverse_kinematics(robot, np.tile(robot.home_position, (size, 1)))
-    assert len(device._buffers[robot]) <= device.KEPT
+    assert len(device._buffers[robot]) <= device.BUFFER_SETS_MAX

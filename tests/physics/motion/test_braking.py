@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.physics.cable.straight_line import inverse_kinematics
-from carosac_toolkit.physics.motion.braking import Brakes, Motion, most_steps
+from carosac_toolkit.physics.motion.braking import Brakes, WinchMotion, most_steps
 from tests.robots import simple_robot
 
 ROBOT = simple_robot()
@@ -15,12 +15,12 @@ LIMITS = {"period": PERIOD, "jerk_max": JERK, "jump_max": 0.3}
 RAMP = JERK * PERIOD  # largest change of acceleration in a period [m/s^2]
 
 
-def motions(size: int) -> Motion:
+def motions(size: int) -> WinchMotion:
     """Random motions within speed and acceleration limits, far from all other limits."""
     rng = np.random.default_rng(2)
     speed = rng.uniform(-2.5, 2.5, (size, 4))
     acceleration = rng.uniform(-5.0, 5.0, (size, 4))
-    return Motion(np.full((size, 4), 15.0), speed, acceleration, np.zeros((size, 3)))
+    return WinchMotion(np.full((size, 4), 15.0), speed, acceleration, np.zeros((size, 3)))
 
 
 def left_over(speed: float, acceleration: float) -> float:
@@ -82,7 +82,11 @@ def test_looking_ahead_measures_the_distance_outside_the_box():
     there = ROBOT.workspace_max[None] + [0.05, -1.0, -1.0]
     near = ROBOT.workspace_max[None] - [0.1, 1.0, 1.0]
     rest = np.zeros((1, 4))
-    outside = brakes.look_ahead(Motion(inverse_kinematics(ROBOT, there), rest, rest, near)).outside
+    outside = brakes.look_ahead(
+        WinchMotion(inverse_kinematics(ROBOT, there), rest, rest, near)
+    ).outside
     assert outside == pytest.approx([0.05], abs=1e-9)
-    inside = brakes.look_ahead(Motion(inverse_kinematics(ROBOT, near), rest, rest, near)).outside
+    inside = brakes.look_ahead(
+        WinchMotion(inverse_kinematics(ROBOT, near), rest, rest, near)
+    ).outside
     assert inside == pytest.approx([0.0], abs=0.0)

@@ -9,9 +9,9 @@ from scipy.linalg import expm
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.motion.winch import (
-    STEP,
+    INNER_STEP_MAX_S,
     Encoders,
-    Winches,
+    WinchBatch,
     WinchSettings,
     winch_records,
 )
@@ -22,12 +22,12 @@ RADIUS, BUILDUP = np.array([0.05, 0.075, 0.1, 0.06]), np.array([3e-5, 7e-5, 0.0,
 
 
 def winches(settings=None, size=1, **changes):
-    return Winches(simple_robot(**changes), np.full((size, 4), START), settings)
+    return WinchBatch(simple_robot(**changes), np.full((size, 4), START), settings)
 
 
 def with_drums(settings=None, length=START, radius=RADIUS, buildup=BUILDUP, **changes):
     robot = simple_robot(drum_radius=radius, drum_buildup=buildup, **changes)
-    return Winches(robot, np.full((1, 4), length), settings)
+    return WinchBatch(robot, np.full((1, 4), length), settings)
 
 
 def quick(**changes):
@@ -36,13 +36,13 @@ def quick(**changes):
     return with_drums(**changes, **free)
 
 
-def follow(found, commands, period=STEP):
+def follow(batch, commands, period=INNER_STEP_MAX_S):
     """Lengths and rates after each command, shapes (K, n)."""
     lengths, rates = [], []
     for command in commands:
-        found.advance(np.broadcast_to(command, found.length.shape), period)
-        lengths.append(found.length[0])
-        rates.append(found.rate[0])
+        batch.advance(np.broadcast_to(command, batch.length.shape), period)
+        lengths.append(batch.length[0])
+        rates.append(batch.rate[0])
     return np.array(lengths), np.array(rates)
 
 
@@ -55,25 +55,29 @@ def paid_out_by_integration(radius, buildup, angle):
 
 
 def test_a_small_step_is_followed_with_the_lag_of_the_winch():
-    found = winches(winch_lag=[0.05, 0.1, 0.2, 0.0], acceleration_max=[1e3] * 4)
-    found.advance(np.full((1, 4), START + 0.01), 0.1)
-    missing = (START + 0.01 - found.length[0]) / 0.01
+    batch = winches(winch_lag=[0.05, 0.1, 0.2, 0.0], acceleration_max=[1e3] * 4)
+    batch.advance(np.full((1, 4), START + 0.01), 0.1)
+    missing = (START + 0.01 - batch.length[0]) / 0.01
     # (1 - h / lag)^(t / h) of the inner steps is below the exponential by h t / (2 lag^2) of it
     exact = np.exp([-2.0, -1.0, -0.5, -np.inf])
-    assert missing == pytest.approx(exact, abs=1.2 * STEP * 0.1 / 2.0 / 0.05**2 * exact[0])
+    assert missing == pytest.approx(
+        exact, abs=1.2 * INNER_STEP_MAX_S * 0.1 / 2.0 / 0.05**2 * exact[0]
+    )
     assert missing[3] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_an_integral_answers_a_small_step_as_linear_control_says():
     lag, integral_time = 0.2, 0.4
     settings = WinchSettings(integral_time=integral_time)
-    found = winches(settings, winch_lag=[lag] * 4, acceleration_max=[1e3] * 4)
-    lengths, _ = follow(found, np.full(1000, START + 0.01))
+    batch = winches(settings, winch_lag=[lag] * 4, acceleration_max=[1e3] * 4)
+    lengths, _ = follow(batch, np.full(1000, START + 0.01))
     system = np.array([[-1.0 / lag, 1.0 / (lag * integral_time)], [-1.0, 0.0]])  # of (x, integral)
     drive = np.array([1.0 / lag, 1.0])
     for k in (50, 200, 1000):
-        now = np.linalg.solve(system, (expm(system * STEP * k) - np.eye(2)) @ drive)
-        assert (lengths[k - 1] - START) / 0.01 == pytest.approx(now[0], abs=2.0 * STEP / lag)
+        now = np.linalg.solve(system, (expm(system * INNER_STEP_MAX_S * k) - np.eye(2)) @ drive)
+        assert (lengths[k - 1] - START) / 0.01 == pytest.approx(
+            now[0], abs=2.0 * INNER_STEP_MAX_S / lag
+        )
     assert lengths[-1] == pytest.approx(START + 0.01, abs=1e-4)
 
 
@@ -84,9 +88,9 @@ def test_a_moving_command_is_trailed_without_an_integral_and_not_with_one():
     # A command that is held is half a period old on the average; a step of the drive is as exact.
     half = 0.5 * speed * period
     plain, _ = follow(winches(**drive), asked, period)
-    assert asked[-1] - plain[-1] == pytest.approx(speed * lag - half, abs=speed * STEP)
+    assert asked[-1] - plain[-1] == pytest.approx(speed * lag - half, abs=speed * INNER_STEP_MAX_S)
     better, _ = follow(winches(WinchSettings(integral_time=0.3), **drive), asked, period)
-    assert asked[-1] - better[-1] == pytest.approx(-half, abs=speed * STEP)
+    assert asked[-1] - better[-1] == pytest.approx(-half, abs=speed * INNER_STEP_MAX_S)
 
 
 def test_a_derivative_acts_as_a_longer_lag_while_a_command_is_held():
@@ -101,11 +105,11 @@ def test_a_derivative_acts_as_a_longer_lag_while_a_command_is_held():
 )
 def test_winches_keep_their_speed_and_acceleration(settings):
     speed_max, acceleration_max = [0.5, 1.0, 2.0, 2.5], [1.0, 2.0, 5.0, 50.0]
-    found = winches(settings, speed_max=speed_max, acceleration_max=acceleration_max)
+    batch = winches(settings, speed_max=speed_max, acceleration_max=acceleration_max)
     jumps = np.repeat([[10.0, 6.0, 10.0, 6.0], [6.0, 10.0, 8.0, 20.0]], 400, axis=0)
-    lengths, rates = follow(found, jumps)
-    speed = np.abs(np.diff(lengths, axis=0)).max(axis=0) / STEP
-    acceleration = np.abs(np.diff(rates, axis=0)).max(axis=0) / STEP
+    lengths, rates = follow(batch, jumps)
+    speed = np.abs(np.diff(lengths, axis=0)).max(axis=0) / INNER_STEP_MAX_S
+    acceleration = np.abs(np.diff(rates, axis=0)).max(axis=0) / INNER_STEP_MAX_S
     assert (speed <= np.array(speed_max) * (1 + 1e-9)).all()
     assert (acceleration <= np.array(acceleration_max) * (1 + 1e-9)).all()
     assert speed[:2] == pytest.approx(speed_max[:2])  # and they reach it
@@ -116,10 +120,10 @@ def test_an_integral_does_not_wind_up_while_a_limit_acts():
     lag, speed_max = 0.2, 2.5
     overshoot = {}
     for jump in (0.01, 1.0, 4.0):  # the first breaks no limit, the last is at one for 1.4 s
-        found = winches(
+        batch = winches(
             WinchSettings(integral_time=0.4), winch_lag=[lag] * 4, acceleration_max=[50.0] * 4
         )
-        lengths, _ = follow(found, np.full(4000, START + jump))
+        lengths, _ = follow(batch, np.full(4000, START + jump))
         overshoot[jump] = lengths.max() - (START + jump)
         assert lengths[-1] == pytest.approx(START + jump, abs=1e-6)
     # When the limit lets go, speed_max * lag is missing, as if that had been the jump.
@@ -129,11 +133,11 @@ def test_an_integral_does_not_wind_up_while_a_limit_acts():
 
 
 def test_no_time_changes_nothing_and_two_halves_are_a_whole():
-    found = winches()
-    found.advance(np.full((1, 4), 9.0), 0.1)
-    before = found.length, found.rate
-    found.advance(np.full((1, 4), 5.0), 0.0)
-    assert np.array_equal(before, (found.length, found.rate))
+    batch = winches()
+    batch.advance(np.full((1, 4), 9.0), 0.1)
+    before = batch.length, batch.rate
+    batch.advance(np.full((1, 4), 5.0), 0.0)
+    assert np.array_equal(before, (batch.length, batch.rate))
     halves = winches()
     for _ in range(2):
         halves.advance(np.full((1, 4), 9.0), 0.05)
@@ -142,44 +146,44 @@ def test_no_time_changes_nothing_and_two_halves_are_a_whole():
 
 def test_a_drum_pays_out_what_the_build_up_law_says():
     believed = 2e-5
-    found = quick(settings=WinchSettings(believed_drum_buildup=believed))
+    batch = quick(settings=WinchSettings(believed_drum_buildup=believed))
     for asked in (12.0, 0.5, 39.0):
-        found.advance(np.full((1, 4), asked), STEP)
+        batch.advance(np.full((1, 4), asked), INNER_STEP_MAX_S)
         for i in range(4):
             # the drive turns by its belief ...
             left = np.sqrt(RADIUS[i] ** 2 - believed * asked)
             angle = 2.0 / believed * (RADIUS[i] - left)
             truth = paid_out_by_integration(RADIUS[i], BUILDUP[i], angle)  # ... and so the drum
-            assert found.length[0, i] == pytest.approx(truth, abs=1e-9)
-        assert found.read() == pytest.approx(asked, abs=1e-12)
-        assert (found.length[0] < asked - 1e-4).tolist() == [True, True, False, True]
+            assert batch.length[0, i] == pytest.approx(truth, abs=1e-9)
+        assert batch.read() == pytest.approx(asked, abs=1e-12)
+        assert (batch.length[0] < asked - 1e-4).tolist() == [True, True, False, True]
 
 
 @pytest.mark.parametrize("buildup", [0.0, 1e-18, 1e-12, 1e-7, 6e-5])
 @pytest.mark.parametrize("length", [1e-6, 0.3, 17.0, 40.0])
 def test_a_drum_that_is_known_changes_nothing(buildup, length):
-    found = quick(length=1.0, buildup=np.full(4, buildup))
-    found.advance(np.full((1, 4), length), STEP)
-    assert found.length == pytest.approx(length, rel=4e-16 * 8)
-    assert found.read() == pytest.approx(length, rel=4e-16 * 8)
+    batch = quick(length=1.0, buildup=np.full(4, buildup))
+    batch.advance(np.full((1, 4), length), INNER_STEP_MAX_S)
+    assert batch.length == pytest.approx(length, rel=4e-16 * 8)
+    assert batch.read() == pytest.approx(length, rel=4e-16 * 8)
 
 
 def test_an_encoder_on_a_misjudged_drum_inverts_what_the_drive_does():
     for belief in (0.0, 1e-12, 5e-5):
-        found = quick(settings=WinchSettings(believed_drum_buildup=belief))
-        start = found.read()
+        batch = quick(settings=WinchSettings(believed_drum_buildup=belief))
+        start = batch.read()
         assert np.abs(start - START)[0, [0, 1, 3]].min() > 1e-3 or belief == 5e-5
-        found.advance(start, STEP)  # asked for what is read, nothing moves
-        assert found.length == pytest.approx(START, abs=1e-12)
+        batch.advance(start, INNER_STEP_MAX_S)  # asked for what is read, nothing moves
+        assert batch.length == pytest.approx(START, abs=1e-12)
 
 
 def test_an_integral_cannot_see_the_error_of_a_drum():
     settings = WinchSettings(integral_time=0.2, believed_drum_buildup=0.0)
-    found = with_drums(settings)
-    follow(found, np.full(3000, 9.0))
-    assert found.read() == pytest.approx(9.0, abs=1e-9)
+    batch = with_drums(settings)
+    follow(batch, np.full(3000, 9.0))
+    assert batch.read() == pytest.approx(9.0, abs=1e-9)
     # with r = command / angle the true length is short by buildup * angle^2 / 4
-    assert found.length[0] == pytest.approx(9.0 - BUILDUP * (9.0 / RADIUS) ** 2 / 4.0, abs=1e-9)
+    assert batch.length[0] == pytest.approx(9.0 - BUILDUP * (9.0 / RADIUS) ** 2 / 4.0, abs=1e-9)
 
 
 def test_a_batch_is_the_same_as_a_loop():
@@ -187,17 +191,17 @@ def test_a_batch_is_the_same_as_a_loop():
     settings = WinchSettings(integral_time=0.3, derivative_time=0.01, believed_drum_buildup=2e-5)
     robot = simple_robot(drum_radius=RADIUS, drum_buildup=BUILDUP)
     start = START + rng.random((5, 4))
-    together = Winches(robot, start, settings)
-    each = [Winches(robot, row[None], settings) for row in start]
+    together = WinchBatch(robot, start, settings)
+    each = [WinchBatch(robot, row[None], settings) for row in start]
     for duration in (0.005, 0.02, 0.0033):
         command = start + rng.normal(0.0, 0.3, start.shape)
         together.advance(command, duration)
-        for found, row in zip(each, command, strict=True):
-            found.advance(row[None], duration)
+        for batch, row in zip(each, command, strict=True):
+            batch.advance(row[None], duration)
     for name in ("length", "rate"):
-        rows = np.concatenate([getattr(found, name) for found in each])
+        rows = np.concatenate([getattr(batch, name) for batch in each])
         assert np.array_equal(getattr(together, name), rows)
-    assert np.array_equal(together.read(), np.concatenate([found.read() for found in each]))
+    assert np.array_equal(together.read(), np.concatenate([batch.read() for batch in each]))
 
 
 def test_records_carry_what_the_robot_and_the_settings_say():
@@ -249,16 +253,16 @@ def test_encoders_of_several_robots_read_each_its_own_drums():
     lengths = START + np.arange(8.0).reshape(2, 4)
     together = Encoders(robots, 2, settings).read(lengths)
     for b, robot in enumerate(robots):
-        alone = Winches(robot, lengths[b : b + 1], settings).read()
+        alone = WinchBatch(robot, lengths[b : b + 1], settings).read()
         assert np.array_equal(together[b], alone[0])
-    assert not np.array_equal(together[0], Winches(robots[1], lengths[:1], settings).read()[0])
+    assert not np.array_equal(together[0], WinchBatch(robots[1], lengths[:1], settings).read()[0])
 
 
 def test_the_inner_steps_do_not_depend_on_the_rounding_of_the_time():
     """5 ms are two and a half steps of 2 ms: a bit more or less must not be another number."""
     lengths = []
     for duration in (np.nextafter(0.005, 0.0), 0.005, np.nextafter(0.005, 1.0), 0.02 - 0.015):
-        found = winches()
-        found.advance(np.full((1, 4), START + 0.01), duration)
-        lengths.append(found.length[0])
+        batch = winches()
+        batch.advance(np.full((1, 4), START + 0.01), duration)
+        lengths.append(batch.length[0])
     assert np.ptp(lengths, axis=0).max() < 1e-12

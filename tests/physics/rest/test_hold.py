@@ -22,29 +22,29 @@ def positions(robot, count, seed=0):
 @pytest.mark.parametrize("name", ["carosac", "scampi", "ipanema1", "cogiro"])
 def test_it_is_at_rest_and_no_worse_than_the_least_tensions(name):
     robot = ct.load_robot(name)
-    found = hold.hold(robot, positions(robot, 60))
-    assert found.solved.all()
-    held = np.flatnonzero(found.rest.converged)
+    result = hold.hold(robot, positions(robot, 60))
+    assert result.solved.all()
+    held = np.flatnonzero(result.rest.converged)
     assert len(held) > 50
     # The lengths alone lead back to the pose and the tensions, by another solver.
     there = statics.forward_kinematics(
-        robot, found.rest.unstrained_length[held],
-        guess=ct.Pose(position=found.rest.position[held], rotation=found.rest.rotation[held]),
+        robot, result.rest.unstrained_length[held],
+        guess=ct.Pose(position=result.rest.position[held], rotation=result.rest.rotation[held]),
     )  # fmt: skip
     assert there.converged.all()
-    assert there.position == pytest.approx(found.rest.position[held], abs=1e-7)
-    assert there.tension == pytest.approx(found.rest.tension[held], abs=1e-4)
-    least = statics.inverse_kinematics(robot, found.rest.position)
-    assert (least.converged == found.rest.converged).all()
+    assert there.position == pytest.approx(result.rest.position[held], abs=1e-7)
+    assert there.tension == pytest.approx(result.rest.tension[held], abs=1e-4)
+    least = statics.inverse_kinematics(robot, result.rest.position)
+    assert (least.converged == result.rest.converged).all()
     margin = np.minimum(least.tension - robot.tension_min, robot.tension_max - least.tension)
-    assert (found.margin >= margin.min(axis=1) - 1e-6)[held].all()
+    assert (result.margin >= margin.min(axis=1) - 1e-6)[held].all()
 
 
 def test_free_rotation_against_a_general_optimiser_on_straight_cables():
     robot = ct.load_robot("carosac")
     light = replace(robot, linear_density=1e-9 * robot.linear_density)
     place = np.array([[0.4, -1.8, 2.2], [1.9, -3.0, 3.5], [-1.2, -0.3, 4.6]])
-    found = hold.hold(light, place)
+    held = hold.hold(light, place)
     weight = np.array([0.0, 0.0, -robot.weight])
 
     def balance(x, where):
@@ -72,7 +72,7 @@ def test_free_rotation_against_a_general_optimiser_on_straight_cables():
             )  # fmt: skip
             if answer.success and np.abs(balance(answer.x, where)).max() < 1e-8:
                 best = max(best, answer.x[7] * robot.weight)
-        assert found.margin[k] == pytest.approx(best, abs=1e-4)
+        assert held.margin[k] == pytest.approx(best, abs=1e-4)
 
 
 @pytest.mark.parametrize("name", ["carosac", "scampi", "cogiro"])
@@ -85,7 +85,7 @@ def test_neighbours_chunks_and_batches_change_nothing(name, monkeypatch):
     alone = hold.hold(robot, batch)
     assert along.margin == pytest.approx(alone.margin, abs=1e-5, nan_ok=True)
     assert (along.rest.stable == alone.rest.stable).all()
-    monkeypatch.setattr(hold, "CHUNK", 7)
+    monkeypatch.setattr(hold, "CHUNK_POSES", 7)
     chunked = hold.hold(robot, batch, lines=[0, 30])
     assert np.array_equal(chunked.margin, along.margin, equal_nan=True)
     one = hold.hold(robot, batch[11:12])
@@ -97,21 +97,21 @@ def test_an_extra_wrench_is_balanced_too():
     light = replace(robot, linear_density=1e-9 * robot.linear_density)
     place, turn = positions(robot, 5, 2), Rotation.from_rotvec(0.05 * np.eye(5, 3)).as_matrix()
     wrench = np.array([30.0, -20.0, 50.0, 4.0, -5.0, 6.0])
-    found = hold.hold(light, place, turn, wrench=wrench)
+    held = hold.hold(light, place, turn, wrench=wrench)
     weight = np.array([0.0, 0.0, -robot.weight])
     moment = np.cross(turn @ robot.center_of_mass, weight)
     load = np.hstack([np.tile(weight, (5, 1)), moment]) + wrench
-    pulled = np.einsum("bij,bj->bi", structure_matrix(robot, place, turn), found.rest.tension)
+    pulled = np.einsum("bij,bj->bi", structure_matrix(robot, place, turn), held.rest.tension)
     assert pulled == pytest.approx(-load, abs=1e-5)
 
 
 def test_beyond_its_limits_a_cable_makes_the_margin_negative_and_nothing_converges():
     robot = ct.load_robot("cogiro")
     heavy = replace(robot, mass=40.0 * robot.mass)
-    found = hold.hold(heavy, [robot.home_position])
-    assert found.solved[0] and found.margin[0] < 0.0
-    assert not found.rest.converged[0] and np.isnan(found.rest.stiffness).all()
-    assert found.high[0].sum() > 0.9
+    held = hold.hold(heavy, [robot.home_position])
+    assert held.solved[0] and held.margin[0] < 0.0
+    assert not held.rest.converged[0] and np.isnan(held.rest.stiffness).all()
+    assert held.high[0].sum() > 0.9
 
 
 def test_a_margin_is_only_said_of_cables_that_can_be_hung():
@@ -120,14 +120,14 @@ def test_a_margin_is_only_said_of_cables_that_can_be_hung():
     robot = replace(robot, linear_density=1e-9 * robot.linear_density)
     under = robot.exit_points[0] - robot.anchor_points[0]
     where = under + np.array([[0.02, 0.0, -1.0], [0.05, 0.0, -1.5], [0.125, 0.0, -1.0]])
-    found = hold.hold(robot, where)
+    held = hold.hold(robot, where)
     weight = [0.0, 0.0, -robot.weight, *np.cross(robot.center_of_mass, [0, 0, -robot.weight])]
     matrix = structure_matrix(robot, where, np.repeat(np.eye(3)[None], 3, axis=0))
     straight = tension_margin.solve(
         matrix, np.repeat([weight], 3, axis=0), robot.tension_min, robot.tension_max
     )
-    assert found.solved.tolist() == [False, False, True]
-    assert found.margin[2] == pytest.approx(straight.margin[2], abs=1e-4)
+    assert held.solved.tolist() == [False, False, True]
+    assert held.margin[2] == pytest.approx(straight.margin[2], abs=1e-4)
 
 
 def test_bad_input_is_named():

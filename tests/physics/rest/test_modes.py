@@ -25,21 +25,21 @@ def test_mass_matrix_agrees_with_pin_at_rotated_poses():
 @pytest.mark.parametrize("robot", [simple_robot(), with_pulleys(simple_robot())])
 def test_frequencies_are_those_of_finite_differences_and_pin(robot):
     """K from the wrench of the independent cable equations, M from pin."""
-    found = statics.inverse_kinematics(robot, robot.home_position[None] + [[0.5, -0.7, 0.4]])
-    assert found.converged[0]
-    stiffness = difference_of_wrench(robot, found)
-    mass = reference.mass_matrix(robot, found.rotation[0])
+    equilibrium = statics.inverse_kinematics(robot, robot.home_position[None] + [[0.5, -0.7, 0.4]])
+    assert equilibrium.converged[0]
+    stiffness = difference_of_wrench(robot, equilibrium)
+    mass = reference.mass_matrix(robot, equilibrium.rotation[0])
     values = eigh(stiffness, mass, eigvals_only=True)
     expected = np.sqrt(values) / (2.0 * np.pi)
-    bare = modes.natural_frequencies(robot, found, cable_mass=False)[0]
+    bare = modes.natural_frequencies(robot, equilibrium, cable_mass=False)[0]
     assert bare == pytest.approx(expected, rel=1e-5)
 
 
 def test_a_third_of_each_cable_rides_at_its_anchor_point():
     """Point masses there as payloads, of which pin knows nothing but a heavier platform."""
     robot = simple_robot()
-    found = statics.inverse_kinematics(robot, robot.home_position[None] + [[0.5, -0.7, 0.4]])
-    length = found.unstrained_length
+    equilibrium = statics.inverse_kinematics(robot, robot.home_position[None] + [[0.5, -0.7, 0.4]])
+    length = equilibrium.unstrained_length
     riding = robot.linear_density * length[0] / 3.0
     parts = [RigidBody(robot.mass, robot.center_of_mass, robot.inertia)]
     parts += [
@@ -49,12 +49,12 @@ def test_a_third_of_each_cable_rides_at_its_anchor_point():
     loaded = replace(
         robot, mass=heavy.mass, center_of_mass=heavy.center_of_mass, inertia=heavy.inertia
     )
-    mass = modes.mass_matrix(robot, found.rotation, length)[0]
-    expected = reference.mass_matrix(loaded, found.rotation[0])
+    mass = modes.mass_matrix(robot, equilibrium.rotation, length)[0]
+    expected = reference.mass_matrix(loaded, equilibrium.rotation[0])
     assert mass == pytest.approx(expected, abs=1e-12)
 
 
-def difference_of_wrench(robot, found):
+def difference_of_wrench(robot, result):
     """-d wrench / d pose at constant lengths, cables solved by the independent closure."""
     step = 1e-5
     columns = []
@@ -67,10 +67,10 @@ def difference_of_wrench(robot, found):
             ends.append(
                 reference.cable_wrench(
                     robot,
-                    found.unstrained_length[0],
-                    found.position[0] + twist[:3],
-                    turn @ found.rotation[0],
-                    found.exit_tension[0],
+                    result.unstrained_length[0],
+                    result.position[0] + twist[:3],
+                    turn @ result.rotation[0],
+                    result.exit_tension[0],
                 )
             )
         columns.append((ends[1] - ends[0]) / (2.0 * step))
@@ -81,8 +81,8 @@ def difference_of_wrench(robot, found):
 def test_frequencies_of_the_bundled_robot_lie_where_others_found_them():
     """Two slow sway modes near 0.45 and 1.56 Hz, four stretching ones above 4 Hz."""
     robot = ct.load_robot("carosac")
-    found = statics.inverse_kinematics(robot, robot.home_position[None])
-    frequency = modes.natural_frequencies(robot, found)[0]
+    equilibrium = statics.inverse_kinematics(robot, robot.home_position[None])
+    frequency = modes.natural_frequencies(robot, equilibrium)[0]
     assert frequency[:2] == pytest.approx([0.45, 1.56], rel=0.02)
     assert (frequency[2:] > 4.0).all()
 
@@ -93,19 +93,19 @@ def test_an_unstable_pose_has_negative_frequencies():
     soft = replace(robot, axial_stiffness=robot.axial_stiffness / 100.0)
     for height, stable in ((0.0, True), (3.0, False)):
         variant = replace(soft, center_of_mass=np.array([0.0, 0.0, height]))
-        found = statics.inverse_kinematics(variant, variant.home_position[None])
-        assert found.converged[0]
-        assert found.stable[0] == stable
-        assert (modes.natural_frequencies(variant, found)[0, 0] > 0.0) == stable
+        equilibrium = statics.inverse_kinematics(variant, variant.home_position[None])
+        assert equilibrium.converged[0]
+        assert equilibrium.stable[0] == stable
+        assert (modes.natural_frequencies(variant, equilibrium)[0, 0] > 0.0) == stable
 
 
 def test_modes_diagonalise_mass_and_stiffness():
     robot = eight_cable_robot()
-    found = statics.inverse_kinematics(robot, robot.home_position[None])
-    result = modes.natural_modes(robot, found)
+    equilibrium = statics.inverse_kinematics(robot, robot.home_position[None])
+    result = modes.natural_modes(robot, equilibrium)
     shape = result.shape[0]
-    mass = modes.mass_matrix(robot, found.rotation, found.unstrained_length)[0]
+    mass = modes.mass_matrix(robot, equilibrium.rotation, equilibrium.unstrained_length)[0]
     assert shape.T @ mass @ shape == pytest.approx(np.eye(6), abs=1e-9)
     squares = (2.0 * np.pi * result.frequency[0]) ** 2
-    reduced = shape.T @ found.stiffness[0] @ shape
+    reduced = shape.T @ equilibrium.stiffness[0] @ shape
     assert reduced == pytest.approx(np.diag(squares), abs=1e-9 * squares.max())

@@ -25,14 +25,14 @@ def positions(robot, count, seed=0):
 
 def rest_poses(robot, count, seed=0):
     """Feasible poses of rest."""
-    found = statics.inverse_kinematics(robot, positions(robot, count, seed))
-    assert found.converged.any()
-    return found
+    equilibrium = statics.inverse_kinematics(robot, positions(robot, count, seed))
+    assert equilibrium.converged.any()
+    return equilibrium
 
 
-def pick(found, keep):
+def pick(result, keep):
     """Rows of an equilibrium."""
-    return replace(found, **{k: getattr(found, k)[keep] for k in vars(found)})
+    return replace(result, **{k: getattr(result, k)[keep] for k in vars(result)})
 
 
 @pytest.mark.parametrize("name", BUNDLED)
@@ -85,12 +85,14 @@ def test_agrees_with_an_independent_equilibrium(robot):
 def test_slack_cable_is_reported_and_hangs():
     robot = simple_robot()
     length = rest_poses(robot, 1).unstrained_length + np.array([[0.5, 0.0, 0.0, 0.0]])
-    found = statics.forward_kinematics(robot, length)
-    assert found.converged[0]
-    assert found.slack[0].tolist()[0]
-    assert statics.sag(robot, found)[0, 0] > 0.3
-    answer = reference.equilibrium(robot, length[0], found.position[0], found.rotation[0])
-    assert found.position[0] == pytest.approx(answer.position, abs=1e-9)
+    equilibrium = statics.forward_kinematics(robot, length)
+    assert equilibrium.converged[0]
+    assert equilibrium.slack[0].tolist()[0]
+    assert statics.sag(robot, equilibrium)[0, 0] > 0.3
+    answer = reference.equilibrium(
+        robot, length[0], equilibrium.position[0], equilibrium.rotation[0]
+    )
+    assert equilibrium.position[0] == pytest.approx(answer.position, abs=1e-9)
 
 
 def test_batch_equals_loop_bit_for_bit():
@@ -116,10 +118,10 @@ def test_light_stiff_cables_tend_to_straight_lines():
             linear_density=robot.linear_density * factor,
             axial_stiffness=robot.axial_stiffness / factor,
         )
-        found = statics.inverse_kinematics(ideal, where)
-        found = pick(found, found.converged)
-        straight = ct.straight_line.inverse_kinematics(ideal, found.position, found.rotation)
-        errors.append(np.abs(straight - found.unstrained_length).max())
+        result = statics.inverse_kinematics(ideal, where)
+        result = pick(result, result.converged)
+        straight = ct.straight_line.inverse_kinematics(ideal, result.position, result.rotation)
+        errors.append(np.abs(straight - result.unstrained_length).max())
     assert errors[0] > 1e-4
     assert errors[1] < 0.02 * errors[0]
     assert errors[3] < 1e-8
@@ -127,16 +129,16 @@ def test_light_stiff_cables_tend_to_straight_lines():
 
 def test_wrench_of_the_cables_carries_the_weight_at_tilted_poses():
     robot = with_pulleys(simple_robot())
-    found = rest_poses(robot, 30)
-    found = pick(found, found.converged)
-    shape = statics.cable_shape(robot, found, samples=2000)
+    result = rest_poses(robot, 30)
+    result = pick(result, result.converged)
+    shape = statics.cable_shape(robot, result, samples=2000)
     # Tension direction at the anchor from the drawn shape, extrapolated to its end.
     tangent = 1.5 * (shape[:, :, -2] - shape[:, :, -1]) - 0.5 * (shape[:, :, -3] - shape[:, :, -2])
     unit = tangent / np.linalg.norm(tangent, axis=-1, keepdims=True)
-    force = found.tension[..., None] * unit
-    arm = np.einsum("bij,nj->bni", found.rotation, robot.anchor_points)
+    force = result.tension[..., None] * unit
+    arm = np.einsum("bij,nj->bni", result.rotation, robot.anchor_points)
     weight = np.array([0.0, 0.0, -robot.weight])
-    center = found.rotation @ robot.center_of_mass
+    center = result.rotation @ robot.center_of_mass
     assert np.abs(force.sum(axis=1) + weight).max() < 1e-5 * robot.weight
     moment = np.cross(arm, force).sum(axis=1) + np.cross(center, weight)
     assert np.abs(moment).max() < 1e-5 * robot.weight
@@ -151,25 +153,25 @@ def test_power_balance_at_rotated_poses():
     robot = replace(
         simple_robot(), linear_density=np.full(4, 1e-7), axial_stiffness=np.full(4, 1e10)
     )
-    found = rest_poses(robot, 20)
-    found = pick(found, found.converged)
-    change = 1e-5 * np.random.default_rng(4).standard_normal(found.unstrained_length.shape)
+    result = rest_poses(robot, 20)
+    result = pick(result, result.converged)
+    change = 1e-5 * np.random.default_rng(4).standard_normal(result.unstrained_length.shape)
     heights = []
     for sign in (1.0, -1.0):
         moved = statics.forward_kinematics(
-            robot, found.unstrained_length + sign * change, guess=found
+            robot, result.unstrained_length + sign * change, guess=result
         )
         heights.append((moved.position + moved.rotation @ robot.center_of_mass)[:, 2])
     gained = robot.weight * (heights[0] - heights[1]) / 2.0
-    spent = -(found.tension * change).sum(axis=1)
+    spent = -(result.tension * change).sum(axis=1)
     assert gained == pytest.approx(spent, abs=1e-5 * np.abs(spent).max())
 
 
 def test_stiffness_is_the_slope_of_the_equilibrium():
     """A force on the platform moves its rest pose by K^-1; the force is made by more mass."""
     for robot in (with_pulleys(simple_robot()), eight_cable_robot()):
-        found = rest_poses(robot, 10)
-        found = pick(found, found.converged)
+        result = rest_poses(robot, 10)
+        result = pick(result, result.converged)
         extra = 1e-5
         poses = []
         for sign in (1.0, -1.0):
@@ -177,7 +179,9 @@ def test_stiffness_is_the_slope_of_the_equilibrium():
             mass = robot.mass * (1.0 + sign * extra)
             center = robot.center_of_mass / (1.0 + sign * extra)
             heavier = replace(robot, mass=mass, center_of_mass=center)
-            poses.append(statics.forward_kinematics(heavier, found.unstrained_length, guess=found))
+            poses.append(
+                statics.forward_kinematics(heavier, result.unstrained_length, guess=result)
+            )
         move = (poses[0].position - poses[1].position) / 2.0
         spin = (
             Rotation.from_matrix(poses[0].rotation @ poses[1].rotation.swapaxes(1, 2)).as_rotvec()
@@ -185,20 +189,20 @@ def test_stiffness_is_the_slope_of_the_equilibrium():
         )
         load = np.zeros((len(move), 6))
         load[:, 2] = -extra * robot.weight
-        expected = np.linalg.solve(found.stiffness, load[..., None])[..., 0]
+        expected = np.linalg.solve(result.stiffness, load[..., None])[..., 0]
         got = np.concatenate([move, spin], axis=1)
         assert got == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
-        asymmetry = np.abs(found.stiffness - found.stiffness.swapaxes(1, 2)).max()
-        assert asymmetry < 1e-9 * np.abs(found.stiffness).max()
+        asymmetry = np.abs(result.stiffness - result.stiffness.swapaxes(1, 2)).max()
+        assert asymmetry < 1e-9 * np.abs(result.stiffness).max()
 
 
 def test_six_cables_or_more_hold_the_rotation_with_least_squared_tensions():
     robot = replace(eight_cable_robot(), linear_density=np.full(8, 1e-9))
     where = positions(robot, 60, seed=3)
     turn = Rotation.from_rotvec([0.05, -0.03, 0.08]).as_matrix()
-    found = statics.inverse_kinematics(robot, where, np.tile(turn, (60, 1, 1)))
-    assert 0.1 < found.converged.mean() < 0.9
-    assert (found.rotation == turn).all()
+    equilibrium = statics.inverse_kinematics(robot, where, np.tile(turn, (60, 1, 1)))
+    assert 0.1 < equilibrium.converged.mean() < 0.9
+    assert (equilibrium.rotation == turn).all()
     for k in range(60):
         best = reference.tension_distribution_nnls(
             structure(robot, where[k], turn),
@@ -206,9 +210,9 @@ def test_six_cables_or_more_hold_the_rotation_with_least_squared_tensions():
             robot.tension_min,
             robot.tension_max,
         )
-        assert (best is not None) == found.converged[k]
+        assert (best is not None) == equilibrium.converged[k]
         if best is not None:
-            assert found.tension[k] == pytest.approx(best, abs=1e-5)
+            assert equilibrium.tension[k] == pytest.approx(best, abs=1e-5)
 
 
 def structure(robot, position, rotation):
@@ -227,14 +231,14 @@ def gravity_wrench(robot, rotation):
 
 def test_fewer_cables_take_the_least_squared_tensions_of_nearby_equilibria():
     robot = simple_robot()
-    found = rest_poses(robot, 6, seed=5)
+    equilibrium = rest_poses(robot, 6, seed=5)
     rng = np.random.default_rng(6)
-    for k in np.flatnonzero(found.converged):
-        total = (found.tension[k] ** 2).sum()
+    for k in np.flatnonzero(equilibrium.converged):
+        total = (equilibrium.tension[k] ** 2).sum()
         for _ in range(4):
             # Other equilibria at the same position: turn about, then restore it by the lengths.
             turn = Rotation.from_rotvec(rng.normal(0.0, [0.02, 0.02, 0.3])).as_matrix()
-            other = equilibrium_at(robot, found.position[k], turn @ found.rotation[k])
+            other = equilibrium_at(robot, equilibrium.position[k], turn @ equilibrium.rotation[k])
             if other is not None:
                 assert (other.tension**2).sum() >= total * (1.0 - 1e-9)
 
@@ -244,16 +248,18 @@ def equilibrium_at(robot, position, rotation):
     length = ct.straight_line.inverse_kinematics(robot, position[None], rotation[None])
     guess = Pose(position=position[None], rotation=rotation[None])
     for _ in range(60):
-        found = statics.forward_kinematics(robot, length, guess=guess)
-        if not found.converged[0]:
+        equilibrium = statics.forward_kinematics(robot, length, guess=guess)
+        if not equilibrium.converged[0]:
             return None
-        error = np.linalg.norm(found.position[0] - position)
+        error = np.linalg.norm(equilibrium.position[0] - position)
         if error < 1e-9:
-            return found
-        here = ct.straight_line.inverse_kinematics(robot, found.position, found.rotation)
-        wanted = ct.straight_line.inverse_kinematics(robot, position[None], found.rotation)
+            return equilibrium
+        here = ct.straight_line.inverse_kinematics(
+            robot, equilibrium.position, equilibrium.rotation
+        )
+        wanted = ct.straight_line.inverse_kinematics(robot, position[None], equilibrium.rotation)
         length = length + wanted - here
-        guess = found
+        guess = equilibrium
     return None
 
 
@@ -278,28 +284,32 @@ def test_any_number_of_cables_finds_rest(count):
         home_position=np.array([0.0, 0.0, 3.0]),
     )
     length = np.linalg.norm(exits - [0.3, 0.2, 3.0], axis=1)[None] + 0.05
-    found = statics.forward_kinematics(robot, length)
-    assert found.converged[0]
+    equilibrium = statics.forward_kinematics(robot, length)
+    assert equilibrium.converged[0]
     if count == 1:  # its turning about the plumb line is free, so the pose is not unique
-        center = found.position[0] + found.rotation[0] @ robot.center_of_mass
+        center = equilibrium.position[0] + equilibrium.rotation[0] @ robot.center_of_mass
         assert center[:2] == pytest.approx(exits[0, :2], abs=1e-6)
         return
-    answer = reference.equilibrium(robot, length[0], found.position[0], found.rotation[0])
+    answer = reference.equilibrium(
+        robot, length[0], equilibrium.position[0], equilibrium.rotation[0]
+    )
     assert answer.residual < 1e-10
-    assert answer.position == pytest.approx(found.position[0], abs=1e-6)
+    assert answer.position == pytest.approx(equilibrium.position[0], abs=1e-6)
 
 
 def test_infeasible_is_reported_and_nothing_is_clipped():
     robot = simple_robot()
     beyond = np.array([[9.0, -1.8, 3.0], [0.4, -1.8, 8.3]])
-    found = statics.inverse_kinematics(robot, beyond)
-    assert not found.converged.any()
-    assert [statics.REASONS[s] for s in found.status] == [statics.REASONS[2]] * 2
-    assert (found.position == beyond).all()
-    assert not found.stable[0]
+    equilibrium = statics.inverse_kinematics(robot, beyond)
+    assert not equilibrium.converged.any()
+    assert [statics.STATUS_REASONS[s] for s in equilibrium.status] == [
+        statics.STATUS_REASONS[2]
+    ] * 2
+    assert (equilibrium.position == beyond).all()
+    assert not equilibrium.stable[0]
     weak = replace(eight_cable_robot(), tension_max=np.full(8, 12.0), tension_min=np.full(8, 10.0))
     held = statics.inverse_kinematics(weak, weak.home_position[None])
-    assert statics.REASONS[held.status[0]] == "no tensions within the limits found"
+    assert statics.STATUS_REASONS[held.status[0]] == "no tensions within the limits found"
 
 
 def test_home_of_a_symmetric_robot_is_its_centre():
@@ -311,10 +321,10 @@ def test_home_of_a_symmetric_robot_is_its_centre():
         workspace_max=np.array([1.0, 1, 4]),
         home_position=np.array([0.0, 0.0, 2.0]),
     )
-    found = statics.inverse_kinematics(robot, [[0.0, 0.0, 2.0]])
-    assert found.converged[0] and found.stable[0]
-    assert found.rotation[0] == pytest.approx(np.eye(3), abs=1e-6)
-    assert np.ptp(found.tension[0]) < 1e-6 * robot.weight
+    equilibrium = statics.inverse_kinematics(robot, [[0.0, 0.0, 2.0]])
+    assert equilibrium.converged[0] and equilibrium.stable[0]
+    assert equilibrium.rotation[0] == pytest.approx(np.eye(3), abs=1e-6)
+    assert np.ptp(equilibrium.tension[0]) < 1e-6 * robot.weight
 
 
 def test_kinematic_solver_check_of_stadium_size():
@@ -337,14 +347,14 @@ def test_kinematic_solver_check_of_stadium_size():
         workspace_max=np.array([150.0, 80, 30]),
         home_position=np.array([100.0, 50, 0]),
     )
-    found = statics.inverse_kinematics(robot, [[100.0, 50.0, 0.0]])
-    assert found.converged[0]
-    assert found.unstrained_length[0] == pytest.approx(122.375638, abs=1e-6)
-    horizontal = np.linalg.norm(found.exit_tension[0, :, :2], axis=1)
+    equilibrium = statics.inverse_kinematics(robot, [[100.0, 50.0, 0.0]])
+    assert equilibrium.converged[0]
+    assert equilibrium.unstrained_length[0] == pytest.approx(122.375638, abs=1e-6)
+    horizontal = np.linalg.norm(equilibrium.exit_tension[0, :, :2], axis=1)
     assert horizontal == pytest.approx(216.8712, abs=1e-4)
     straight = ct.straight_line.inverse_kinematics(robot, [[100.0, 50.0, 0.0]])
     assert straight[0] == pytest.approx(122.352033, abs=1e-6)
-    back = statics.forward_kinematics(robot, found.unstrained_length)
+    back = statics.forward_kinematics(robot, equilibrium.unstrained_length)
     assert back.position[0] == pytest.approx([100.0, 50.0, 0.0], abs=1e-6)
 
 
@@ -365,13 +375,13 @@ def test_a_guess_gives_the_same_answer_faster(name):
 def test_run_length_softens_and_lengthens():
     """8 m of cable behind the pulley stretch under the same tension as the free span."""
     short = replace(simple_robot(), run_length=np.zeros(4))
-    found = rest_poses(short, 20)
-    found = pick(found, found.converged)
+    result = rest_poses(short, 20)
+    result = pick(result, result.converged)
     long = replace(short, run_length=np.full(4, 8.0))
-    same = statics.inverse_kinematics(long, found.position)
+    same = statics.inverse_kinematics(long, result.position)
     exit_tension = np.linalg.norm(same.exit_tension, axis=-1)
     strain = exit_tension / short.axial_stiffness
-    expected = found.unstrained_length - 8.0 * strain / (1.0 + strain)
+    expected = result.unstrained_length - 8.0 * strain / (1.0 + strain)
     assert same.unstrained_length == pytest.approx(expected, abs=1e-9)
 
 
@@ -411,15 +421,15 @@ def test_wrong_kinds_of_arguments_are_named():
 
 def test_winch_range_is_reported_and_limits_nothing():
     robot = replace(simple_robot(), length_max=np.full(4, 9.15))
-    found = statics.inverse_kinematics(robot, [[0.4, -1.8, 2.2]])
-    assert found.converged[0]
-    assert (found.in_winch_range[0] == (found.unstrained_length[0] <= 9.15)).all()
-    assert found.in_winch_range.any() and not found.in_winch_range.all()
+    equilibrium = statics.inverse_kinematics(robot, [[0.4, -1.8, 2.2]])
+    assert equilibrium.converged[0]
+    assert (equilibrium.in_winch_range[0] == (equilibrium.unstrained_length[0] <= 9.15)).all()
+    assert equilibrium.in_winch_range.any() and not equilibrium.in_winch_range.all()
 
 
 def test_a_rotation_that_is_none_is_refused():
     robot = eight_cable_robot()
-    with pytest.raises(InvalidField, match=r"rotation\[0\]: got no rotation matrix"):
+    with pytest.raises(InvalidField, match=r"rotation\[0\]: got not a rotation matrix"):
         statics.inverse_kinematics(robot, robot.home_position[None], -np.eye(3)[None])
 
 
@@ -431,10 +441,10 @@ def test_a_narrow_window_between_two_limits_is_found():
     robot = replace(
         ct.load_robot("carosac"), linear_density=np.full(4, 1e-9), axial_stiffness=np.full(4, 1e12)
     )
-    found = statics.inverse_kinematics(
+    equilibrium = statics.inverse_kinematics(
         robot, [[2.38281903, -2.68838803, 2.80748534], [2.38356982, -3.37925167, 2.62224951]]
     )
-    assert found.converged.tolist() == [True, False]
-    assert found.tension[0] == pytest.approx([5.0, 183.6, 161.5, 5.1], abs=0.05)
-    tilt = np.degrees(np.arccos(found.rotation[0, 2, 2]))
+    assert equilibrium.converged.tolist() == [True, False]
+    assert equilibrium.tension[0] == pytest.approx([5.0, 183.6, 161.5, 5.1], abs=0.05)
+    tilt = np.degrees(np.arccos(equilibrium.rotation[0, 2, 2]))
     assert tilt == pytest.approx(59.6, abs=0.05)

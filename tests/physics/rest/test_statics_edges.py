@@ -16,16 +16,16 @@ from tests.robots import simple_robot
 
 @pytest.mark.parametrize("rotation", [2.0 * np.eye(3), -np.eye(3), np.zeros((3, 3))])
 def test_a_guess_that_is_no_rotation_is_refused(rotation):
-    with pytest.raises(InvalidField, match=r"rotation\[0\]: got no rotation matrix"):
+    with pytest.raises(InvalidField, match=r"rotation\[0\]: got not a rotation matrix"):
         Pose(position=np.zeros((1, 3)), rotation=rotation[None])
 
 
 def test_a_guess_that_is_not_finite_is_refused():
     robot = simple_robot()
-    found = statics.inverse_kinematics(robot, robot.home_position[None])
-    broken = replace(found, position=np.full((1, 3), np.nan))
+    equilibrium = statics.inverse_kinematics(robot, robot.home_position[None])
+    broken = replace(equilibrium, position=np.full((1, 3), np.nan))
     with pytest.raises(InvalidField, match="guess: got numbers that are not finite"):
-        statics.forward_kinematics(robot, found.unstrained_length, guess=broken)
+        statics.forward_kinematics(robot, equilibrium.unstrained_length, guess=broken)
 
 
 @pytest.mark.parametrize("name", ["carosac", "ipanema1"])
@@ -36,9 +36,9 @@ def test_wider_tension_limits_never_lose_a_pose(name):
     before = np.zeros(500, dtype=bool)
     for lowest in (20.0, 5.0, 0.1, 1e-3, 0.0):
         wider = replace(robot, tension_min=np.full(robot.n, lowest))
-        found = statics.inverse_kinematics(wider, where)
-        assert not (before & ~found.converged).any()
-        before = found.converged
+        equilibrium = statics.inverse_kinematics(wider, where)
+        assert not (before & ~equilibrium.converged).any()
+        before = equilibrium.converged
     assert before.all()
 
 
@@ -47,9 +47,9 @@ def test_a_top_heavy_platform_is_held_where_it_can_be():
     heavy = replace(robot, center_of_mass=np.array([0.0, 0.0, 0.1]))
     rng = np.random.default_rng(0)
     where = rng.uniform(robot.workspace_min, robot.workspace_max, (2000, 3))
-    found = statics.inverse_kinematics(heavy, where)
-    assert found.converged.mean() > 0.999
-    assert found.stable[found.converged].all()
+    equilibrium = statics.inverse_kinematics(heavy, where)
+    assert equilibrium.converged.mean() > 0.999
+    assert equilibrium.stable[equilibrium.converged].all()
 
 
 @pytest.mark.parametrize("name", ["carosac", "cogiro", "ipanema1"])
@@ -61,14 +61,14 @@ def test_what_is_called_an_equilibrium_is_one_by_independent_equations(name):
     there = statics.inverse_kinematics(robot, where)
     good = there.converged
     back = statics.forward_kinematics(robot, there.unstrained_length[good])
-    for found in (there, back):
-        for k in np.flatnonzero(found.converged)[:25]:
+    for result in (there, back):
+        for k in np.flatnonzero(result.converged)[:25]:
             wrench = reference.cable_wrench(
                 robot,
-                found.unstrained_length[k],
-                found.position[k],
-                found.rotation[k],
-                found.exit_tension[k],
+                result.unstrained_length[k],
+                result.position[k],
+                result.rotation[k],
+                result.exit_tension[k],
             )
             assert np.abs(wrench).max() < 1e-7 * robot.weight
 
@@ -86,7 +86,7 @@ def test_a_pose_guess_at_a_rest_pose_stays_there():
 
 def test_large_batches_keep_no_buffers():
     robot = simple_robot()
-    where = np.tile(robot.home_position, (device.KEPT_SIZE + 1, 1))
+    where = np.tile(robot.home_position, (device.KEPT_BATCH_MAX + 1, 1))
     statics.inverse_kinematics(robot, where)
     assert len(device._buffers.get(robot, {})) == 0
 
@@ -106,6 +106,6 @@ def test_a_robot_300_times_as_large_converges_as_well():
     )  # fmt: skip
     rng = np.random.default_rng(1)
     where = rng.uniform(large.workspace_min, large.workspace_max, (300, 3))
-    found = statics.inverse_kinematics(large, where)
-    back = statics.forward_kinematics(large, found.unstrained_length[found.converged])
+    equilibrium = statics.inverse_kinematics(large, where)
+    back = statics.forward_kinematics(large, equilibrium.unstrained_length[equilibrium.converged])
     assert back.converged.all()

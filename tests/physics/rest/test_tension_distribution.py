@@ -25,15 +25,15 @@ def problems(count, seed, spread):
 
 def test_agrees_with_osqp_to_1e_6_newton():
     matrix, wrench = problems(60, 0, 100.0)
-    found = tension_distribution.solve(matrix, wrench, LOWER, UPPER)
-    assert found.feasible.any()
+    distribution = tension_distribution.solve(matrix, wrench, LOWER, UPPER)
+    assert distribution.feasible.any()
     lower, upper = np.full(8, LOWER), np.full(8, UPPER)
-    for k in np.flatnonzero(found.feasible):
+    for k in np.flatnonzero(distribution.feasible):
         exact = reference.tension_distribution_nnls(matrix[k], wrench[k], lower, upper)
-        assert found.tension[k] == pytest.approx(exact, abs=1e-6)
+        assert distribution.tension[k] == pytest.approx(exact, abs=1e-6)
         best = reference.tension_distribution_osqp(matrix[k], wrench[k], lower, upper)
         if best is not None:
-            assert found.tension[k] == pytest.approx(best, abs=1e-6)
+            assert distribution.tension[k] == pytest.approx(best, abs=1e-6)
 
 
 def test_feasible_exactly_where_a_linear_program_is():
@@ -41,20 +41,20 @@ def test_feasible_exactly_where_a_linear_program_is():
     matrix = np.concatenate([problems(150, 2, 200.0)[0], rng.standard_normal((150, 6, 8))])
     tension = rng.uniform(LOWER - 200.0, UPPER + 200.0, (300, 8))
     wrench = -np.einsum("bij,bj->bi", matrix, tension)
-    found = tension_distribution.solve(matrix, wrench, LOWER, UPPER)
-    assert 0.2 < found.feasible.mean() < 0.8
+    distribution = tension_distribution.solve(matrix, wrench, LOWER, UPPER)
+    assert 0.2 < distribution.feasible.mean() < 0.8
     for k in range(300):
         program = linprog(np.zeros(8), A_eq=matrix[k], b_eq=-wrench[k], bounds=[(LOWER, UPPER)] * 8)
-        assert (program.status == 0) == found.feasible[k]
+        assert (program.status == 0) == distribution.feasible[k]
 
 
 def test_conditions_of_optimality_hold():
     """Inside the limits t = A^T y; at a limit the multiplier pushes outwards."""
     matrix, wrench = problems(200, 3, 50.0)
-    found = tension_distribution.solve(matrix, wrench, LOWER, UPPER)
-    assert (found.residual[found.feasible] < 1e-7).all()
-    for k in np.flatnonzero(found.feasible)[:50]:
-        t = found.tension[k]
+    distribution = tension_distribution.solve(matrix, wrench, LOWER, UPPER)
+    assert (distribution.residual[distribution.feasible] < 1e-7).all()
+    for k in np.flatnonzero(distribution.feasible)[:50]:
+        t = distribution.tension[k]
         inside = (t > LOWER + 1e-6) & (t < UPPER - 1e-6)
         if inside.sum() < 6:
             continue
@@ -70,8 +70,8 @@ def test_no_load_and_a_mean_reference_give_the_mean():
     robot = eight_cable_robot()
     symmetric = structure_matrix(robot, np.array([[0.0, 0.0, 1.0]]))
     balanced = np.einsum("bij,j->bi", symmetric, np.full(8, 5.5))
-    found = tension_distribution.solve(symmetric, -balanced, 1.0, 10.0, reference=5.5)
-    assert found.tension[0] == pytest.approx(np.full(8, 5.5), abs=1e-9)
+    distribution = tension_distribution.solve(symmetric, -balanced, 1.0, 10.0, reference=5.5)
+    assert distribution.tension[0] == pytest.approx(np.full(8, 5.5), abs=1e-9)
 
 
 def test_single_robot_agrees_with_the_batch():

@@ -38,13 +38,13 @@ def test_margins_of_bundled_robots_are_those_of_a_linear_program(name):
     robot = ct.load_robot(name)
     position, rotation = random_poses(robot, 150, 1)
     matrix = structure_matrix(robot, position, rotation)
-    found = tension_margin.solve(
+    margins = tension_margin.solve(
         matrix, weight_of(robot, rotation), robot.tension_min, robot.tension_max
     )
     exact = [linear_program(robot, p, r) for p, r in zip(position, rotation, strict=True)]
-    assert found.solved.all()
-    assert found.margin == pytest.approx(np.array(exact), rel=1e-9, abs=1e-8)
-    assert (found.margin > 0.0).any() and (found.margin < 0.0).any()
+    assert margins.solved.all()
+    assert margins.margin == pytest.approx(np.array(exact), rel=1e-9, abs=1e-8)
+    assert (margins.margin > 0.0).any() and (margins.margin < 0.0).any()
 
 
 @pytest.mark.parametrize("n", [6, 7, 9, 12])
@@ -53,32 +53,32 @@ def test_margins_hold_for_any_redundancy_and_prove_themselves(n):
     matrix = rng.standard_normal((40, 6, n))
     wrench = 300.0 * rng.standard_normal((40, 6))
     lower, upper = rng.uniform(5.0, 20.0, n), rng.uniform(200.0, 400.0, n)
-    found = tension_margin.solve(matrix, wrench, lower, upper)
-    assert found.solved.all()
+    margins = tension_margin.solve(matrix, wrench, lower, upper)
+    assert margins.solved.all()
     for k in range(40):
         exact = by_highs(matrix[k], wrench[k], lower, upper)
-        assert found.margin[k] == pytest.approx(exact, rel=1e-9, abs=1e-8)
+        assert margins.margin[k] == pytest.approx(exact, rel=1e-9, abs=1e-8)
     # Weak duality, from nothing but the multipliers and the problem.
-    assert np.einsum("bij,bj->bi", matrix, found.tension) == pytest.approx(-wrench, abs=1e-8)
-    assert (found.low >= 0.0).all() and (found.high >= 0.0).all()
-    assert (found.low + found.high).sum(axis=1) == pytest.approx(1.0)
+    assert np.einsum("bij,bj->bi", matrix, margins.tension) == pytest.approx(-wrench, abs=1e-8)
+    assert (margins.low >= 0.0).all() and (margins.high >= 0.0).all()
+    assert (margins.low + margins.high).sum(axis=1) == pytest.approx(1.0)
     for k in range(40):
-        dual = np.linalg.lstsq(matrix[k].T, found.low[k] - found.high[k], rcond=None)[0]
-        assert matrix[k].T @ dual == pytest.approx(found.low[k] - found.high[k], abs=1e-9)
-        bound = found.high[k] @ upper - found.low[k] @ lower - dual @ wrench[k]
-        assert found.margin[k] == pytest.approx(bound, abs=1e-8)
+        dual = np.linalg.lstsq(matrix[k].T, margins.low[k] - margins.high[k], rcond=None)[0]
+        assert matrix[k].T @ dual == pytest.approx(margins.low[k] - margins.high[k], abs=1e-9)
+        bound = margins.high[k] @ upper - margins.low[k] @ lower - dual @ wrench[k]
+        assert margins.margin[k] == pytest.approx(bound, abs=1e-8)
 
 
 def test_margin_in_the_middle_of_a_symmetric_robot_by_hand():
     robot = ct.load_robot("ipanema1")
     rotation = np.eye(3)[None]
     matrix = structure_matrix(robot, [[0.0, 0.0, 1.0]], rotation)
-    found = tension_margin.solve(
+    margins = tension_margin.solve(
         matrix, weight_of(robot, rotation), robot.tension_min, robot.tension_max
     )
     # Four cables at T up, four at B down: T - B = W / (4 sine), T = 720 - s, B = 10 + s.
     sine = 1.0 / np.sqrt(1.94**2 + 1.44**2 + 1.0)
-    assert found.margin[0] == pytest.approx((710.0 - robot.weight / (4.0 * sine)) / 2.0)
+    assert margins.margin[0] == pytest.approx((710.0 - robot.weight / (4.0 * sine)) / 2.0)
 
 
 def test_multipliers_say_what_a_newton_of_limit_is_worth():
@@ -101,9 +101,9 @@ def test_no_tensions_balance_what_no_cable_can_pull():
     wrench = np.zeros((2, 6))
     wrench[:, 0] = 10.0
     wrench[1, 5] = 1.0
-    found = tension_margin.solve(matrix, wrench, 0.0, 100.0)
-    assert found.solved.all()
-    assert np.isfinite(found.margin[0]) and found.margin[1] == -np.inf
+    margins = tension_margin.solve(matrix, wrench, 0.0, 100.0)
+    assert margins.solved.all()
+    assert np.isfinite(margins.margin[0]) and margins.margin[1] == -np.inf
 
 
 def test_equal_cables_are_no_trouble_and_a_batch_is_its_rows():
@@ -111,13 +111,13 @@ def test_equal_cables_are_no_trouble_and_a_batch_is_its_rows():
     half = rng.standard_normal((30, 6, 6))
     matrix = np.concatenate([half, half, half], axis=2)
     wrench = 50.0 * rng.standard_normal((30, 6))
-    found = tension_margin.solve(matrix, wrench, 1.0, 100.0)
-    assert found.solved.all()
+    margins = tension_margin.solve(matrix, wrench, 1.0, 100.0)
+    assert margins.solved.all()
     for k in range(30):
         alone = tension_margin.solve(matrix[k : k + 1], wrench[k : k + 1], 1.0, 100.0)
-        assert alone.margin[0] == found.margin[k]
+        assert alone.margin[0] == margins.margin[k]
         exact = by_highs(matrix[k], wrench[k], np.full(18, 1.0), np.full(18, 100.0))
-        assert found.margin[k] == pytest.approx(exact, abs=1e-8)
+        assert margins.margin[k] == pytest.approx(exact, abs=1e-8)
 
 
 def test_bad_input_is_named():

@@ -199,7 +199,7 @@ def test_a_setting_that_nobody_reads_is_named(settings, message):
     [
         (
             {"suite": "lengths+imu", "settings": FAST | {"driver": "quasi_static"}},
-            r"suite: got 'lengths\+imu'; allowed: .*no inertia here",
+            r"suite: got 'lengths\+imu'; allowed: .*this plant has no inertia",
         ),
         ({"controller": "pid"}, "controller: got 'pid'"),
         ({"estimator": "ukf"}, "estimator: got 'ukf'"),
