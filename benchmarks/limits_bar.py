@@ -1,7 +1,7 @@
 """The limits under 1e5 random command sequences; the figures go to RESULTS.md.
 
-The property is that of `tests/safety/test_limiter.py`: nothing that leaves breaks a limit, a stop from a
-random instant stays possible and is exact, and what needed no change is bit-identical.
+The property is that of `tests/safety/test_limiter.py`: nothing that leaves breaks a limit, a stop
+from a random instant stays possible and is exact, and what needed no change is bit-identical.
 """
 
 from __future__ import annotations

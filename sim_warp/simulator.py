@@ -5,7 +5,8 @@ Four models of the cables share one interface:
 * ``particles``: chains of masses and unilateral springs, advanced by implicit Newton steps
   (`sim_warp.particle_kernels`): sag, sway, slack and waves.
 * ``catenary``: quasi-static elastic catenaries on a rigid platform
-  (`carosac_toolkit.physics.motion.dynamics`): sag, sway and slack without waves, several times faster.
+  (`carosac_toolkit.physics.motion.dynamics`): sag, sway and slack without waves, several times
+  faster.
 * ``straight``: straight massless springs: the baseline without sag.
 * ``xpbd``: chains by extended position-based dynamics (`sim_warp.xpbd_kernels`), the method of game
   engines, for comparison.

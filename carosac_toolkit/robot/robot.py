@@ -90,8 +90,8 @@ class Robot:
         length_scale: Change of the reading per unstrained length, shape (n,); None: 1.
         length_delay: By how much their readings lead poses measured at the same time [s]; None: 0.
         pose_rotation: Rotation from the frame of measured poses to W, (3, 3); None: the same frame.
-        calibrated: Parameters that a calibration estimated (`carosac_toolkit.robot.parameters`), k of
-            them; None: not calibrated.
+        calibrated: Parameters that a calibration estimated (`carosac_toolkit.robot.parameters`),
+            k of them; None: not calibrated.
         calibration_covariance: Their joint covariance, shape (k, k).
         hardware: Connection to the real robot; None: not described.
         description: One line of text.

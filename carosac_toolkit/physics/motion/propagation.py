@@ -1,7 +1,7 @@
 """Motion from any state through any lengths: the dynamics as filters need them.
 
-The dynamics of `carosac_toolkit.physics.motion.dynamics` for many states of one robot at once. Nothing is
-remembered from call to call: the same arguments give the same motion.
+The dynamics of `carosac_toolkit.physics.motion.dynamics` for many states of one robot at once.
+Nothing is remembered from call to call: the same arguments give the same motion.
 """
 
 from __future__ import annotations
