@@ -12,8 +12,8 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.drive_state import Fault
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.physics.cable import straight_line
-from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.motion.braking import WinchMotion
+from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.homing import DEGREES_OF_FREEDOM
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.guard.settings import GuardSettings
