@@ -16,14 +16,14 @@ import numpy as np
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
 from carosac_toolkit.drivers.guarded import GuardedDriver
-from carosac_toolkit.drivers.guarded_ads import GuardedAds, GuardedAdsSettings
 from carosac_toolkit.live.real_time import quick_threads, take_priority
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import Step, run
 from carosac_toolkit.loop.values import State
-from carosac_toolkit.plc.client import PlcClient
+from carosac_toolkit.plc.driver import AdsDriver, AdsSettings
+from carosac_toolkit.plc.emulator.client import PlcClient
+from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
 from carosac_toolkit.trajectories.arcs import circle
 
 SECONDS = 600.0

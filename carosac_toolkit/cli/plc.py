@@ -25,9 +25,9 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions
 from carosac_toolkit.cli.position_option import Place
 from carosac_toolkit.live.real_time import quick_threads, take_priority
-from carosac_toolkit.plc.emulator import Emulator
-from carosac_toolkit.plc.machine_blocks import Injection
-from carosac_toolkit.plc.settings import PlcSettings
+from carosac_toolkit.plc.blocks import Injection
+from carosac_toolkit.plc.emulator.emulator import Emulator
+from carosac_toolkit.plc.emulator.settings import PlcSettings
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.perturbations import draw_plant, find_condition
 from carosac_toolkit.robot.robot import Robot

@@ -13,12 +13,12 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.conformance.drivers import DRIVER_CHECKS
 from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.drivers.guarded import GuardedDriver
-from carosac_toolkit.drivers.guarded_ads import GuardedAds, GuardedAdsSettings
 from carosac_toolkit.drivers.lifecycle import IllegalTransition, NotReady
 from carosac_toolkit.drivers.quasi_static import QuasiStaticSettings
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.loop import BadPlugin, run
 from carosac_toolkit.loop.values import Belief, Command, Stamped
+from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
 from tests.drivers.guards import (
     PERIOD,
     ROBOT,

@@ -14,7 +14,7 @@ import threading
 import time
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.plc.symbols import Symbols
+from carosac_toolkit.plc.emulator.symbols import Symbols
 from carosac_toolkit.robot.hardware import TCP_PORT
 
 LONGEST = 1 << 16  # bytes of a request; longer ones are no ADS

@@ -17,8 +17,8 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.drivers.clock_offset import ClockOffset
 from carosac_toolkit.loop.values import Imu
+from carosac_toolkit.plc.clock_offset import ClockOffset
 from carosac_toolkit.robot.hardware import ImuSource
 
 _LONGEST = 512  # bytes of a line

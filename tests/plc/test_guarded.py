@@ -11,14 +11,14 @@ import pytest
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.cli.main import main
-from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
-from carosac_toolkit.drivers.guarded_ads import GuardedAds, GuardedAdsSettings
 from carosac_toolkit.drivers.lifecycle import IllegalTransition, NotReady
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Command
 from carosac_toolkit.physics.rest import statics
-from carosac_toolkit.plc.machine_blocks import Injection
+from carosac_toolkit.plc.blocks import Injection
+from carosac_toolkit.plc.driver import AdsDriver, AdsSettings
+from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
 from carosac_toolkit.studies.compare.study import Study
 from tests.plc_process import home_pose, plc_process
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.drive_state import Fault
-from carosac_toolkit.plc.winches import WinchLimits
+from carosac_toolkit.plc.emulator.winches import WinchLimits
 
 TOLERANCE = 1e-4  # share of a limit that rounding and other units may take
 FAR = 1.05  # above so many times the speed limit the PLC stops

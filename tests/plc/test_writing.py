@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.drivers import ads_block, ads_reader
-from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
-from carosac_toolkit.drivers.ads_link import AdsLink
-from carosac_toolkit.drivers.imu_udp import imu_line
 from carosac_toolkit.loop.drive_state import DriveState, Fault
-from carosac_toolkit.plc.machine import Inputs, Machine
-from carosac_toolkit.plc.settings import PlcSettings, limits_of
+from carosac_toolkit.plc import blocks, reader
+from carosac_toolkit.plc.driver import AdsDriver, AdsSettings
+from carosac_toolkit.plc.emulator.machine import Inputs, Machine
+from carosac_toolkit.plc.emulator.settings import PlcSettings, limits_of
+from carosac_toolkit.plc.exchange import AdsLink
+from carosac_toolkit.plc.imu_udp import imu_line
 from carosac_toolkit.robot.hardware import Hardware, ImuSource
 from tests.plc_process import home_pose
 from tests.robots import simple_robot
@@ -30,7 +30,7 @@ class Program:
 
     def __init__(self):
         self.lock = threading.Lock()
-        self.from_host, self.to_host = ads_block.from_host(N), ads_block.to_host(N)
+        self.from_host, self.to_host = blocks.from_host(N), blocks.to_host(N)
         self.memory = bytes(self.from_host.size)
         self.writers = []
         self.deaf = False
@@ -70,7 +70,7 @@ def program(monkeypatch):
         return True
 
     monkeypatch.setattr(AdsLink, "_connect", connect)
-    monkeypatch.setattr(ads_reader, "ANSWER", 0.6)
+    monkeypatch.setattr(reader, "ANSWER", 0.6)
     return found
 
 
@@ -151,7 +151,7 @@ def test_a_plc_that_was_started_anew_holds_the_fault_of_its_host_all_the_same(pr
 def test_a_fault_that_the_plc_did_not_take_is_said(program, host):
     driver = host()
     driver.enable()
-    program.machine._request = lambda host, mine: ads_block.Answer.UNKNOWN
+    program.machine._request = lambda host, mine: blocks.Answer.UNKNOWN
     with pytest.raises(CarosacError, match="does not hold controller: it does not know this"):
         driver.hold_fault(Fault.CONTROLLER)
 
@@ -227,7 +227,7 @@ def test_a_disable_without_answer_stays_and_the_watchdog_stops_the_winches(progr
     driver.disable()
     until(lambda: program.machine.fault is Fault.HEARTBEAT_LOST)
     until(lambda: program.machine.output(program.machine._inputs)["owner"] == 0)
-    assert program.from_host.unpack(program.memory)["request"] == ads_block.Request.DISABLE
+    assert program.from_host.unpack(program.memory)["request"] == blocks.Request.DISABLE
     program.deaf = False
     until(lambda: not written(program))
     driver.reset_fault()
@@ -238,7 +238,7 @@ def test_a_disable_without_answer_stays_and_the_watchdog_stops_the_winches(progr
 def test_a_disable_that_is_heard_late_is_obeyed(program, host, monkeypatch):
     driver = host()
     driver.enable()
-    monkeypatch.setattr(ads_reader, "ANSWER", 0.02)
+    monkeypatch.setattr(reader, "ANSWER", 0.02)
     program.deaf = True
     driver.disable()
     program.deaf = False

@@ -14,8 +14,8 @@ from carosac_toolkit.drivers.plant import Plant
 from carosac_toolkit.drivers.sensor_suite import SensorSuite
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.values import State
-from carosac_toolkit.plc.machine import Inputs
-from carosac_toolkit.plc.settings import PlcSettings
+from carosac_toolkit.plc.emulator.machine import Inputs
+from carosac_toolkit.plc.emulator.settings import PlcSettings
 from carosac_toolkit.robot.hardware import Hardware
 from carosac_toolkit.robot.robot import Robot
 

@@ -16,11 +16,10 @@ import time
 from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.drivers import ads_block
-from carosac_toolkit.drivers.ads_block import Answer, Request
-from carosac_toolkit.drivers.ads_reading import LinkCounters, Reading
-from carosac_toolkit.drivers.clock_offset import ClockOffset
-from carosac_toolkit.plc.machine_blocks import TRUTH, truth
+from carosac_toolkit.plc import blocks
+from carosac_toolkit.plc.blocks import TRUTH, Answer, Request, truth
+from carosac_toolkit.plc.clock_offset import ClockOffset
+from carosac_toolkit.plc.reading import LinkCounters, Reading
 from carosac_toolkit.robot.hardware import TCP_PORT, AdsAddress
 
 _AGAIN = 0.2  # [s] between two attempts to connect
@@ -61,7 +60,7 @@ class AdsLink:
         self.hold_heartbeat = False
         self._address, self._n, self._period, self._timeout = address, n, period, timeout
         self._writing = writing
-        self._to_host, self._from_host = ads_block.to_host(n), ads_block.from_host(n)
+        self._to_host, self._from_host = blocks.to_host(n), blocks.from_host(n)
         self._truth = truth(n)
         self._offset = ClockOffset()
         self._plc: Any = None
@@ -76,7 +75,7 @@ class AdsLink:
         self._running = False
         self._thread: threading.Thread | None = None
         self._out: dict[str, Any] = {
-            "layout": ads_block.LAYOUT, "cables": n, "session": self.session, "follow": 0,
+            "layout": blocks.LAYOUT, "cables": n, "session": self.session, "follow": 0,
             "request": 0, "request_number": secrets.randbelow(2**31), "command": 0,
             "period": 0.0, "length": 0.0, "rate": 0.0, "fault": 0,
         }  # fmt: skip
@@ -248,7 +247,7 @@ class AdsLink:
             if self._pending is not None and self.reading is not None:
                 if self.reading.values["answered"] == self._pending:
                     self.quiet()
-        except ads_block.WrongBlock as error:
+        except blocks.WrongBlock as error:
             self._failed(f"{error}; host and PLC have other data blocks")
         except Exception as error:  # pyads raises its own and RuntimeError
             if not _is_ads(error):
@@ -294,7 +293,7 @@ class AdsLink:
         """Take over what the PLC says."""
         values = self._to_host.unpack(self._fetch("to_host", self._to_host.size))
         received = time.monotonic()
-        if not ads_block.whole(self._to_host, values, self._n):
+        if not blocks.whole(self._to_host, values, self._n):
             self.counters.torn += 1
             return
         last = self.reading

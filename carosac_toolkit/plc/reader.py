@@ -9,14 +9,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.drivers.ads_block import DriveStatus
-from carosac_toolkit.drivers.ads_link import AdsLink
-from carosac_toolkit.drivers.ads_reading import LinkCounters, Reading
-from carosac_toolkit.drivers.ads_settings import DESK, PLANT, AdsSettings
-from carosac_toolkit.drivers.imu_udp import ImuListener
 from carosac_toolkit.drivers.ticks import TickSchedule
 from carosac_toolkit.loop.drive_state import DriveState, Fault, fault_of, state_of
 from carosac_toolkit.loop.values import Measurement, Stamped, State
+from carosac_toolkit.plc.blocks import DriveStatus
+from carosac_toolkit.plc.exchange import AdsLink
+from carosac_toolkit.plc.imu_udp import ImuListener
+from carosac_toolkit.plc.reading import LinkCounters, Reading
+from carosac_toolkit.plc.settings import DESK, PLANT, AdsSettings
 from carosac_toolkit.robot.hardware import Hardware
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.limiter import Limiter
@@ -25,7 +25,7 @@ ANSWER = 1.0  # [s] in which the PLC must answer a request
 
 
 class AdsReader:
-    """The half of `carosac_toolkit.drivers.ads.AdsDriver` that writes nothing.
+    """The half of `carosac_toolkit.plc.driver.AdsDriver` that writes nothing.
 
     The clock is that of this host, from `connect` on. The lengths of a measurement are the newest
     that came; when the PLC measured them is the time of `length_rate`.

@@ -13,8 +13,8 @@ from carosac_toolkit.drivers.sensors import SensorSettings
 from carosac_toolkit.loop.drive_state import Fault
 from carosac_toolkit.loop.values import Command, Measurement, Stamped
 from carosac_toolkit.physics.rest import statics
-from carosac_toolkit.plc.settings import PlcSettings
-from carosac_toolkit.plc.world import World
+from carosac_toolkit.plc.emulator.settings import PlcSettings
+from carosac_toolkit.plc.emulator.world import World
 from carosac_toolkit.robot.hardware import Hardware
 from carosac_toolkit.trajectories import minimum_snap
 from tests.robots import simple_robot

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
-from carosac_toolkit.drivers.ads_block import LAYOUT, Request, from_host
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.values import Command
 from carosac_toolkit.physics.rest import statics
-from carosac_toolkit.plc.machine_blocks import Injection
-from carosac_toolkit.plc.winches import HEADROOM
+from carosac_toolkit.plc.blocks import LAYOUT, Injection, Request, from_host
+from carosac_toolkit.plc.driver import AdsDriver, AdsSettings
+from carosac_toolkit.plc.emulator.winches import HEADROOM
 from carosac_toolkit.safety.limiter import Limiter
 from tests.plc_process import home_pose, own_address, plc_process
 

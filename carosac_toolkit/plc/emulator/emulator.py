@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.drivers import ads_block
-from carosac_toolkit.drivers.imu_udp import imu_line
-from carosac_toolkit.plc import machine_blocks
-from carosac_toolkit.plc.ams_server import AmsServer
-from carosac_toolkit.plc.machine import Machine
-from carosac_toolkit.plc.machine_blocks import Injection
-from carosac_toolkit.plc.settings import PlcSettings, limits_of
-from carosac_toolkit.plc.symbols import Symbols
-from carosac_toolkit.plc.world import World
+from carosac_toolkit.plc import blocks
+from carosac_toolkit.plc.blocks import Injection
+from carosac_toolkit.plc.emulator.ams_server import AmsServer
+from carosac_toolkit.plc.emulator.machine import Machine
+from carosac_toolkit.plc.emulator.settings import PlcSettings, limits_of
+from carosac_toolkit.plc.emulator.symbols import Symbols
+from carosac_toolkit.plc.emulator.world import World
+from carosac_toolkit.plc.imu_udp import imu_line
 from carosac_toolkit.robot.hardware import LOOPBACK, TCP_PORT, Hardware
 from carosac_toolkit.robot.robot import Robot
 
@@ -73,14 +72,14 @@ class Emulator:
         )  # fmt: skip
         self._stand()
         self._blocks = {
-            "from_host": ads_block.from_host(n), "to_host": ads_block.to_host(n),
-            "control": machine_blocks.control(), "diagnosis": machine_blocks.diagnosis(n),
-            "truth": machine_blocks.truth(n),
+            "from_host": blocks.from_host(n), "to_host": blocks.to_host(n),
+            "control": blocks.control(), "diagnosis": blocks.diagnosis(n),
+            "truth": blocks.truth(n),
         }  # fmt: skip
         self._names = {
             "from_host": self.hardware.ads.from_host, "to_host": self.hardware.ads.to_host,
-            "control": machine_blocks.CONTROL, "diagnosis": machine_blocks.DIAGNOSIS,
-            "truth": machine_blocks.TRUTH,
+            "control": blocks.CONTROL, "diagnosis": blocks.DIAGNOSIS,
+            "truth": blocks.TRUTH,
         }  # fmt: skip
         self._symbols = Symbols()
         for key, name in self._names.items():
@@ -122,8 +121,8 @@ class Emulator:
         data = self._symbols.read(self._names["from_host"])
         host: dict[str, Any] | None = self._blocks["from_host"].unpack(data)
         try:
-            ads_block.whole(self._blocks["from_host"], host or {}, self._n)
-        except ads_block.WrongBlock:
+            blocks.whole(self._blocks["from_host"], host or {}, self._n)
+        except blocks.WrongBlock:
             host = None
         machine = self.machine
         machine.cycle(host, self.world.inputs)
@@ -147,7 +146,7 @@ class Emulator:
         self, kind: Injection, axis: int = 0, value: float = 1.0, second: float = 0.0,
         position: Any = (0.0, 0.0, 0.0),
     ) -> None:  # fmt: skip
-        """Do something to the machine; arguments as in `machine_blocks.control`.
+        """Do something to the machine; arguments as in `blocks.control`.
 
         Raises:
             InvalidField: No such cable, or a position where the robot cannot rest.
@@ -180,7 +179,7 @@ class Emulator:
     def diagnosis(self) -> dict[str, Any]:
         """What the PLC counted."""
         counters, winches = self.machine.counters, self.machine.winches
-        found = {name: getattr(counters, name, 0) for name in machine_blocks.COUNTS}
+        found = {name: getattr(counters, name, 0) for name in blocks.COUNTS}
         return found | {
             "cycles": self._cycles, "overruns": self.overruns, "lost_time": self.lost_time,
             "control_done": self._control, "control_refused": self._refused,

@@ -17,16 +17,16 @@ import numpy as np
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.numbers import check_period
-from carosac_toolkit.drivers import ads_reader
-from carosac_toolkit.drivers.ads_block import Answer, DriveStatus, Request
-from carosac_toolkit.drivers.ads_link import AdsLink
-from carosac_toolkit.drivers.ads_reader import AdsReader
-from carosac_toolkit.drivers.ads_settings import AdsSettings, Point
 from carosac_toolkit.drivers.guard_inner import homing_lengths
-from carosac_toolkit.drivers.imu_udp import ImuListener
 from carosac_toolkit.drivers.ticks import TickSchedule
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.values import Command, LimitHit, State
+from carosac_toolkit.plc import reader
+from carosac_toolkit.plc.blocks import Answer, DriveStatus, Request
+from carosac_toolkit.plc.exchange import AdsLink
+from carosac_toolkit.plc.imu_udp import ImuListener
+from carosac_toolkit.plc.reader import AdsReader
+from carosac_toolkit.plc.settings import AdsSettings, Point
 from carosac_toolkit.robot.robot import Robot
 
 __all__ = ["AdsDriver", "AdsSettings"]
@@ -75,7 +75,7 @@ class AdsDriver(AdsReader):
         try:
             if settings.motion and settings.start_position is not None and link.emulated:
                 self._place(settings.start_position)
-                link.wait_for_data(time.monotonic() + 0.05, ads_reader.ANSWER)
+                link.wait_for_data(time.monotonic() + 0.05, reader.ANSWER)
             if "imu" in settings.suite and self._named.imu is not None:
                 self._imu = ImuListener(self._named.imu)
         except BaseException:
@@ -106,7 +106,7 @@ class AdsDriver(AdsReader):
         if not self._settings.motion or not link.emulated:
             raise CarosacError(f"{self.name}: set_down() wants motion=True and an emulated PLC")
         self._place(position)
-        link.wait_for_data(time.monotonic() + 0.05, ads_reader.ANSWER)
+        link.wait_for_data(time.monotonic() + 0.05, reader.ANSWER)
 
     def home(self, position: State) -> None:
         """Find the offset of each cable: the platform stands still at this pose.
@@ -125,7 +125,7 @@ class AdsDriver(AdsReader):
         lengths = homing_lengths(self._robot, position)
         numbers = []
         for _ in range(_HOMING):
-            if not link.wait_for_data(time.monotonic(), ads_reader.ANSWER):
+            if not link.wait_for_data(time.monotonic(), reader.ANSWER):
                 raise CarosacError(f"{self.name}: no data from the PLC to home with: {link.error}")
             numbers.append(self._reading().values["length"])
         said = self._hardware.length(np.mean(numbers, axis=0))
@@ -150,7 +150,7 @@ class AdsDriver(AdsReader):
         self._enabled = True  # from here on the PLC may obey, whatever happens
         try:
             self._asked(Request.ENABLE)
-            if not link.wait_for_data(time.monotonic(), ads_reader.ANSWER):
+            if not link.wait_for_data(time.monotonic(), reader.ANSWER):
                 raise CarosacError(f"{self.name}: no data from the PLC: {link.error}")
             held = self._hardware.length(self._reading().values["set_length"])
             self._limiter.reset(held[None])
@@ -201,7 +201,7 @@ class AdsDriver(AdsReader):
         finally:
             if not self._enabled:
                 link.quiet()
-        link.wait_for_data(time.monotonic(), ads_reader.ANSWER)
+        link.wait_for_data(time.monotonic(), reader.ANSWER)
 
     def stop(self, reason: str) -> None:
         """Have the PLC ramp all winches to rest together; no command passes until `enable`."""
@@ -290,7 +290,7 @@ class AdsDriver(AdsReader):
             return
         self._enabled = False
         if not link.other:
-            answer = link.request(request, ads_reader.ANSWER, fault=fault.number)
+            answer = link.request(request, reader.ANSWER, fault=fault.number)
             if answer not in (Answer.NONE, Answer.NOT_OWNER):
                 self._wait_for_rest()
             if answer is not Answer.NONE:
@@ -305,7 +305,7 @@ class AdsDriver(AdsReader):
         """Refuse to write where the PLC obeys another host."""
         link = self._connected()
         if link.other:  # perhaps it has let go since
-            link.wait_for_data(time.monotonic(), ads_reader.ANSWER)
+            link.wait_for_data(time.monotonic(), reader.ANSWER)
         other = link.other
         if other:
             raise CarosacError(
@@ -314,7 +314,7 @@ class AdsDriver(AdsReader):
 
     def _asked(self, request: Request) -> None:
         """Ask the PLC; refuse everything but that it is done."""
-        answer = self._connected().request(request, ads_reader.ANSWER)
+        answer = self._connected().request(request, reader.ANSWER)
         if answer is Answer.DONE:
             return
         raise CarosacError(
@@ -332,13 +332,13 @@ class AdsDriver(AdsReader):
                 DriveState.STOPPING.number
             ):
                 return
-            if not link.wait_for_data(time.monotonic(), ads_reader.ANSWER):
+            if not link.wait_for_data(time.monotonic(), reader.ANSWER):
                 return
 
     def _place(self, position: Point) -> None:
         """Have an emulated PLC set its robot down."""
-        from carosac_toolkit.plc.client import PlcClient
-        from carosac_toolkit.plc.machine_blocks import Injection
+        from carosac_toolkit.plc.blocks import Injection
+        from carosac_toolkit.plc.emulator.client import PlcClient
 
         with PlcClient(self._robot.n, self._named.ads.ip) as client:
             client.inject(Injection.PLACE, position=position)

@@ -11,7 +11,7 @@ class Reading:
     """What the PLC said.
 
     Attributes:
-        values: By name, as in `ads_block.to_host`.
+        values: By name, as in `blocks.to_host`.
         received: When, by `time.monotonic` [s].
         measured: When its lengths were measured, by the same clock [s]; stays the same where the
             heartbeat or the clock of the PLC does.

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from carosac_toolkit.drivers.ads_block import LAYOUT, Answer, Request
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.values import Command
-from carosac_toolkit.plc.machine import Inputs, Machine
-from carosac_toolkit.plc.winches import HEADROOM, Winches, WinchLimits
+from carosac_toolkit.plc.blocks import LAYOUT, Answer, Request
+from carosac_toolkit.plc.emulator.machine import Inputs, Machine
+from carosac_toolkit.plc.emulator.winches import HEADROOM, Winches, WinchLimits
 from carosac_toolkit.safety.limiter import Limiter, LimitSettings
 from tests.robots import simple_robot
 

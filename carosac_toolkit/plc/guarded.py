@@ -11,9 +11,9 @@ from carosac_toolkit.drivers.guarded import GuardedDriver
 
 @dataclass(frozen=True, kw_only=True)
 class GuardedAdsSettings(GuardSettings):
-    """Settings of the guard; `inner` are those of `carosac_toolkit.drivers.ads.AdsDriver`."""
+    """Settings of the guard; `inner` are those of `carosac_toolkit.plc.driver.AdsDriver`."""
 
-    driver: str = "carosac_toolkit.drivers.ads:AdsDriver"
+    driver: str = "carosac_toolkit.plc.driver:AdsDriver"
 
 
 class GuardedAds(GuardedDriver):

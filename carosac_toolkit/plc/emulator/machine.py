@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.drivers.ads_block import LAYOUT, Answer, DriveStatus, Request
 from carosac_toolkit.loop.drive_state import DriveState, Fault, fault_of
-from carosac_toolkit.plc.command_checks import CommandChecks, Counters
-from carosac_toolkit.plc.playback import Playback
-from carosac_toolkit.plc.winches import Winches, WinchLimits
+from carosac_toolkit.plc.blocks import LAYOUT, Answer, DriveStatus, Request
+from carosac_toolkit.plc.emulator.command_checks import CommandChecks, Counters
+from carosac_toolkit.plc.emulator.playback import Playback
+from carosac_toolkit.plc.emulator.winches import Winches, WinchLimits
 
 _ON = (DriveState.ENABLED, DriveState.FOLLOWING, DriveState.STOPPING)
 _SESSIONS = 32  # whose newest request is remembered

@@ -8,9 +8,8 @@ import time
 from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.drivers.ads_block import Block
-from carosac_toolkit.plc import machine_blocks
-from carosac_toolkit.plc.machine_blocks import Injection
+from carosac_toolkit.plc import blocks
+from carosac_toolkit.plc.blocks import Block, Injection
 from carosac_toolkit.robot.hardware import LOOPBACK, TCP_PORT
 
 _HEADER = struct.Struct("<6sH6sHHHIII")
@@ -70,12 +69,12 @@ class PlcClient:
             CarosacError: The PLC refused it, or did not answer.
         """
         number = int(self.diagnosis()["control_done"]) + 1
-        block = machine_blocks.control()
+        block = blocks.control()
         values = {
             "number": number, "kind": int(kind), "axis": axis, "value": value, "second": second,
             "position": position,
         }  # fmt: skip
-        self.write(machine_blocks.CONTROL, block.pack(values))
+        self.write(blocks.CONTROL, block.pack(values))
         end = time.monotonic() + _PATIENCE
         while time.monotonic() < end:
             found = self.diagnosis()
@@ -88,11 +87,11 @@ class PlcClient:
 
     def diagnosis(self) -> dict[str, Any]:
         """What the PLC counted."""
-        return self._values(machine_blocks.DIAGNOSIS, machine_blocks.diagnosis(self._n))
+        return self._values(blocks.DIAGNOSIS, blocks.diagnosis(self._n))
 
     def truth(self) -> dict[str, Any]:
         """The state of the simulated robot."""
-        return self._values(machine_blocks.TRUTH, machine_blocks.truth(self._n))
+        return self._values(blocks.TRUTH, blocks.truth(self._n))
 
     def read(self, name: str, size: int) -> bytes:
         """The bytes of a symbol."""
