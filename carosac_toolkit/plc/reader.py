@@ -1,9 +1,8 @@
-"""What is read of a robot behind a PLC: state, faults, measurements, truth of an emulated one."""
+"""The reading half of the PLC driver: state, faults, measurements, truth of an emulated robot."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,41 +12,42 @@ from carosac_toolkit.drivers.ticks import TickSchedule
 from carosac_toolkit.loop.drive_state import DriveState, Fault, fault_of, state_of
 from carosac_toolkit.loop.values import Measurement, Stamped, State
 from carosac_toolkit.plc.blocks import DriveStatus
-from carosac_toolkit.plc.exchange import AdsLink
+from carosac_toolkit.plc.exchange import PlcExchange
 from carosac_toolkit.plc.imu_udp import ImuListener
 from carosac_toolkit.plc.reading import LinkCounters, Reading
-from carosac_toolkit.plc.settings import DESK, PLANT, AdsSettings
+from carosac_toolkit.plc.settings import (
+    EMULATED_SILENCE_MAX_S,
+    SILENCE_MAX_S,
+    PlcDriverSettings,
+)
 from carosac_toolkit.robot.hardware import Hardware
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.safety.limiter import Limiter
 
-ANSWER = 1.0  # [s] in which the PLC must answer a request
+ANSWER_TIMEOUT_S = 1.0  # the PLC answers a request within a cycle of 10 ms
 
 
-class AdsReader:
-    """The half of `carosac_toolkit.plc.driver.AdsDriver` that writes nothing.
+class PlcReader:
+    """The half of `carosac_toolkit.plc.driver.PlcDriver` that writes nothing.
 
     The clock is that of this host, from `connect` on. The lengths of a measurement are the newest
-    that came; when the PLC measured them is the time of `length_rate`.
+    that came; the time of its `length_rate` is when the PLC measured them.
 
     Attributes:
-        link: The connection; None before `connect` and after `close`.
-        link_counters: What happened on it, also after `close`.
+        exchange: The exchange with the PLC; None before `connect` and after `close`.
+        link_counters: Counts of that exchange, also after `close`.
     """
 
-    Settings: ClassVar[type[AdsSettings]] = AdsSettings
-    name: ClassVar[str] = "ads"
+    Settings: ClassVar[type[PlcDriverSettings]] = PlcDriverSettings
+    name: ClassVar[str] = "plc"
 
-    def __init__(self, robot: Robot, settings: AdsSettings | None = None) -> None:
+    def __init__(self, robot: Robot, settings: PlcDriverSettings | None = None) -> None:
         """Set up; nothing is connected yet."""
         self._robot = robot
-        self._settings = settings or AdsSettings()
-        self._named = robot.hardware or Hardware.loopback(robot.n)
-        if self._settings.ip is not None:
-            ads = replace(self._named.ads, ip=self._settings.ip, net_id=f"{self._settings.ip}.1.1")
-            self._named = replace(self._named, ads=ads)
-        self._hardware = self._named
-        self.link: AdsLink | None = None
+        self._settings = settings or PlcDriverSettings()
+        self._hardware = robot.hardware or Hardware.loopback(robot.n)
+        self._hardware_of_file = self._hardware
+        self.exchange: PlcExchange | None = None
         self.link_counters = LinkCounters()
         self._imu: ImuListener | None = None
         self._limiter = Limiter(robot, self._settings.limits, period=self._settings.period)
@@ -61,70 +61,70 @@ class AdsReader:
         return self._ticks.missed
 
     def status(self) -> str:
-        """State of the drive system in one word, as `DriveState`."""
+        """Return the state of the drive system in one word, as `DriveState`."""
         return str(self.state)
 
     @property
     def state(self) -> DriveState:
-        """Where the drive system stands."""
-        link = self.link
-        if link is None or link.reading is None:
+        """State of the drive system."""
+        exchange = self.exchange
+        if exchange is None or exchange.reading is None:
             return DriveState.DISCONNECTED
         if self.link_fault is not Fault.NONE:
             return DriveState.FAULT
-        said = state_of(link.reading.values["state"])
-        return DriveState.HOMED if said is DriveState.CONNECTED and self._homed else said
+        state = state_of(exchange.reading.values["state"])
+        return DriveState.HOMED if state is DriveState.CONNECTED and self._homed else state
 
     @property
     def lost_after(self) -> float:
         """Silence after which the connection counts as lost [s]."""
-        asked = self._settings.lost_after
-        if asked is not None:
-            return asked
-        return DESK if self.link is not None and self.link.emulated else PLANT
+        if self._settings.lost_after is not None:
+            return self._settings.lost_after
+        emulated = self.exchange is not None and self.exchange.emulated
+        return EMULATED_SILENCE_MAX_S if emulated else SILENCE_MAX_S
 
     @property
     def fault(self) -> Fault:
-        """What is wrong, by the connection to the PLC or by the PLC."""
-        own, link = self.link_fault, self.link
-        if own is not Fault.NONE or link is None or link.reading is None:
+        """Fault of the connection, else the one that the PLC holds."""
+        own, exchange = self.link_fault, self.exchange
+        if own is not Fault.NONE or exchange is None or exchange.reading is None:
             return own
-        return fault_of(link.reading.values["fault"])
+        return fault_of(exchange.reading.values["fault"])
 
     @property
     def link_fault(self) -> Fault:
-        """What is wrong with the connection; the PLC may hold the same word of an earlier one."""
-        link = self.link
-        if link is None or link.reading is None:
+        """Fault of the connection; the PLC may hold the same one from an earlier run."""
+        exchange = self.exchange
+        if exchange is None or exchange.reading is None:
             return Fault.NONE
-        if link.age > self.lost_after:
+        if exchange.age > self.lost_after:
             return Fault.LOST_CONNECTION
-        if link.counters.restarts != self._restarts:
+        if exchange.counters.restarts != self._restarts:
             return Fault.LOST_CONNECTION
-        if time.monotonic() - link.reading.advanced > self.lost_after:
+        if time.monotonic() - exchange.reading.advanced > self.lost_after:
             return Fault.STALE_DATA
-        if self._enabled and link.other:
+        if self._enabled and exchange.other:
             return Fault.OWNER
         return Fault.NONE
 
     @property
     def fault_text(self) -> str:
-        """The same for people, with the cable where it is that of one."""
-        link, fault = self.link, self.fault
-        if link is None or link.reading is None:
+        """Fault in words, with the cable if it is the fault of one."""
+        exchange, fault = self.exchange, self.fault
+        if exchange is None or exchange.reading is None:
             return "not connected"
         if self.link_fault is Fault.LOST_CONNECTION:
-            if link.age <= self.lost_after:
+            if exchange.age <= self.lost_after:
                 return "lost connection: the PLC was started anew; home again"
-            return f"lost connection: no answer for {link.age:.2f} s ({link.error})"
-        axis = link.reading.values["fault_axis"]
+            return f"lost connection: no answer for {exchange.age:.2f} s ({exchange.error})"
+        axis = exchange.reading.values["fault_axis"]
         names = self._robot.cable_names
-        where = f" of cable {names[axis - 1]}" if 1 <= axis <= len(names) else ""
-        number = link.reading.values["fault"] if fault is Fault.UNKNOWN else ""
-        return f"{fault}{number}{where}: {fault.meaning}"
+        cable = f" of cable {names[axis - 1]}" if 1 <= axis <= len(names) else ""
+        number = exchange.reading.values["fault"] if fault is Fault.UNKNOWN else ""
+        return f"{fault}{number}{cable}: {fault.meaning}"
 
     def measure(self) -> Measurement:
-        """The newest data that came from the PLC."""
+        """Return the newest data that came from the PLC."""
         reading, hardware = self._reading(), self._hardware
         values = reading.values
         stamp = np.array([self._ticks.since(reading.measured)])
@@ -138,43 +138,44 @@ class AdsReader:
             length_rate=Stamped(time=stamp, value=rate[None]),
             tension=tension,
             imu=None if self._imu is None else self._imu.take(self._ticks.origin),
-            drive_status=tuple(_drive(x) for x in values["drive_status"]),
+            drive_status=tuple(_drive_word(number) for number in values["drive_status"]),
         )
 
     def truth(self) -> State | None:
-        """The state of the robot of an emulated PLC at its newest cycle; None of a real one."""
-        link = self._connected()
-        if not link.emulated:
+        """Return the true state of an emulated robot at its newest cycle; None of a real one."""
+        exchange = self._connected()
+        if not exchange.emulated:
             return None
-        if not link.wants_truth:
-            link.wants_truth = True
-            link.wait_for_data(time.monotonic() + self._settings.io_period, ANSWER)
+        if not exchange.wants_truth:
+            exchange.wants_truth = True
+            end = time.monotonic() + self._settings.io_period
+            exchange.wait_for_data(end, ANSWER_TIMEOUT_S)
         reading = self._reading()
-        known = reading.truth
-        if known is None:
+        values = reading.truth
+        if values is None:
             return None
         return State(
             time=np.array([self._ticks.since(reading.received)]),
-            position=known["position"][None],
-            rotation=known["rotation"].reshape(1, 3, 3),
-            twist=known["twist"][None],
-            unstrained_length=known["length"][None],
-            tension=known["tension"][None],
+            position=values["position"][None],
+            rotation=values["rotation"].reshape(1, 3, 3),
+            twist=values["twist"][None],
+            unstrained_length=values["length"][None],
+            tension=values["tension"][None],
         )
 
-    def _connected(self) -> AdsLink:
+    def _connected(self) -> PlcExchange:
         """Refuse to work before `connect` and after `close`."""
-        if self.link is None:
+        if self.exchange is None:
             raise CarosacError(f"{self.name}: not connected; call connect() first")
-        return self.link
+        return self.exchange
 
     def _reading(self) -> Reading:
-        """The newest data."""
+        """Return the newest data."""
         reading = self._connected().reading
         assert reading is not None  # `connect` waited for it
         return reading
 
 
-def _drive(number: Any) -> str:
-    """Status of a drive in one word."""
+def _drive_word(number: Any) -> str:
+    """Return the status of a drive in one word."""
     return DriveStatus(int(number)).name.lower() if int(number) <= max(DriveStatus) else "unknown"

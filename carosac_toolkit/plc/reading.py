@@ -1,4 +1,4 @@
-"""What a PLC said, and what happened on the way."""
+"""Data read from a PLC, and counts of what happened on the way."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Any
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reading:
-    """What the PLC said.
+    """Data of one PLC cycle.
 
     Attributes:
-        values: By name, as in `blocks.to_host`.
-        received: When, by `time.monotonic` [s].
-        measured: When its lengths were measured, by the same clock [s]; stays the same where the
-            heartbeat or the clock of the PLC does.
-        advanced: When that was last seen to advance, by the same clock [s].
-        truth: What an emulated PLC knows of its robot, or None.
+        values: Members of `blocks.to_host` by name.
+        received: Time of arrival, by `time.monotonic` [s].
+        measured: Time when the lengths were measured, by the same clock [s]; unchanged while the
+            heartbeat or the clock of the PLC stands still.
+        advanced: Time when both were last seen to advance, by the same clock [s].
+        truth: Members of `blocks.truth` by name, from an emulated PLC; else None.
     """
 
     values: dict[str, Any]
@@ -28,17 +28,17 @@ class Reading:
 
 @dataclass
 class LinkCounters:
-    """What happened on a link.
+    """Counts of one exchange.
 
     Attributes:
-        cycles: Reads, and writes if any, that went well.
+        cycles: Cycles that succeeded: a read, and a write if there was one.
         errors: Calls that failed.
-        torn: Data that were not of one PLC cycle.
-        reconnects: How often the connection was opened anew.
-        restarts: How often the PLC started anew: another ``boot``, or its clock went back.
+        torn: Blocks that were not of one PLC cycle.
+        reconnects: Connections opened anew.
+        restarts: Starts of the PLC program: another ``boot``, or a clock that went back.
         missed: Cycles of the thread that came a whole period late.
         round_trip: Wall time of the newest cycle, read and write [s].
-        round_trip_max: The longest one [s].
+        round_trip_max: Longest of them [s].
         gap_max: Longest time from the end of one cycle to that of the next [s].
     """
 

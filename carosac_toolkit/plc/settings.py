@@ -1,8 +1,10 @@
-"""Settings of the driver of a robot behind a TwinCAT PLC."""
+"""Settings of the driver of a robot behind a PLC."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields, check_positive
@@ -10,31 +12,35 @@ from carosac_toolkit.safety.limiter import LimitSettings
 
 Point = tuple[float, float, float]
 
-PLANT = 0.1  # [s] of silence in which full speed is 25 cm: what a network of its own never needs
-DESK = 0.5  # [s]; PLC and host beside other programs on two cores: 0.19 s in 30 s, 0.25 s in 600 s
+SILENCE_MAX_S = 0.1  # a winch at 2.5 m/s pays out 25 cm in it; a network of its own never needs it
+EMULATED_SILENCE_MAX_S = 0.5  # PLC and host beside other programs on two cores: 0.25 s in 600 s
 _SUITES = ("lengths", "lengths+imu")
 
 
 @dataclass(frozen=True, kw_only=True)
-class AdsSettings:
-    """Settings of `AdsDriver`; where the PLC is stands in the robot file, section ``hardware``.
+class PlcDriverSettings:
+    """Settings of `PlcDriver`; the place of the PLC is in the robot file, section ``hardware``.
 
     Attributes:
-        ip: Address of the PLC, such as 127.0.0.1 for an emulated one; its AMS net id is then the
-            same with .1.1. None: as the robot file says.
+        link: Wire to the PLC: an entry point in ``carosac.links``, or ``module:Class``.
+        link_settings: Settings of the link by name, beside `ip` and `timeout`.
+        ip: Address of the PLC, such as 127.0.0.1 for an emulated one; over ADS the AMS net id is
+            then the same with .1.1. None: as in the robot file.
         motion: Whether anything may be written to the PLC; without it the driver only reads.
         period: Time between two commands [s].
         io_period: Time between two exchanges of data [s]; a new command is sent at once.
-        timeout: After which a call is given up [s]; None: as the robot file says.
+        timeout: Time after which a call of the link gives up [s]. None: as in the robot file.
         lost_after: Silence of the PLC after which the connection counts as lost, and standstill of
-            its heartbeat or clock after which its data are stale [s]. None: `PLANT` for a PLC, and
-            `DESK` for an emulated one, which shares a machine with its host and is kept waiting.
-        suite: ``lengths``, or ``lengths+imu`` where the robot file names an IMU.
-        start_position: Where an emulated PLC sets its robot down at `connect`, in W [m]; no real
-            one is moved. None: it stays where it is.
-        limits: Of the commands.
+            its heartbeat or clock after which its data are stale [s]. None: `SILENCE_MAX_S`, and
+            `EMULATED_SILENCE_MAX_S` for an emulated PLC, which has to wait for processor time.
+        suite: ``lengths``, or ``lengths+imu`` if the robot file names an IMU.
+        start_position: Where an emulated PLC sets its robot down at `connect`, in W [m]; a real
+            robot does not move. None: it stays where it is.
+        limits: Limits of the commands.
     """
 
+    link: str = "ads"
+    link_settings: Mapping[str, Any] = field(default_factory=dict)
     ip: str | None = None
     motion: bool = False
     period: float = 0.01
@@ -46,7 +52,7 @@ class AdsSettings:
     limits: LimitSettings = field(default_factory=lambda: LimitSettings(box=False))
 
     def __post_init__(self) -> None:
-        """Refuse a switch that is none, times that are not positive, an unknown suite."""
+        """Refuse a `motion` that is no bool, times that are not positive, an unknown suite."""
         if not isinstance(self.motion, bool):
             raise InvalidField("motion", repr(self.motion), "True or False")
         check_fields(self, positive=("period", "io_period"))
@@ -56,3 +62,9 @@ class AdsSettings:
         if self.suite not in _SUITES:
             allowed = f"one of {list(_SUITES)}; the PLC measures no poses"
             raise InvalidField("suite", repr(self.suite), allowed)
+
+    @property
+    def for_link(self) -> dict[str, Any]:
+        """Settings of the link that differ from its defaults."""
+        shared = {"ip": self.ip, "timeout": self.timeout}
+        return {k: v for k, v in shared.items() if v is not None} | dict(self.link_settings)

@@ -17,7 +17,7 @@ from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Command
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.plc.blocks import Injection
-from carosac_toolkit.plc.driver import AdsDriver, AdsSettings
+from carosac_toolkit.plc.driver import PlcDriver, PlcDriverSettings
 from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
 from carosac_toolkit.studies.compare.study import Study
 from tests.plc_process import home_pose, plc_process
@@ -123,7 +123,7 @@ def test_a_rehearsal_finds_a_wrong_home_and_writes_nothing_to_the_plc(plc):
     guard.connect()
     try:
         assert guard.state is DriveState.HOMED
-        assert guard.inner.link.reading.values["owner"] == 0
+        assert guard.inner.exchange.reading.values["owner"] == 0
     finally:
         guard.close()
     guard = guard_of(plc, rehearse=True, start_position=tuple(home + np.array([0.0, 0.5, 0.0])))
@@ -219,7 +219,7 @@ def test_a_held_fault_leaves_dry_runs_alone_and_can_be_reset(plc, fault):
 
 
 def test_the_command_clears_a_fault_and_moves_nothing(plc, capsys):
-    driver = AdsDriver(plc.robot, AdsSettings(motion=True))
+    driver = PlcDriver(plc.robot, PlcDriverSettings(motion=True))
     driver.connect()
     driver.hold_fault(Fault.ESTIMATOR)
     driver.close()

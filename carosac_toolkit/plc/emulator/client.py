@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import socket
 import struct
-import time
 from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.plc import blocks
-from carosac_toolkit.plc.blocks import Block, Injection
+from carosac_toolkit.plc.blocks import Injection
+from carosac_toolkit.plc.injection import inject, read_diagnosis
 from carosac_toolkit.robot.hardware import LOOPBACK, TCP_PORT
 
 _HEADER = struct.Struct("<6sH6sHHHIII")
@@ -68,30 +68,16 @@ class PlcClient:
         Raises:
             CarosacError: The PLC refused it, or did not answer.
         """
-        number = int(self.diagnosis()["control_done"]) + 1
-        block = blocks.control()
-        values = {
-            "number": number, "kind": int(kind), "axis": axis, "value": value, "second": second,
-            "position": position,
-        }  # fmt: skip
-        self.write(blocks.CONTROL, block.pack(values))
-        end = time.monotonic() + _PATIENCE
-        while time.monotonic() < end:
-            found = self.diagnosis()
-            if found["control_refused"] == number:
-                raise CarosacError(f"plc: refused {kind.name.lower()} of axis {axis}, {value:g}")
-            if found["control_done"] >= number:
-                return
-            time.sleep(0.002)
-        raise CarosacError(f"plc: {kind.name.lower()} was not carried out in {_PATIENCE:g} s")
+        inject(self, self._n, kind, axis, value, second, position)
 
     def diagnosis(self) -> dict[str, Any]:
-        """What the PLC counted."""
-        return self._values(blocks.DIAGNOSIS, blocks.diagnosis(self._n))
+        """Return the counters of the PLC."""
+        return read_diagnosis(self, self._n)
 
     def truth(self) -> dict[str, Any]:
-        """The state of the simulated robot."""
-        return self._values(blocks.TRUTH, blocks.truth(self._n))
+        """Return the true state of the simulated robot."""
+        block = blocks.truth(self._n)
+        return block.unpack(self.read(blocks.TRUTH, block.size))
 
     def read(self, name: str, size: int) -> bytes:
         """The bytes of a symbol."""
@@ -102,9 +88,6 @@ class PlcClient:
         """Set the bytes of a symbol."""
         head = struct.pack("<III", _VALUE_BY_HANDLE, self._handle(name), len(data))
         self._ask(_WRITE, head + data)
-
-    def _values(self, name: str, block: Block) -> dict[str, Any]:
-        return block.unpack(self.read(name, block.size))
 
     def _handle(self, name: str) -> int:
         """Handle of a symbol, asked for once."""
