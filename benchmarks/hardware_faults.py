@@ -39,7 +39,7 @@ from carosac_toolkit.plc import blocks
 from carosac_toolkit.plc.blocks import Injection
 from carosac_toolkit.plc.emulator.client import PlcClient
 from carosac_toolkit.plc.emulator.emulator import Emulator
-from carosac_toolkit.plc.emulator.settings import PlcSettings
+from carosac_toolkit.plc.emulator.settings import EmulatorSettings
 from carosac_toolkit.recordings.crash_safe import read_run
 from carosac_toolkit.robot.file import parse_robot, robot_text
 
@@ -130,7 +130,7 @@ def plc(trial: Trial, check: bool) -> int:
     """The PLC process."""
     take_priority("plc")
     robot = ct.load_robot(trial.folder / "robot.yaml")
-    settings = PlcSettings(encoder_check=check, shift=0.1, watchdog=NOTICED)
+    settings = EmulatorSettings(encoder_check=check, shift=0.1, watchdog=NOTICED)
     emulator = Emulator(robot, robot, settings, seed=os.getpid())
     signal.signal(signal.SIGTERM, lambda *_: emulator.stop())
     with quick_threads():

@@ -17,7 +17,7 @@ from carosac_toolkit.plc import blocks
 from carosac_toolkit.plc.blocks import from_host
 from carosac_toolkit.plc.emulator.client import PlcClient
 from carosac_toolkit.plc.emulator.emulator import Emulator
-from carosac_toolkit.plc.emulator.settings import PlcSettings
+from carosac_toolkit.plc.emulator.settings import EmulatorSettings
 from tests.plc_process import own_address
 from tests.robots import simple_robot
 
@@ -26,7 +26,7 @@ from tests.robots import simple_robot
 def emulator():
     """An emulator that nobody runs: its cycles are stepped by hand."""
     robot = simple_robot()
-    found = Emulator(robot, robot, PlcSettings(), ip=own_address())
+    found = Emulator(robot, robot, EmulatorSettings(), ip=own_address())
     yield found
     found.close()
 

@@ -14,7 +14,7 @@ from carosac_toolkit.plc import blocks, reader
 from carosac_toolkit.plc import driver as driver_module
 from carosac_toolkit.plc.driver import PlcDriver, PlcDriverSettings
 from carosac_toolkit.plc.emulator.machine import Inputs, Machine
-from carosac_toolkit.plc.emulator.settings import PlcSettings, limits_of
+from carosac_toolkit.plc.emulator.settings import winch_limits
 from carosac_toolkit.plc.imu_udp import imu_line
 from carosac_toolkit.robot.hardware import Hardware, ImuSource
 from tests.plc_process import home_pose
@@ -26,7 +26,7 @@ START = (ROBOT.length_min + ROBOT.length_max) / 2
 
 
 class Program:
-    """The program of a PLC, and the link to it; a cycle at each read. `deaf`: it finds no request."""
+    """The program of a PLC and the link to it; a cycle a read. `deaf`: it finds no request."""
 
     address, timeout = "in this process", 0.05
 
@@ -39,7 +39,7 @@ class Program:
         self.start()
 
     def start(self):
-        limits = limits_of(ROBOT, Hardware.loopback(N), PlcSettings())
+        limits = winch_limits(ROBOT, Hardware.loopback(N))
         self.machine = Machine(limits, cycle=0.005, watchdog=0.1)
         self.machine.place(START)
         self.memory = bytes(self.from_host.size)

@@ -17,9 +17,9 @@ from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.plc.emulator.symbols import Symbols
 from carosac_toolkit.robot.hardware import TCP_PORT
 
-LONGEST = 1 << 16  # bytes of a request; longer ones are no ADS
+REQUEST_BYTES_MAX = 1 << 16  # longer requests are no ADS
 _HEADER = struct.Struct("<6sH6sHHHIII")
-_PATIENCE = 2.0  # [s] for threads to end
+THREAD_END_TIMEOUT_S = 2.0
 
 _INFO, _READ, _WRITE, _STATE, _READ_WRITE = 1, 2, 3, 4, 9
 _HANDLE_BY_NAME, _VALUE_BY_HANDLE, _RELEASE_HANDLE = 0xF003, 0xF005, 0xF006
@@ -36,11 +36,11 @@ class _Refused(Exception):
 
 
 class AmsServer:
-    """Answers ADS requests, one thread for each connection.
+    """A server of ADS requests, with one thread for each connection.
 
     Attributes:
-        delay: By how much every answer comes later [s]: a slow network.
-        jitter: By how much more at most, at random [s].
+        delay: Delay of every answer, as in a slow network [s].
+        jitter: Largest further delay, drawn at random [s].
         requests: Number of requests answered.
     """
 
@@ -48,7 +48,7 @@ class AmsServer:
         """Listen; requests wait until `start`.
 
         Raises:
-            CarosacError: The address cannot be used.
+            CarosacError: The address is not of this machine, or in use.
         """
         self.symbols = symbols
         self.delay = 0.0
@@ -71,13 +71,13 @@ class AmsServer:
             ) from error
 
     def start(self) -> None:
-        """Answer from now on."""
+        """Start to answer requests."""
         self._running = True
         self._accepting = threading.Thread(target=self._accept, name="ads-accept", daemon=True)
         self._accepting.start()
 
     def close(self) -> None:
-        """Cut all connections and end all threads; safe to call twice."""
+        """Close all connections and end all threads; safe to call twice."""
         self._running = False
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
@@ -88,7 +88,7 @@ class AmsServer:
                     connection.shutdown(socket.SHUT_RDWR)
         threads = [*self._threads, *([self._accepting] if hasattr(self, "_accepting") else [])]
         for thread in threads:
-            thread.join(_PATIENCE)
+            thread.join(THREAD_END_TIMEOUT_S)
 
     def _accept(self) -> None:
         while self._running:
@@ -106,12 +106,12 @@ class AmsServer:
             thread.start()
 
     def _serve(self, connection: socket.socket) -> None:
-        """Answer one connection until it ends; what is no ADS ends it."""
+        """Answer one connection until it ends; close it at data that are no ADS."""
         try:
             while self._running:
                 head = _exactly(connection, 6)
                 size = int.from_bytes(head[2:], "little")
-                if not _HEADER.size <= size <= LONGEST:
+                if not _HEADER.size <= size <= REQUEST_BYTES_MAX:
                     return
                 packet = _exactly(connection, size)
                 if self.delay or self.jitter:
@@ -127,7 +127,7 @@ class AmsServer:
             connection.close()
 
     def _answer(self, packet: bytes) -> bytes:
-        """The answer to one request, with its header."""
+        """Return the answer to one request, with its header."""
         target, port, source, source_port, command, flags, _, _, number = _HEADER.unpack_from(
             packet
         )
@@ -144,7 +144,7 @@ class AmsServer:
         ) + data  # fmt: skip
 
     def _do(self, command: int, body: bytes) -> bytes:
-        """Carry out a request; the answer without its return code."""
+        """Carry out a request; return the answer without its return code."""
         if command == _INFO:
             return struct.pack("<BBH16s", 3, 1, 0, b"carosac plc")
         if command == _STATE:
@@ -193,7 +193,7 @@ def _sized(data: bytes) -> bytes:
 
 
 def _exactly(connection: socket.socket, size: int) -> bytes:
-    """So many bytes, however the network cuts them."""
+    """Receive this many bytes, however the network splits them."""
     parts = bytearray()
     while len(parts) < size:
         part = connection.recv(size - len(parts))

@@ -1,4 +1,4 @@
-"""A small ADS client for the emulated PLC: injected faults and counters, beside any driver."""
+"""A small ADS client of the emulated PLC that injects faults and reads counters beside a driver."""
 
 from __future__ import annotations
 
@@ -15,37 +15,37 @@ from carosac_toolkit.robot.hardware import LOOPBACK, TCP_PORT
 _HEADER = struct.Struct("<6sH6sHHHIII")
 _READ, _WRITE, _READ_WRITE = 2, 3, 9
 _HANDLE_BY_NAME, _VALUE_BY_HANDLE = 0xF003, 0xF005
-_PATIENCE = 2.0  # [s]
+CALL_TIMEOUT_S = 2.0
 
 
 class PlcClient:
-    """One connection of its own; use it as a context."""
+    """A connection to an emulated PLC, separate from that of a driver; a context manager."""
 
     def __init__(self, n: int, ip: str = LOOPBACK, port: int = TCP_PORT) -> None:
         """Connect.
 
         Args:
             n: Number of cables.
-            ip: Of the PLC.
+            ip: IP address of the PLC.
             port: TCP port.
 
         Raises:
-            CarosacError: Nobody answers there.
+            CarosacError: No PLC answers there.
         """
         self._n, self._number = n, 0
         try:
-            self._socket = socket.create_connection((ip, port), _PATIENCE)
+            self._socket = socket.create_connection((ip, port), CALL_TIMEOUT_S)
         except OSError as error:
             raise CarosacError(f"PLC at {ip}:{port}: {error.strerror or error}") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._handles: dict[str, int] = {}
 
     def __enter__(self) -> PlcClient:
-        """Nothing more to do."""
+        """Return the open connection."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close."""
+        """Close the connection."""
         self.close()
 
     def close(self) -> None:
@@ -58,15 +58,7 @@ class PlcClient:
     ) -> None:  # fmt: skip
         """Do something to the emulated machine and wait until it is done.
 
-        Args:
-            kind: What.
-            axis: Cable, from 1.
-            value: How much, as `Injection` says.
-            second: How much more.
-            position: Platform origin in W [m].
-
-        Raises:
-            CarosacError: The PLC refused it, or did not answer.
+        Args, returns and errors are those of `carosac_toolkit.plc.injection.inject`.
         """
         inject(self, self._n, kind, axis, value, second, position)
 
@@ -80,17 +72,17 @@ class PlcClient:
         return block.unpack(self.read(blocks.TRUTH, block.size))
 
     def read(self, name: str, size: int) -> bytes:
-        """The bytes of a symbol."""
+        """Return the bytes of a symbol."""
         body = struct.pack("<III", _VALUE_BY_HANDLE, self._handle(name), size)
         return self._ask(_READ, body)[4:]
 
     def write(self, name: str, data: bytes) -> None:
-        """Set the bytes of a symbol."""
+        """Write the bytes of a symbol."""
         head = struct.pack("<III", _VALUE_BY_HANDLE, self._handle(name), len(data))
         self._ask(_WRITE, head + data)
 
     def _handle(self, name: str) -> int:
-        """Handle of a symbol, asked for once."""
+        """Return the handle of a symbol, asked for once."""
         if name not in self._handles:
             text = name.encode("latin-1") + b"\0"
             body = struct.pack("<IIII", _HANDLE_BY_NAME, 0, 4, len(text)) + text
@@ -98,7 +90,7 @@ class PlcClient:
         return self._handles[name]
 
     def _ask(self, command: int, body: bytes) -> bytes:
-        """One request; its answer without the return code."""
+        """Send one request; return its answer without the return code."""
         self._number += 1
         net = bytes((127, 0, 0, 1, 1, 1))
         head = _HEADER.pack(net, 851, net, 40000, command, 4, len(body), 0, self._number)

@@ -13,27 +13,27 @@ from carosac_toolkit.plc.emulator.winches import WinchLimits
 from carosac_toolkit.robot.hardware import Hardware
 from carosac_toolkit.robot.robot import Robot
 
+COMMAND_JERK_MAX = 200.0  # [m/s^3]; beyond it commands are counted and obeyed all the same
+FIRST_STEP_MAX_M = 0.03  # distance of the first command from where the winch stands
+FOLLOWING_ERROR_MAX_M = 0.25  # the way of a fast winch, 2.5 m/s, in 0.1 s
+
 
 @dataclass(frozen=True, kw_only=True)
-class PlcSettings:
-    """The PLC and the machine behind it.
+class EmulatorSettings:
+    """Settings of the emulated PLC and of the machine behind it.
 
     Attributes:
-        plant: Driver whose plant is the machine; a name of the registry.
-        cables: How its cables are simulated, for the driver `simulator`.
-        cycle: Of the PLC [s].
+        plant: Driver whose plant is the machine, by the name of its entry point.
+        cables: Cable model of the driver `simulator`.
+        cycle: Period of the PLC [s].
         watchdog: Silence of the host after which the winches ramp to rest [s].
-        jerk_max: Of commands, counted only [m/s^3].
-        step_max: Largest distance of a first command from where a winch stands [m].
-        following_max: Largest distance of a winch from its set position [m].
         encoder_check: Whether a position that jumps is a fault of the PLC.
-        has_tension: Whether there are load cells.
-        shift: Standard deviation of what the encoders say too much after power-on [m].
+        has_tension: Whether the tensions are measured.
+        shift: Standard deviation of the offset of the encoders after power-on [m].
         start_position: Platform origin at power-on in W [m]; None is the home position.
-        sensors: Noise of encoders, load cells and IMU; their rates are those of the PLC.
-        wrong_sign: Cables, from 0, whose encoder and drive are wired the other way than the robot
-            file says.
-        reversed_drive: Cables, from 0, whose drive alone is.
+        sensors: Noise of encoders, load cells and IMU; they are sampled once a PLC cycle.
+        wrong_sign: Cables, from 0, whose encoder and drive turn opposite to the robot file.
+        reversed_drive: Cables, from 0, whose drive alone does.
         wind_force: Standard deviation of the wind on the platform per horizontal axis [N].
     """
 
@@ -41,9 +41,6 @@ class PlcSettings:
     cables: str = "catenary"
     cycle: float = 0.005
     watchdog: float = 0.1
-    jerk_max: float = 200.0
-    step_max: float = 0.03
-    following_max: float = 0.25
     encoder_check: bool = True
     has_tension: bool = True
     shift: float = 0.0
@@ -54,20 +51,16 @@ class PlcSettings:
     wind_force: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse numbers that no PLC has."""
-        check_fields(
-            self,
-            positive=("cycle", "watchdog", "jerk_max", "step_max", "following_max"),
-            not_negative=("shift", "wind_force"),
-        )
+        """Refuse values that no PLC can have."""
+        check_fields(self, positive=("cycle", "watchdog"), not_negative=("shift", "wind_force"))
         if self.watchdog < 2.0 * self.cycle:
             raise InvalidField(
                 "watchdog", f"{self.watchdog} s", f">= {2.0 * self.cycle} s, 2 cycles"
             )
 
 
-def limits_of(robot: Robot, hardware: Hardware, settings: PlcSettings) -> WinchLimits:
-    """Limits of a robot in the units of its PLC, as the PLC keeps them."""
+def winch_limits(robot: Robot, hardware: Hardware) -> WinchLimits:
+    """Return the limits of a robot in the units of its PLC."""
     scale = np.array(hardware.scale)
     ends = np.stack([hardware.number(robot.length_min), hardware.number(robot.length_max)])
     n = robot.n
@@ -76,7 +69,7 @@ def limits_of(robot: Robot, hardware: Hardware, settings: PlcSettings) -> WinchL
         length_max=ends.max(axis=0),
         speed=robot.speed_max / scale,
         acceleration=robot.acceleration_max / scale,
-        jerk=np.full(n, settings.jerk_max) / scale,
-        step=np.full(n, settings.step_max) / scale,
-        following=np.full(n, settings.following_max) / scale,
+        jerk=np.full(n, COMMAND_JERK_MAX) / scale,
+        step=np.full(n, FIRST_STEP_MAX_M) / scale,
+        following=np.full(n, FOLLOWING_ERROR_MAX_M) / scale,
     )

@@ -1,4 +1,4 @@
-"""The variables of the emulated PLC: bytes by name, exchanged as a whole."""
+"""Variables of the emulated PLC: bytes by name, read and written as a whole."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import ClassVar
 
 
 class Symbols:
-    """Named variables of fixed size; a read or a write is never of two halves."""
+    """Named variables of fixed size; reads and writes are atomic."""
 
     NOT_FOUND: ClassVar[int] = 0x710
     WRONG_HANDLE: ClassVar[int] = 0x703
@@ -21,36 +21,36 @@ class Symbols:
         self._writable: set[str] = set()
 
     def add(self, name: str, size: int, *, writable: bool) -> None:
-        """Declare a variable of zeros; names count without case, as in a PLC."""
+        """Declare a variable of zeros; names are not case-sensitive, as in a PLC."""
         self._names.append(name.lower())
         self._data[name.lower()] = bytes(size)
         if writable:
             self._writable.add(name.lower())
 
     def handle(self, name: str) -> int | None:
-        """Handle of a variable, from 1; None where there is none."""
+        """Return the handle of a variable, from 1; None if there is none."""
         key = name.lower()
         return self._names.index(key) + 1 if key in self._data else None
 
     def read(self, name: str) -> bytes:
-        """What a variable holds."""
+        """Return the bytes of a variable."""
         with self._lock:
             return self._data[name.lower()]
 
     def write(self, name: str, data: bytes) -> None:
-        """Set a variable, as the program of the PLC does."""
+        """Set a variable, as the PLC program does."""
         with self._lock:
             assert len(data) == len(self._data[name.lower()])
             self._data[name.lower()] = data
 
     def read_handle(self, handle: int) -> bytes | int:
-        """What a client reads, or an ADS return code."""
+        """Return the bytes that a client reads, or an ADS return code."""
         if not 1 <= handle <= len(self._names):
             return self.WRONG_HANDLE
         return self.read(self._names[handle - 1])
 
     def write_handle(self, handle: int, data: bytes) -> int:
-        """What a client writes; the ADS return code, 0 where it was taken."""
+        """Set the bytes that a client writes; return the ADS return code, 0 for success."""
         if not 1 <= handle <= len(self._names):
             return self.WRONG_HANDLE
         name = self._names[handle - 1]
