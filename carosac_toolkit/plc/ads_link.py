@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from carosac_toolkit.base.numbers import check_positive
 from carosac_toolkit.plc.blocks import CONTROL, DIAGNOSIS, FROM_HOST, TO_HOST, TRUTH
 from carosac_toolkit.plc.link import LinkError
 from carosac_toolkit.robot.hardware import TCP_PORT, AdsAddress, Hardware
@@ -36,11 +35,6 @@ class AdsLinkSettings:
     ip: str | None = None
     timeout: float | None = None
 
-    def __post_init__(self) -> None:
-        """Refuse a time limit that is not positive."""
-        if self.timeout is not None:
-            check_positive("timeout", self.timeout, "s")
-
 
 class AdsLink:
     """A connection to the runtime of a TwinCAT PLC; its blocks are symbols.
@@ -62,11 +56,17 @@ class AdsLink:
 
     @classmethod
     def build(cls, hardware: Hardware, settings: AdsLinkSettings | None = None) -> AdsLink:
-        """Make a link to the PLC of the robot file."""
+        """Make a link to the PLC of the robot file.
+
+        Raises:
+            InvalidField: An address that is none, or a time limit that is not positive.
+        """
         settings, ads = settings or AdsLinkSettings(), hardware.ads
         if settings.ip is not None:
             ads = replace(ads, ip=settings.ip, net_id=f"{settings.ip}.1.1")
-        return cls(replace(ads, timeout=settings.timeout or ads.timeout))
+        if settings.timeout is not None:
+            ads = replace(ads, timeout=settings.timeout)
+        return cls(ads)
 
     def connect(self, *, writing: bool) -> None:
         """Open a connection and ask for the handles of the symbols.

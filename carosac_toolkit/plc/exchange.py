@@ -63,7 +63,7 @@ class PlcExchange:
         self._connected = False
         self._wake = threading.Condition()
         self._answered = threading.Condition()
-        self._calls: deque[tuple[Future[bytes], Callable[[], bytes]]] = deque()
+        self._calls: deque[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]] = deque()
         self._fresh = False
         self._active = False  # whether anything is written now
         self._ending = False  # whether that ends with the next write
@@ -200,7 +200,8 @@ class PlcExchange:
         Raises:
             LinkError: As of `PlcLink.read`, or the connection is broken.
         """
-        return self._call(lambda: self._link.read(block, size))
+        data: bytes = self._call(self._link.read, block, size)
+        return data
 
     def write(self, block: str, data: bytes) -> None:
         """Write the bytes of a block between two cycles.
@@ -210,18 +211,18 @@ class PlcExchange:
         """
         if not self._writing:
             raise LinkError(f"PLC {self._link.address}: nothing may be written")
-        self._call(lambda: self._link.write(block, data) or b"")
+        self._call(self._link.write, block, data)
 
     @property
     def _patience(self) -> float:
         """Time within which the thread has finished a cycle, whatever the network does [s]."""
         return 10.0 * self._link.timeout + 2.0
 
-    def _call(self, call: Callable[[], bytes]) -> bytes:
+    def _call(self, method: Callable[..., Any], *arguments: Any) -> Any:
         """Have the thread make one call of the link."""
-        answer: Future[bytes] = Future()
+        answer: Future[Any] = Future()
         with self._wake:
-            self._calls.append((answer, call))
+            self._calls.append((answer, method, arguments))
             self._wake.notify()
         try:
             return answer.result(self._patience)
@@ -303,13 +304,12 @@ class PlcExchange:
     def _make_calls(self) -> None:
         """Make the calls that other threads wait for."""
         while self._calls:
-            answer, call = self._calls.popleft()
-            if not answer.set_running_or_notify_cancel():
-                continue
-            try:
-                answer.set_result(call())
-            except LinkError as error:
-                answer.set_exception(error)
+            answer, method, arguments = self._calls.popleft()
+            if answer.set_running_or_notify_cancel():
+                try:
+                    answer.set_result(method(*arguments))
+                except LinkError as error:
+                    answer.set_exception(error)
 
     def _may_write(self) -> bool:
         """Return whether there is something to write, and nobody else writes."""

@@ -169,7 +169,7 @@ class Nameless:
         ("tests.plc.test_link:Nameless", {}, "missing here: address, timeout"),
         ("tests.plc.test_link:Nameless", {"port": 1}, "allowed: none: link .* has no Settings"),
         ("ads", {"port": 1}, r"link_settings.port: got 1; allowed: one of \['ip', 'timeout'\]"),
-        ("ads", {"timeout": -1.0}, "timeout: got -1.0 s"),
+        ("ads", {"timeout": -1.0}, "hardware.ads.timeout: got -1.0 s"),
     ],
 )  # fmt: skip
 def test_a_link_that_lacks_something_is_refused_by_what_it_lacks(name, settings, message):
@@ -227,7 +227,7 @@ def driver(emulator, settings):
 
 
 def test_a_second_wire_homes_enables_moves_and_stops_the_emulated_robot(driver, emulator):
-    calls = emulator.server.requests
+    calls, counters = emulator.server.requests, emulator.machine.counters
     assert driver.emulated and driver.state is DriveState.CONNECTED
     driver.home(home_pose(ROBOT))
     driver.enable()
@@ -244,8 +244,8 @@ def test_a_second_wire_homes_enables_moves_and_stops_the_emulated_robot(driver, 
     until(lambda: np.abs(driver.measure().unstrained_length - start - 0.05).max() < 3e-3)
     # The truth is of the winches of the simulated robot, without noise of the encoders.
     assert driver.truth().unstrained_length - before == pytest.approx(0.05, abs=3e-3)
-    counters = emulator.machine.counters
-    assert counters.commands >= 90 and counters.over_speed == counters.not_finite == 0
+    assert driver.exchange.reading.values["command_echo"] == 100  # the newest has arrived
+    assert counters.over_speed == counters.not_finite == 0
     driver.stop("test")
     assert not driver.wait(0.01)
     until(lambda: driver.state is DriveState.ENABLED)

@@ -18,11 +18,11 @@ from carosac_toolkit.plc.emulator.symbols import Symbols
 from carosac_toolkit.robot.hardware import TCP_PORT
 
 REQUEST_BYTES_MAX = 1 << 16  # longer requests are no ADS
-_HEADER = struct.Struct("<6sH6sHHHIII")
+HEADER = struct.Struct("<6sH6sHHHIII")  # of an AMS packet
 THREAD_END_TIMEOUT_S = 2.0
 
-_INFO, _READ, _WRITE, _STATE, _READ_WRITE = 1, 2, 3, 4, 9
-_HANDLE_BY_NAME, _VALUE_BY_HANDLE, _RELEASE_HANDLE = 0xF003, 0xF005, 0xF006
+_INFO, READ, WRITE, _STATE, READ_WRITE = 1, 2, 3, 4, 9
+HANDLE_BY_NAME, VALUE_BY_HANDLE, _RELEASE_HANDLE = 0xF003, 0xF005, 0xF006
 _UNSUPPORTED, _WRONG_GROUP, _WRONG_SIZE = 0x701, 0x702, 0x705
 _RUN = 5  # ADS state of a running PLC
 
@@ -44,8 +44,8 @@ class AmsServer:
         requests: Number of requests answered.
     """
 
-    def __init__(self, symbols: Symbols, ip: str, port: int = TCP_PORT) -> None:
-        """Listen; requests wait until `start`.
+    def __init__(self, symbols: Symbols, ip: str) -> None:
+        """Listen on the TCP port of ADS; requests wait until `start`.
 
         Raises:
             CarosacError: The address is not of this machine, or in use.
@@ -61,12 +61,12 @@ class AmsServer:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            self._socket.bind((ip, port))
+            self._socket.bind((ip, TCP_PORT))
             self._socket.listen(8)
         except OSError as error:
             self._socket.close()
             raise CarosacError(
-                f"plc: cannot listen on {ip}:{port}: {error.strerror or error}; is another PLC "
+                f"plc: cannot listen on {ip}:{TCP_PORT}: {error.strerror or error}; is another PLC "
                 "or a TwinCAT router running there?"
             ) from error
 
@@ -109,11 +109,11 @@ class AmsServer:
         """Answer one connection until it ends; close it at data that are no ADS."""
         try:
             while self._running:
-                head = _exactly(connection, 6)
+                head = receive_exactly(connection, 6)
                 size = int.from_bytes(head[2:], "little")
-                if not _HEADER.size <= size <= REQUEST_BYTES_MAX:
+                if not HEADER.size <= size <= REQUEST_BYTES_MAX:
                     return
-                packet = _exactly(connection, size)
+                packet = receive_exactly(connection, size)
                 if self.delay or self.jitter:
                     time.sleep(self.delay + random.uniform(0.0, self.jitter))
                 answer = self._answer(packet)
@@ -128,18 +128,16 @@ class AmsServer:
 
     def _answer(self, packet: bytes) -> bytes:
         """Return the answer to one request, with its header."""
-        target, port, source, source_port, command, flags, _, _, number = _HEADER.unpack_from(
-            packet
-        )
-        body = packet[_HEADER.size :]
+        target, port, source, source_port, command, flags, _, _, number = HEADER.unpack_from(packet)
+        body = packet[HEADER.size :]
         try:
             data = struct.pack("<I", 0) + self._do(command, body)
         except _Refused as refused:
             data = struct.pack("<I", refused.code)
-            data += bytes(4) if command in (_READ, _READ_WRITE) else b""
+            data += bytes(4) if command in (READ, READ_WRITE) else b""
         except struct.error:
             data = struct.pack("<I", _WRONG_SIZE)
-        return _HEADER.pack(
+        return HEADER.pack(
             source, source_port, target, port, command, flags | 1, len(data), 0, number
         ) + data  # fmt: skip
 
@@ -149,23 +147,23 @@ class AmsServer:
             return struct.pack("<BBH16s", 3, 1, 0, b"carosac plc")
         if command == _STATE:
             return struct.pack("<HH", _RUN, 0)
-        if command == _READ:
+        if command == READ:
             group, offset, size = struct.unpack_from("<III", body)
             return _sized(self._read(group, offset, size))
-        if command == _WRITE:
+        if command == WRITE:
             group, offset, size = struct.unpack_from("<III", body)
             self._write(group, offset, body[12 : 12 + size])
             return b""
-        if command == _READ_WRITE:
+        if command == READ_WRITE:
             group, offset, _, size = struct.unpack_from("<IIII", body)
-            if group != _HANDLE_BY_NAME:
+            if group != HANDLE_BY_NAME:
                 raise _Refused(_WRONG_GROUP)
             name = body[16 : 16 + size].split(b"\0")[0].decode("latin-1")
             return _sized(struct.pack("<I", _known(self.symbols.handle(name))))
         raise _Refused(_UNSUPPORTED)
 
     def _read(self, group: int, offset: int, size: int) -> bytes:
-        if group != _VALUE_BY_HANDLE:
+        if group != VALUE_BY_HANDLE:
             raise _Refused(_WRONG_GROUP)
         data = self.symbols.read_handle(offset)
         if isinstance(data, int):
@@ -175,7 +173,7 @@ class AmsServer:
     def _write(self, group: int, offset: int, data: bytes) -> None:
         if group == _RELEASE_HANDLE:
             return
-        if group != _VALUE_BY_HANDLE:
+        if group != VALUE_BY_HANDLE:
             raise _Refused(_WRONG_GROUP)
         code = self.symbols.write_handle(offset, data)
         if code:
@@ -192,7 +190,7 @@ def _sized(data: bytes) -> bytes:
     return struct.pack("<I", len(data)) + data
 
 
-def _exactly(connection: socket.socket, size: int) -> bytes:
+def receive_exactly(connection: socket.socket, size: int) -> bytes:
     """Receive this many bytes, however the network splits them."""
     parts = bytearray()
     while len(parts) < size:

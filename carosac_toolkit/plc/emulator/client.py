@@ -9,34 +9,39 @@ from typing import Any
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.plc import blocks
 from carosac_toolkit.plc.blocks import Injection
+from carosac_toolkit.plc.emulator.ams_server import (
+    HANDLE_BY_NAME,
+    HEADER,
+    READ,
+    READ_WRITE,
+    VALUE_BY_HANDLE,
+    WRITE,
+    receive_exactly,
+)
 from carosac_toolkit.plc.injection import inject, read_diagnosis
 from carosac_toolkit.robot.hardware import LOOPBACK, TCP_PORT
 
-_HEADER = struct.Struct("<6sH6sHHHIII")
-_READ, _WRITE, _READ_WRITE = 2, 3, 9
-_HANDLE_BY_NAME, _VALUE_BY_HANDLE = 0xF003, 0xF005
 CALL_TIMEOUT_S = 2.0
 
 
 class PlcClient:
     """A connection to an emulated PLC, separate from that of a driver; a context manager."""
 
-    def __init__(self, n: int, ip: str = LOOPBACK, port: int = TCP_PORT) -> None:
+    def __init__(self, n: int, ip: str = LOOPBACK) -> None:
         """Connect.
 
         Args:
             n: Number of cables.
             ip: IP address of the PLC.
-            port: TCP port.
 
         Raises:
             CarosacError: No PLC answers there.
         """
         self._n, self._number = n, 0
         try:
-            self._socket = socket.create_connection((ip, port), CALL_TIMEOUT_S)
+            self._socket = socket.create_connection((ip, TCP_PORT), CALL_TIMEOUT_S)
         except OSError as error:
-            raise CarosacError(f"PLC at {ip}:{port}: {error.strerror or error}") from error
+            raise CarosacError(f"PLC at {ip}:{TCP_PORT}: {error.strerror or error}") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._handles: dict[str, int] = {}
 
@@ -73,44 +78,35 @@ class PlcClient:
 
     def read(self, name: str, size: int) -> bytes:
         """Return the bytes of a symbol."""
-        body = struct.pack("<III", _VALUE_BY_HANDLE, self._handle(name), size)
-        return self._ask(_READ, body)[4:]
+        body = struct.pack("<III", VALUE_BY_HANDLE, self._handle(name), size)
+        return self._ask(READ, body)[4:]
 
     def write(self, name: str, data: bytes) -> None:
         """Write the bytes of a symbol."""
-        head = struct.pack("<III", _VALUE_BY_HANDLE, self._handle(name), len(data))
-        self._ask(_WRITE, head + data)
+        head = struct.pack("<III", VALUE_BY_HANDLE, self._handle(name), len(data))
+        self._ask(WRITE, head + data)
 
     def _handle(self, name: str) -> int:
         """Return the handle of a symbol, asked for once."""
         if name not in self._handles:
             text = name.encode("latin-1") + b"\0"
-            body = struct.pack("<IIII", _HANDLE_BY_NAME, 0, 4, len(text)) + text
-            self._handles[name] = struct.unpack("<I", self._ask(_READ_WRITE, body)[4:8])[0]
+            body = struct.pack("<IIII", HANDLE_BY_NAME, 0, 4, len(text)) + text
+            self._handles[name] = struct.unpack("<I", self._ask(READ_WRITE, body)[4:8])[0]
         return self._handles[name]
 
     def _ask(self, command: int, body: bytes) -> bytes:
         """Send one request; return its answer without the return code."""
         self._number += 1
         net = bytes((127, 0, 0, 1, 1, 1))
-        head = _HEADER.pack(net, 851, net, 40000, command, 4, len(body), 0, self._number)
+        head = HEADER.pack(net, 851, net, 40000, command, 4, len(body), 0, self._number)
         packet = head + body
         try:
             self._socket.sendall(b"\0\0" + struct.pack("<I", len(packet)) + packet)
-            size = struct.unpack("<I", self._exactly(6)[2:])[0]
-            answer = self._exactly(size)[_HEADER.size :]
+            size = struct.unpack("<I", receive_exactly(self._socket, 6)[2:])[0]
+            answer = receive_exactly(self._socket, size)[HEADER.size :]
         except OSError as error:
             raise CarosacError(f"PLC: {error.strerror or error}") from error
         code = struct.unpack_from("<I", answer)[0]
         if code:
             raise CarosacError(f"PLC: ADS code {code:#x}")
         return answer[4:]
-
-    def _exactly(self, size: int) -> bytes:
-        parts = bytearray()
-        while len(parts) < size:
-            part = self._socket.recv(size - len(parts))
-            if not part:
-                raise ConnectionError("closed")
-            parts += part
-        return bytes(parts)

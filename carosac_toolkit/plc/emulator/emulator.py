@@ -17,7 +17,7 @@ from carosac_toolkit.plc.emulator.settings import EmulatorSettings, winch_limits
 from carosac_toolkit.plc.emulator.symbols import Symbols
 from carosac_toolkit.plc.emulator.world import World
 from carosac_toolkit.plc.imu_udp import imu_line
-from carosac_toolkit.robot.hardware import LOOPBACK, TCP_PORT, Hardware
+from carosac_toolkit.robot.hardware import LOOPBACK, Hardware
 from carosac_toolkit.robot.robot import Robot
 
 WARM_UP_CYCLES = 3  # before it listens: the first ones load kernels
@@ -43,7 +43,7 @@ class Emulator:
 
     def __init__(
         self, plant: Robot, nominal: Robot, settings: EmulatorSettings, *, seed: int = 0,
-        ip: str | None = None, port: int = TCP_PORT,
+        ip: str | None = None,
     ) -> None:  # fmt: skip
         """Listen, and set the robot down.
 
@@ -54,7 +54,6 @@ class Emulator:
             seed: Seed of everything random.
             ip: Address on which to listen; None: one of this machine only, that of the robot file
                 if it is one.
-            port: TCP port; clients know only that of ADS.
 
         Raises:
             CarosacError: The address is not of this machine, or in use.
@@ -95,7 +94,7 @@ class Emulator:
         for _ in range(WARM_UP_CYCLES):
             self.step()
         self.ip = ip or (ads.ip if ads.ip.startswith("127.") else LOOPBACK)
-        self.server = AmsServer(self.symbols, self.ip, port)
+        self.server = AmsServer(self.symbols, self.ip)
         self.server.start()
 
     def run(self, duration: float | None = None) -> None:
