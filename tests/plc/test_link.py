@@ -244,7 +244,7 @@ def test_a_second_wire_homes_enables_moves_and_stops_the_emulated_robot(driver, 
     until(lambda: np.abs(driver.measure().unstrained_length - start - 0.05).max() < 3e-3)
     # The truth is of the winches of the simulated robot, without noise of the encoders.
     assert driver.truth().unstrained_length - before == pytest.approx(0.05, abs=3e-3)
-    assert driver.exchange.reading.values["command_echo"] == 100  # the newest has arrived
+    until(lambda: driver.exchange.reading.values["command_echo"] == 100)  # the newest has arrived
     assert counters.over_speed == counters.not_finite == 0
     driver.stop("test")
     assert not driver.wait(0.01)
