@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from carosac_toolkit.plc.emulator.emulator import Emulator
+from carosac_toolkit.plc.emulator.symbols import Refused
 from carosac_toolkit.plc.link import LinkError
 from carosac_toolkit.robot.hardware import LOOPBACK, Hardware
 
@@ -129,14 +130,13 @@ class UdpServer:
 
     def _answer(self, operation: int, block: str, data: bytes) -> bytes | None:
         symbols = self._emulator.symbols
-        handle = symbols.handle(self._emulator.symbol_names.get(block, ""))
-        if handle is None:
+        try:
+            handle = symbols.handle(self._emulator.symbol_names.get(block, ""))
+            if operation == WRITE:
+                symbols.write_handle(handle, data)
+            return symbols.read_handle(handle) if operation == READ else b""
+        except Refused:
             return None
-        if operation == WRITE and symbols.write_handle(handle, data):
-            return None
-        answer = symbols.read_handle(handle) if operation == READ else b""
-        assert isinstance(answer, bytes)
-        return answer
 
 
 @contextmanager

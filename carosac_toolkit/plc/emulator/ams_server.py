@@ -14,7 +14,7 @@ import threading
 import time
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.plc.emulator.symbols import Symbols
+from carosac_toolkit.plc.emulator.symbols import WRONG_SIZE, Refused, Symbols
 from carosac_toolkit.robot.hardware import TCP_PORT
 
 REQUEST_BYTES_MAX = 1 << 16  # longer requests are no ADS
@@ -23,16 +23,8 @@ THREAD_END_TIMEOUT_S = 2.0
 
 _INFO, READ, WRITE, _STATE, READ_WRITE = 1, 2, 3, 4, 9
 HANDLE_BY_NAME, VALUE_BY_HANDLE, _RELEASE_HANDLE = 0xF003, 0xF005, 0xF006
-_UNSUPPORTED, _WRONG_GROUP, _WRONG_SIZE = 0x701, 0x702, 0x705
+_UNSUPPORTED, _WRONG_GROUP = 0x701, 0x702
 _RUN = 5  # ADS state of a running PLC
-
-
-class _Refused(Exception):
-    """An ADS return code."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(f"ADS code {code:#x}")
-        self.code = code
 
 
 class AmsServer:
@@ -132,11 +124,11 @@ class AmsServer:
         body = packet[HEADER.size :]
         try:
             data = struct.pack("<I", 0) + self._do(command, body)
-        except _Refused as refused:
+        except Refused as refused:
             data = struct.pack("<I", refused.code)
             data += bytes(4) if command in (READ, READ_WRITE) else b""
         except struct.error:
-            data = struct.pack("<I", _WRONG_SIZE)
+            data = struct.pack("<I", WRONG_SIZE)
         return HEADER.pack(
             source, source_port, target, port, command, flags | 1, len(data), 0, number
         ) + data  # fmt: skip
@@ -147,43 +139,21 @@ class AmsServer:
             return struct.pack("<BBH16s", 3, 1, 0, b"carosac plc")
         if command == _STATE:
             return struct.pack("<HH", _RUN, 0)
-        if command == READ:
-            group, offset, size = struct.unpack_from("<III", body)
-            return _sized(self._read(group, offset, size))
-        if command == WRITE:
-            group, offset, size = struct.unpack_from("<III", body)
-            self._write(group, offset, body[12 : 12 + size])
+        if command not in (READ, WRITE, READ_WRITE):
+            raise Refused(_UNSUPPORTED)
+        group, offset, size = struct.unpack_from("<III", body)
+        if command == READ and group == VALUE_BY_HANDLE:
+            return _sized(self.symbols.read_handle(offset)[:size])
+        if command == WRITE and group == VALUE_BY_HANDLE:
+            self.symbols.write_handle(offset, body[12 : 12 + size])
             return b""
-        if command == READ_WRITE:
-            group, offset, _, size = struct.unpack_from("<IIII", body)
-            if group != HANDLE_BY_NAME:
-                raise _Refused(_WRONG_GROUP)
+        if command == WRITE and group == _RELEASE_HANDLE:
+            return b""
+        if command == READ_WRITE and group == HANDLE_BY_NAME:
+            size = struct.unpack_from("<IIII", body)[3]
             name = body[16 : 16 + size].split(b"\0")[0].decode("latin-1")
-            return _sized(struct.pack("<I", _known(self.symbols.handle(name))))
-        raise _Refused(_UNSUPPORTED)
-
-    def _read(self, group: int, offset: int, size: int) -> bytes:
-        if group != VALUE_BY_HANDLE:
-            raise _Refused(_WRONG_GROUP)
-        data = self.symbols.read_handle(offset)
-        if isinstance(data, int):
-            raise _Refused(data)
-        return data[:size]
-
-    def _write(self, group: int, offset: int, data: bytes) -> None:
-        if group == _RELEASE_HANDLE:
-            return
-        if group != VALUE_BY_HANDLE:
-            raise _Refused(_WRONG_GROUP)
-        code = self.symbols.write_handle(offset, data)
-        if code:
-            raise _Refused(code)
-
-
-def _known(handle: int | None) -> int:
-    if handle is None:
-        raise _Refused(Symbols.NOT_FOUND)
-    return handle
+            return _sized(struct.pack("<I", self.symbols.handle(name)))
+        raise Refused(_WRONG_GROUP)
 
 
 def _sized(data: bytes) -> bytes:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import threading
-from typing import ClassVar
+
+NOT_FOUND, WRONG_HANDLE, NO_ACCESS, WRONG_SIZE = 0x710, 0x703, 0x704, 0x705  # ADS return codes
+
+
+class Refused(Exception):
+    """A request that the PLC refuses, with its ADS return code."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"ADS code {code:#x}")
+        self.code = code
 
 
 class Symbols:
     """Named variables of fixed size; reads and writes are atomic."""
-
-    NOT_FOUND: ClassVar[int] = 0x710
-    WRONG_HANDLE: ClassVar[int] = 0x703
-    NO_ACCESS: ClassVar[int] = 0x704
-    WRONG_SIZE: ClassVar[int] = 0x705
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -27,10 +31,15 @@ class Symbols:
         if writable:
             self._writable.add(name.lower())
 
-    def handle(self, name: str) -> int | None:
-        """Return the handle of a variable, from 1; None if there is none."""
-        key = name.lower()
-        return self._names.index(key) + 1 if key in self._data else None
+    def handle(self, name: str) -> int:
+        """Return the handle of a variable, from 1.
+
+        Raises:
+            Refused: There is no such variable.
+        """
+        if name.lower() not in self._data:
+            raise Refused(NOT_FOUND)
+        return self._names.index(name.lower()) + 1
 
     def read(self, name: str) -> bytes:
         """Return the bytes of a variable."""
@@ -43,20 +52,29 @@ class Symbols:
             assert len(data) == len(self._data[name.lower()])
             self._data[name.lower()] = data
 
-    def read_handle(self, handle: int) -> bytes | int:
-        """Return the bytes that a client reads, or an ADS return code."""
-        if not 1 <= handle <= len(self._names):
-            return self.WRONG_HANDLE
-        return self.read(self._names[handle - 1])
+    def read_handle(self, handle: int) -> bytes:
+        """Return the bytes of a variable to a client.
 
-    def write_handle(self, handle: int, data: bytes) -> int:
-        """Set the bytes that a client writes; return the ADS return code, 0 for success."""
-        if not 1 <= handle <= len(self._names):
-            return self.WRONG_HANDLE
-        name = self._names[handle - 1]
+        Raises:
+            Refused: There is no such handle.
+        """
+        return self.read(self._name(handle))
+
+    def write_handle(self, handle: int, data: bytes) -> None:
+        """Set a variable for a client.
+
+        Raises:
+            Refused: There is no such handle, or it is read only, or of another size.
+        """
+        name = self._name(handle)
         if name not in self._writable:
-            return self.NO_ACCESS
+            raise Refused(NO_ACCESS)
         if len(data) != len(self._data[name]):
-            return self.WRONG_SIZE
+            raise Refused(WRONG_SIZE)
         self.write(name, data)
-        return 0
+
+    def _name(self, handle: int) -> str:
+        """Return the name of the variable with this handle."""
+        if not 1 <= handle <= len(self._names):
+            raise Refused(WRONG_HANDLE)
+        return self._names[handle - 1]
