@@ -78,8 +78,8 @@ class Emulator:
             blocks.TRUTH: blocks.truth(n),
         }  # fmt: skip
         ads = self.hardware.ads
-        given = {blocks.FROM_HOST: ads.from_host, blocks.TO_HOST: ads.to_host}
-        self.symbol_names = {name: given.get(name, name) for name in self._blocks}
+        names = {blocks.FROM_HOST: ads.from_host, blocks.TO_HOST: ads.to_host}
+        self.symbol_names = {name: names.get(name, name) for name in self._blocks}
         self.symbols = Symbols()
         for name, block in self._blocks.items():
             writable = name in (blocks.FROM_HOST, blocks.CONTROL)
