@@ -16,7 +16,6 @@ import numpy as np
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.live.real_time import quick_threads, take_priority
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import Step, run
@@ -24,6 +23,7 @@ from carosac_toolkit.loop.values import State
 from carosac_toolkit.plc.driver import PlcDriver, PlcDriverSettings
 from carosac_toolkit.plc.emulator.client import PlcClient
 from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
+from carosac_toolkit.safety.guard import GuardedDriver
 from carosac_toolkit.trajectories.arcs import circle
 
 SECONDS = 600.0

@@ -313,3 +313,30 @@ class Unseeded(Drive):
     @classmethod
     def build(cls, robot, settings=None, *, seed=0):
         return cls(robot, int(np.random.randint(2**31)))  # noqa: NPY002
+
+
+class StatusWord(Drive):
+    status = "following"
+
+
+class OwnStatus(Drive):
+    def status(self):
+        return "running"
+
+
+class FaultText(Drive):
+    fault = "drive_trip"
+
+
+class HoldsAnyFault(Drive):
+    def hold_fault(self):
+        pass
+
+
+class SetsDownOnly(Drive):
+    def set_down(self, position):
+        pass
+
+
+class PatienceText(Drive):
+    lost_after = "0.1 s"

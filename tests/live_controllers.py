@@ -34,7 +34,7 @@ class Stubborn(_Failing):
     """Hangs and cannot be interrupted."""
 
     def fail(self, command):
-        exit_reasons.PATIENCE = 0.3
+        exit_reasons.INTERRUPT_TIMEOUT_S = 0.3
         while True:
             try:
                 time.sleep(1000.0)

@@ -21,7 +21,7 @@ ALL = {
     "estimators": conformance.ESTIMATOR_CHECKS,
     "drivers": conformance.DRIVER_CHECKS,
 }
-ELSEWHERE = {"ads", "guarded"}  # tests/drivers: with a PLC; with the period of the conformance
+ELSEWHERE = {"ads", "guarded"}  # tests/plc, tests/safety/guard: with a PLC; with their period
 OURS = [
     pytest.param(kind, name, check, id=f"{kind}-{name}-{title}")
     for kind, checks in ALL.items()
@@ -102,6 +102,14 @@ CAUGHT = {
         },
         "connecting_again_starts_over": {broken.Drifts: "gave other measurements than before"},
         "same_seed_same_data": {broken.Unseeded: "made with the same seed disagreed"},
+        "capabilities_fit": {
+            broken.StatusWord: "status: got 'following'; allowed: a method that takes",
+            broken.OwnStatus: r"status\(\): got 'running'; allowed: one of \['disconnected'",
+            broken.FaultText: "FaultSource: fault: got 'drive_trip'; allowed: Fault",
+            broken.HoldsAnyFault: r"takes \(\); allowed: a method that takes \(fault\)",
+            broken.SetsDownOnly: "got no sets_down; allowed: sets_down and set_down",
+            broken.PatienceText: "LinkPatience: lost_after: got '0.1 s'; allowed: float",
+        },
     },
 }
 BROKEN = [
@@ -138,7 +146,7 @@ def test_a_policy_refuses_a_robot_that_it_was_not_trained_for():
 
 @pytest.mark.parametrize(("kind", "title", "plugin", "message"), BROKEN)
 def test_a_broken_plug_in_is_caught(kind, title, plugin, message, monkeypatch):
-    monkeypatch.setattr("carosac_toolkit.conformance.drivers.PATIENCE", 300)
+    monkeypatch.setattr("carosac_toolkit.conformance.drivers.CYCLES_MAX", 300)
     with pytest.raises(AssertionError, match=message) as caught:
         ALL[kind][title](plugin.build, ct.load_robot("carosac"))
     assert isinstance(caught.value, CarosacError)

@@ -27,8 +27,13 @@ import tyro
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, period_of_rate
 from carosac_toolkit.cli.position_option import Place
-from carosac_toolkit.cli.run_builder import LINE, REST, make_guard, make_path, recorded
-from carosac_toolkit.drivers.guarded import GuardedDriver
+from carosac_toolkit.cli.run_builder import (
+    DEFAULT_TRAJECTORY,
+    REST_S,
+    make_guard,
+    make_path,
+    recorded,
+)
 from carosac_toolkit.live.exit_reasons import Ending, ending_of
 from carosac_toolkit.live.hand_target import HELP
 from carosac_toolkit.live.library_noise import without_ads_lines
@@ -44,6 +49,7 @@ from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.recordings.crash_safe import CrashSafeRecorder
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.safety.guard import GuardedDriver
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,14 +59,14 @@ class Options(CommonOptions):
     robot: str = "carosac"
     """Bundled robot or YAML file."""
     driver: str = "simulator"
-    """What is driven: `simulator`, `ads` (a PLC), or `module:Class`; the guard is put around it."""
+    """Driver: `simulator`, `ads` (a PLC), or `module:Class`; the guard is put around it."""
     controller: str = "kinematic_solver"
     """Controller by name, or `module:Class`."""
     estimator: str = "kinematic_solver"
     """Estimator by name, or `module:Class`."""
     suite: str = "lengths"
     """Sensor suite of the driver."""
-    trajectory: str = LINE
+    trajectory: str = DEFAULT_TRAJECTORY
     """Trajectory of the catalogue."""
     to: Place = None
     """Go straight there from --home [m] instead, from rest to rest (minimum snap): a first path."""
@@ -70,9 +76,9 @@ class Options(CommonOptions):
     enable: tyro.conf.FlagCreatePairsOff[bool] = False
     """Let the winches move; without it the run is dry."""
     home: Place = None
-    """Where the platform stands at the start [m]; by default the home position of the robot, and
-    asked for where --enable moves a robot behind a PLC. With it a dry run is homed and checked
-    too, without anything being sent."""
+    """Position of the platform at the start [m]; by default the home position of the robot, and
+    required where --enable moves a robot behind a PLC. With it a dry run is homed and checked too,
+    and nothing is sent."""
     reset: tyro.conf.FlagCreatePairsOff[bool] = False
     """Clear the fault that the PLC holds from an earlier run, once you know why it came, and end;
     with --enable go on: home and move."""
@@ -86,7 +92,7 @@ class Options(CommonOptions):
     acceleration: float = 0.3
     """Largest acceleration of the platform [m/s^2]."""
     duration: float | None = None
-    """How long the run lasts, by the clock of the driver from its first cycle on [s]; by default
+    """Duration of the run by the clock of the driver from its first cycle on [s]; by default
     to the end of the trajectory and a second of rest. The clock of a PLC is that of the wall; that
     of the simulator stays behind it where cycles are late."""
     rate: float = 100.0
@@ -100,7 +106,7 @@ class Options(CommonOptions):
     driver.FIELD=VALUE, or driver.guard.FIELD=VALUE for the guard around a driver that has none of
     its own; may be given several times."""
     recording: OutputFile = None
-    """Where the run is recorded, ending in .jsonl; by default a new file in carosac-results/run."""
+    """File of the recording, ending in .jsonl; by default a new file in carosac-results/run."""
 
 
 def run(options: Options) -> CommandResult:
@@ -134,7 +140,7 @@ def run(options: Options) -> CommandResult:
 
 
 def _reset(robot: Robot, options: Options) -> CommandResult:
-    """Clear what the drives hold; nothing is homed, and nothing moves."""
+    """Clear the fault that the drives hold; nothing is homed, and nothing moves."""
     chosen = chosen_settings(
         options.settings, controllers=[options.controller], estimators=[options.estimator]
     )["driver_settings"]
@@ -145,14 +151,14 @@ def _reset(robot: Robot, options: Options) -> CommandResult:
         cleared = guard.cleared
     finally:
         guard.close()
-    said = "no fault was held" if cleared is None else f"cleared: {cleared.fault}"
-    say(f"{said}; nothing has moved")
+    message = "no fault was held" if cleared is None else f"cleared: {cleared.fault}"
+    say(f"{message}; nothing has moved")
     return CommandResult({"cleared": None if cleared is None else str(cleared.fault)}, status=0)
 
 
 @contextlib.contextmanager
 def _prepared(options: Options) -> Iterator[None]:
-    """Quick changes of threads, priority where it was asked for, and no words of libraries."""
+    """Switch threads quickly, take priority if asked, and keep the ADS library silent."""
     if options.priority:
         take_priority("carosac run")
     with quick_threads(), without_ads_lines():
@@ -163,10 +169,10 @@ def _run(
     options: Options, guard: GuardedDriver, estimator: Any, controller: Any, path: Followed,
     statistics: Statistics,
 ) -> tuple[bool, Exception | None]:  # fmt: skip
-    """Run the loop; whether it came to its end, and an error after the connection stood."""
+    """Run the loop; return whether it came to its end, and an error once it was connected."""
     duration = options.duration
     if duration is None:
-        duration = path.duration + REST
+        duration = path.duration + REST_S
     try:
         log = run_loop(
             guard, estimator, controller, path, duration=duration, watch=statistics, keep=1,
@@ -182,7 +188,7 @@ def _run(
 
 
 def _what(options: Options, guard: GuardedDriver, recorder: CrashSafeRecorder) -> str:
-    """What is about to happen, by the settings of the guard."""
+    """Return what is about to happen, by the settings of the guard."""
     settings, period = guard.settings, guard.settings.period
     how = "the winches move" if settings.motion else "dry run: nothing is sent; --enable moves"
     if settings.motion and not settings.enable_at_once:
@@ -199,7 +205,7 @@ def _what(options: Options, guard: GuardedDriver, recorder: CrashSafeRecorder) -
 
 
 def _say_next_step(guard: GuardedDriver, options: Options) -> None:
-    """Say what clears the fault that the drives hold now; nothing where they hold none."""
+    """Say what clears the fault that the drives hold now, if any."""
     if guard.held is None:
         return
     words = f"carosac run --driver {options.driver} --robot {options.robot} --reset"
@@ -211,7 +217,7 @@ def _result(
     guard: GuardedDriver, statistics: Statistics, recorder: CrashSafeRecorder, ending: Ending,
     completed: bool, error: Exception | None,
 ) -> CommandResult:  # fmt: skip
-    """Say how it ended."""
+    """Say how the run ended, and return it."""
     fault = guard.fault
     asked = guard.ending is not None and ending.signal is None
     good = fault is None and error is None and (completed or asked)

@@ -1,4 +1,4 @@
-"""What every driver must do; commands come every 20 ms, well within the limits."""
+"""Checks of drivers; commands come every 20 ms, well within the limits."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
+from carosac_toolkit.conformance.capabilities import capabilities_fit
 from carosac_toolkit.conformance.scenes import PERIOD, other_robot
 from carosac_toolkit.conformance.verdicts import (
     SEED,
@@ -24,9 +25,9 @@ from carosac_toolkit.loop.protocols import TruthSource, replays
 from carosac_toolkit.loop.values import Command, Measurement, State
 from carosac_toolkit.robot.robot import Robot
 
-SPEED = 0.25  # share of the speed limit that checks ask for
-PATIENCE = 20_000  # cycles after which a driver counts as endless
-SETTLED = 0.02  # [m], between lengths sent and lengths measured 2 s later
+SPEED_SHARE = 0.25  # of the speed limit
+CYCLES_MAX = 20_000  # after which a driver counts as endless
+SETTLED_DIFFERENCE_M = 0.02  # between lengths sent and lengths measured 2 s later
 
 
 def not_before_connect(factory: Factory, robot: Robot) -> None:
@@ -59,8 +60,8 @@ def stop_and_close_any_time(factory: Factory, robot: Robot) -> None:
             driver.close()
         driver.stop("closed")
     except Exception as error:
-        said = f"{type(error).__name__}: {error}"
-        require(False, f"stop() and close(): got {said}; allowed: no error at any time")
+        message = f"{type(error).__name__}: {error}"
+        require(False, f"stop() and close(): got {message}; allowed: no error at any time")
 
 
 def measurement_fits(factory: Factory, robot: Robot) -> None:
@@ -133,7 +134,12 @@ def command_says_what_was_sent(factory: Factory, robot: Robot) -> None:
         require(sent.limited, "command(): it changed the command; `limited` must say why")
     sent = _settle(driver, sent, 2.0)
     measured = driver.measure().unstrained_length
-    require_close(measured, sent.unstrained_length, "lengths sent and measured 2 s later", SETTLED)
+    require_close(
+        measured,
+        sent.unstrained_length,
+        "lengths sent and measured 2 s later",
+        SETTLED_DIFFERENCE_M,
+    )
     driver.close()
 
 
@@ -145,7 +151,7 @@ def stop_comes_to_rest(factory: Factory, robot: Robot) -> None:
         return
     first = driver.measure().unstrained_length
     lengths: list[Array] = []
-    step = SPEED * robot.speed_max * PERIOD
+    step = SPEED_SHARE * robot.speed_max * PERIOD
     braking = int(np.ceil((robot.speed_max / robot.acceleration_max).max() / PERIOD)) + 50
     for k in range(30 + braking):
         if k == 30:
@@ -176,12 +182,12 @@ def wait_says_when_it_ends(factory: Factory, robot: Robot) -> None:
     require(more is True, f"wait(): got {more!r} at the first cycle; allowed: True")
     if not replays(driver):
         driver.stop("conformance check")
-    for _ in range(PATIENCE):
+    for _ in range(CYCLES_MAX):
         if not driver.wait(PERIOD):
             driver.close()
             return
     driver.close()
-    require(False, f"wait(): never False in {PATIENCE} cycles after stop() or of data")
+    require(False, f"wait(): never False in {CYCLES_MAX} cycles after stop() or of data")
 
 
 def connecting_again_starts_over(factory: Factory, robot: Robot) -> None:
@@ -213,12 +219,13 @@ DRIVER_CHECKS: dict[str, Check] = {
         wait_says_when_it_ends,
         connecting_again_starts_over,
         same_seed_same_data,
+        capabilities_fit,
     )
 }
 
 
 def _connected(factory: Factory, robot: Robot) -> Any:
-    """A driver that is ready."""
+    """Return a driver that is connected."""
     driver = factory(robot, seed=SEED)
     with only_clear_errors("connect()"):
         driver.connect()
@@ -226,7 +233,7 @@ def _connected(factory: Factory, robot: Robot) -> Any:
 
 
 def _hold(measurement: Measurement) -> Command:
-    """Stay where the winches are."""
+    """Return a command to stay where the winches are."""
     return Command(time=measurement.time, unstrained_length=measurement.unstrained_length)
 
 
@@ -239,14 +246,14 @@ def _settle(driver: Any, command: Command, duration: float) -> Command:
 
 
 def _lengths(driver: Any, robot: Robot) -> list[Array]:
-    """Measured lengths while they are asked to grow slowly."""
+    """Return measured lengths while they are asked to grow slowly."""
     driver.connect()
-    found: list[Array] = []
+    lengths: list[Array] = []
     try:
         for k in range(10):
             measurement = driver.measure()
-            found.append(np.array(measurement.unstrained_length))
-            asked = found[0] + 0.1 * SPEED * robot.speed_max * PERIOD * k
+            lengths.append(np.array(measurement.unstrained_length))
+            asked = lengths[0] + 0.1 * SPEED_SHARE * robot.speed_max * PERIOD * k
             driver.command(Command(time=measurement.time, unstrained_length=asked))
             if not driver.wait(PERIOD):
                 break
@@ -254,7 +261,7 @@ def _lengths(driver: Any, robot: Robot) -> list[Array]:
         raise AssertionError(f"slow commands near the start were refused: {error}") from error
     finally:
         driver.close()
-    return found
+    return lengths
 
 
 def _within(what: str, values: Array, limit: Array, unit: str) -> None:

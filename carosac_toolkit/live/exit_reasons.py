@@ -1,4 +1,4 @@
-"""How a live run ends from outside: signals, and a controller that never comes back."""
+"""End of a live run from outside: signals, and a controller that never comes back."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.live.messages import say
+from carosac_toolkit.safety.guard import GuardedDriver
 
-PATIENCE = 3.0  # [s] for a hanging controller to be interrupted, before the process ends
+INTERRUPT_TIMEOUT_S = 3.0  # for a hanging controller, before the process ends
 SIGNALS = tuple(
     getattr(signal, name)
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
@@ -27,10 +27,10 @@ class ControllerHung(CarosacError):
 
 
 class Ending:
-    """What has ended a run.
+    """End of a run, by a signal or by the watchdog.
 
     Attributes:
-        signal: The signal that asked for the end, or None.
+        signal: Signal that asked for the end, or None.
     """
 
     def __init__(self, guard: GuardedDriver, last_words: Callable[[], object]) -> None:
@@ -42,7 +42,7 @@ class Ending:
         self.signal: signal.Signals | None = None
 
     def heard(self, number: int, frame: FrameType | None) -> None:
-        """A signal: stop in good order, the second time at once."""
+        """Stop in good order at a signal, at the second one at once."""
         if self._hung:
             raise ControllerHung("the controller did not come back; the winches were stopped")
         if self.signal is not None:
@@ -51,14 +51,14 @@ class Ending:
         self._guard.end(self.signal.name)
 
     def hang(self) -> None:
-        """The watchdog has stopped the winches: interrupt the controller, or end the process."""
+        """Interrupt a controller whose winches are stopped, or end the process."""
         self._hung = True
         threading.Thread(target=self._end_process, name="last resort", daemon=True).start()
         os.kill(os.getpid(), signal.SIGINT)
 
     def _end_process(self) -> None:
         """End the process, unless the controller comes back in time."""
-        if self._over.wait(PATIENCE):
+        if self._over.wait(INTERRUPT_TIMEOUT_S):
             return
         self._guard.end_recording()
         self._last_words()
@@ -66,7 +66,7 @@ class Ending:
         os._exit(1)
 
     def over(self) -> None:
-        """The controller came back."""
+        """Take note that the controller came back."""
         self._over.set()
 
 

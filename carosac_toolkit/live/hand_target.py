@@ -1,4 +1,4 @@
-"""A target that somebody moves by hand, and the smooth reference that goes there."""
+"""Target moved by hand, and the smooth reference that goes there."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Reference
 from carosac_toolkit.robot.robot import Robot
 
-STEP = 0.05  # [m] of one key
-BOX_MARGIN = 1e-9  # [m]
-KEYS = {
+KEY_STEP_M = 0.05
+BOX_TOLERANCE_M = 1e-9
+ARRIVAL_TOLERANCE = 1e-3  # [m], [m/s]
+KEY_DIRECTIONS = {
     "\x1b[A": (0, 1, 0), "\x1b[B": (0, -1, 0), "\x1b[C": (1, 0, 0), "\x1b[D": (-1, 0, 0),
     "\x1b[5~": (0, 0, 1), "\x1b[6~": (0, 0, -1), "u": (0, 0, 1), "d": (0, 0, -1),
 }  # fmt: skip
 HELP = "arrows: x, y; u, d or page keys: z; space: stay here; x y z and Enter: go there; q: end"
-SETTLE = 0.15  # [s], how fast a wrong speed is taken away
+SPEED_CORRECTION_TIME_S = 0.15
 
 
-class _Here(NamedTuple):
-    """Where the reference is."""
+class _ReferencePoint(NamedTuple):
+    """State of the reference: in W [m], [m/s], [m/s^2], each of shape (3,)."""
 
     position: Array
     velocity: Array
@@ -31,11 +32,11 @@ class _Here(NamedTuple):
 
 
 class HandTarget:
-    """A path without end towards a target in the workspace box; safe from several threads.
+    """Endless reference towards a target in the workspace box; safe from several threads.
 
     Attributes:
-        duration: Endless, for the loop.
-        over: Whether somebody has said that it is enough.
+        duration: Duration for the loop, longer than any run [s].
+        over: Whether the operator has ended the run.
     """
 
     duration = 1e7
@@ -48,22 +49,22 @@ class HandTarget:
         self._limits = (speed_max, acceleration_max)
         self._lock = threading.Lock()
         self._target = np.array(start, dtype=float)
-        self._here = _Here(self._target.copy(), np.zeros(3), np.zeros(3))
+        self._here = _ReferencePoint(self._target.copy(), np.zeros(3), np.zeros(3))
         self._time = 0.0
         self.over = False
 
     @property
     def target(self) -> Array:
-        """Where to go in W [m], shape (3,)."""
+        """Target in W [m], shape (3,)."""
         with self._lock:
             return self._target.copy()
 
     @property
     def arrived(self) -> bool:
-        """Whether the reference rests at the target."""
+        """True where the reference rests at the target."""
         with self._lock:
-            near = np.abs(self._here.position - self._target).max() < 1e-3
-            return bool(near and np.abs(self._here.velocity).max() < 1e-3)
+            near = np.abs(self._here.position - self._target).max() < ARRIVAL_TOLERANCE
+            return bool(near and np.abs(self._here.velocity).max() < ARRIVAL_TOLERANCE)
 
     def go_to(self, position: Array) -> Array:
         """Set the target.
@@ -80,7 +81,7 @@ class HandTarget:
         with self._lock:
             outside = np.maximum(low - asked, asked - high)
             before = np.maximum(low - self._target, self._target - high)
-            if (outside > np.maximum(before, BOX_MARGIN)).any():
+            if (outside > np.maximum(before, BOX_TOLERANCE_M)).any():
                 kept = " ".join(f"{x:.3f}" for x in self._target)
                 box = f"{low.tolist()} to {high.tolist()} m, the workspace box"
                 got = " ".join(f"{x:g}" for x in asked)
@@ -94,8 +95,8 @@ class HandTarget:
         Raises:
             InvalidField: It means nothing, or a place that is not allowed; the target stays.
         """
-        if word in KEYS:
-            self.go_to(self.target + STEP * np.array(KEYS[word]))
+        if word in KEY_DIRECTIONS:
+            self.go_to(self.target + KEY_STEP_M * np.array(KEY_DIRECTIONS[word]))
         elif word == " ":
             with self._lock:
                 self._target = self._here.position.copy()
@@ -105,7 +106,7 @@ class HandTarget:
             self.go_to(_place(word))
 
     def window(self, time: float, horizon: float, period: float) -> Reference:
-        """What to follow from `time` on, which must not go back; see `Trajectory.window`."""
+        """Return the reference from `time` on, which must not go back; see `Trajectory.window`."""
         rows = 1 + int(np.floor(horizon / period + 1e-9))
         with self._lock:
             target = self._target
@@ -123,22 +124,24 @@ class HandTarget:
             position=position, velocity=velocity, acceleration=acceleration,
         )  # fmt: skip
 
-    def _next(self, here: _Here, target: Array, period: float) -> _Here:
-        """One period on, within speed and acceleration; the last of the way without overshoot."""
+    def _next(self, here: _ReferencePoint, target: Array, period: float) -> _ReferencePoint:
+        """Return the state a period later, within the limits, without overshoot at the target."""
         speed_max, acceleration_max = self._limits
         way = target - here.position
         far = float(np.linalg.norm(way))
-        pace = min(speed_max, np.sqrt(0.5 * acceleration_max * far), far / (4.0 * SETTLE))
+        pace = min(
+            speed_max, np.sqrt(0.5 * acceleration_max * far), far / (4.0 * SPEED_CORRECTION_TIME_S)
+        )
         wanted = way / far * pace if far > 0.0 else np.zeros(3)
-        change = (wanted - here.velocity) / max(SETTLE, period)
+        change = (wanted - here.velocity) / max(SPEED_CORRECTION_TIME_S, period)
         size = float(np.linalg.norm(change))
         change = change * min(1.0, acceleration_max / size) if size > 0.0 else change
         velocity = here.velocity + change * period
-        return _Here(here.position + velocity * period, velocity, change)
+        return _ReferencePoint(here.position + velocity * period, velocity, change)
 
 
 def _place(word: str) -> Array:
-    """Three numbers of a line."""
+    """Return the position on a line of three numbers."""
     try:
         numbers = [float(x) for x in word.replace(",", " ").split()]
     except ValueError:

@@ -1,4 +1,4 @@
-"""Keys and lines of the standard input, read in a thread of their own."""
+"""Reader of keys and lines of the standard input, in a thread of its own."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from collections.abc import Callable, Iterator
 
 from carosac_toolkit.base.errors import InvalidField
 
-_KEY = re.compile(r"\x1b\[[0-9;]*[A-Za-z~]|\x1bO[A-Za-z]")  # what a terminal sends for one key
-_PART = re.compile(r"\x1b(\[[0-9;]*|O)?")
-_NUMBERS = "0123456789+-."
-_BETWEEN = " ,\teE"  # in a line of numbers
+_KEY_PATTERN = re.compile(r"\x1b\[[0-9;]*[A-Za-z~]|\x1bO[A-Za-z]")  # as a terminal sends it
+_PARTIAL_KEY_PATTERN = re.compile(r"\x1b(\[[0-9;]*|O)?")
+_NUMBER_CHARACTERS = "0123456789+-."
+_SEPARATORS = " ,\teE"  # in a line of numbers
 
 
 def check_input(option: str) -> None:
@@ -95,50 +95,50 @@ def _read(
 
 
 class Words:
-    """From what comes in, in pieces of any size, to lines and, on a terminal, keys."""
+    """Splitter of input, in pieces of any size, into lines and, on a terminal, keys."""
 
     def __init__(self, *, keys: bool) -> None:
-        """Begin; `keys`: each key is a word, but for those of a line of numbers."""
+        """Start empty; `keys`: each key is a word, but for those of a line of numbers."""
         self._keys = keys
         self._text = ""
         self._line = ""
 
     def feed(self, text: str) -> list[str]:
-        """Take what came; the words that are whole now."""
+        """Take input; return the words that are whole now."""
         self._text += text
         if not self._keys:
             *lines, self._text = self._text.split("\n")
             return lines
-        found: list[str] = []
+        words: list[str] = []
         while self._text:
-            key = _KEY.match(self._text)
-            if key is None and _PART.fullmatch(self._text):
+            key = _KEY_PATTERN.match(self._text)
+            if key is None and _PARTIAL_KEY_PATTERN.fullmatch(self._text):
                 break  # the rest of an escape sequence is still to come
             word = self._text[0] if key is None else key.group()
             self._text = self._text[len(word) :]
-            found += self._take(word)
-        return found
+            words += self._take(word)
+        return words
 
     def rest(self) -> list[str]:
-        """The last line, where it has no end."""
+        """Return the last line, where it has no end."""
         left = self._line if self._keys else self._text
         self._line = self._text = ""
         return [left] if left.strip() else []
 
     def _take(self, word: str) -> list[str]:
-        """One key."""
+        """Take one key; return the words that it completes."""
         if word in "\r\n":
             return self._ended_line()
         if word in "\b\x7f":
             self._line = self._line[:-1]
             return []
-        if word in _NUMBERS or (self._line and word in _BETWEEN):
+        if word in _NUMBER_CHARACTERS or (self._line and word in _SEPARATORS):
             self._line += word
             return []
         self._line = ""  # a key gives a half line up
         return [] if word == "\x1b" else [word.replace("\x1bO", "\x1b[")]
 
     def _ended_line(self) -> list[str]:
-        """The line of numbers that Enter has ended."""
+        """Return the line of numbers that Enter has ended."""
         line, self._line = self._line, ""
         return [line] if line.strip() else []

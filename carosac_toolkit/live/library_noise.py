@@ -1,7 +1,7 @@
-"""Lines that the ADS library itself writes to the standard error, kept from whoever runs a robot.
+"""Filter of the lines that the ADS library itself writes to the standard error.
 
-The library says each broken frame in words of its own, by way of the file descriptor; what it means
-is said once, by the driver. Lines of everybody else pass.
+The library reports each broken frame there, by way of the file descriptor; the driver says once
+what that means. All other lines pass.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def without_ads_lines() -> Iterator[None]:
 
 
 def _is_own(stream: object) -> bool:
-    """Whether a stream writes to the descriptor that the library writes to."""
+    """Return whether a stream writes to the descriptor that the library writes to."""
     try:
         return stream is not None and stream.fileno() == 2  # type: ignore[attr-defined]
     except (AttributeError, OSError, ValueError):
@@ -50,7 +50,7 @@ def _is_own(stream: object) -> bool:
 
 
 def _filter(out: int, shown: int) -> None:
-    """Hand on what is no line of the library."""
+    """Hand on all other lines than those of the library."""
     rest = b""
     while data := os.read(out, 4096):
         *lines, rest = (rest + data).split(b"\n")

@@ -1,4 +1,4 @@
-"""Words to whoever watches a run; nobody there is no reason to drop a platform."""
+"""Messages to the operator of a run; a missing operator must not drop the platform."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import sys
 from typing import TextIO
 
-CLEAR = "\r\x1b[K"
+CLEAR_LINE = "\r\x1b[K"
 
 
 def say(text: str, stream: TextIO | None = None) -> None:
@@ -15,11 +15,11 @@ def say(text: str, stream: TextIO | None = None) -> None:
     A stream whose terminal or reader is gone takes nothing more; all of it is in the recording.
     """
     out = stream or sys.stdout
-    put(out, f"{CLEAR if out is sys.stderr and out.isatty() else ''}{text}\n")
+    put(out, f"{CLEAR_LINE if out is sys.stderr and out.isatty() else ''}{text}\n")
 
 
 def put(stream: TextIO, text: str) -> None:
-    """Write to a stream at once; where nobody reads, to nowhere from now on."""
+    """Write to a stream at once; one that nobody reads any more takes nothing from now on."""
     try:
         stream.write(text)
         stream.flush()

@@ -37,7 +37,7 @@ def _build(
     kind: plugins.Kind, name: str, robot: Robot, chosen: Mapping[str, Any],
     given: Mapping[str, Any], seed: int,
 ) -> Any:  # fmt: skip
-    """Make a plug-in; what is `given` counts where nothing was asked and it has such a setting."""
+    """Make a plug-in; `given` holds defaults of settings, as far as it has them."""
     plugin = plugins.load(kind, name)
     asked = dict(chosen[f"{kind[:-1]}_settings"].get(name, {}))
     settings = getattr(plugin, "Settings", None)

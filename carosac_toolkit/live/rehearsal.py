@@ -1,4 +1,4 @@
-"""A few cycles on paper before a robot is connected: programs load what they need meanwhile."""
+"""Rehearsal of a few cycles before a robot is connected, so that programs load what they need."""
 
 from __future__ import annotations
 
@@ -6,29 +6,29 @@ from typing import Any
 
 import numpy as np
 
-from carosac_toolkit.drivers.guard_inner import homing_lengths
 from carosac_toolkit.loop.loop import Path
 from carosac_toolkit.loop.protocols import Controller, Estimator
 from carosac_toolkit.loop.values import Command, Imu, Measurement, Stamped, State
+from carosac_toolkit.physics.rest.homing import homing_lengths
 from carosac_toolkit.robot.robot import Robot
 
-CYCLES = 5
-INERTIAL = 0.005  # [s] between two inertial samples
+REHEARSED_CYCLES = 5
+IMU_PERIOD_S = 0.005
 
 
 def rehearse(
     robot: Robot, estimator: Estimator, controller: Controller, path: Path, *, suite: str
 ) -> None:
-    """Have estimator and controller work on a robot at rest at home; nothing is sent anywhere.
+    """Run estimator and controller on a robot at rest at home; nothing is sent anywhere.
 
-    Both are reset before they are used in earnest, so nothing of it stays with them.
+    Both are reset before the real run, so that they keep nothing of it.
     """
     home = State(
         time=np.zeros(1), position=robot.home_position[None], rotation=robot.home_rotation[None]
     )
     lengths = homing_lengths(robot, home)[None]
     belief: Any = None
-    for k in range(CYCLES):
+    for k in range(REHEARSED_CYCLES):
         now = k * controller.period
         measurement = _at_rest(robot, lengths, now, suite)
         held = Command(time=np.array([now]), unstrained_length=lengths)
@@ -41,10 +41,10 @@ def rehearse(
 
 
 def _at_rest(robot: Robot, lengths: Any, now: float, suite: str) -> Measurement:
-    """What is measured at rest at home."""
+    """Return what is measured at rest at home."""
     time, imu = np.array([now]), None
     if "imu" in suite:
-        when = now - INERTIAL * np.arange(1, -1, -1.0)
+        when = now - IMU_PERIOD_S * np.arange(1, -1, -1.0)
         force = np.broadcast_to(robot.home_rotation.T @ [0.0, 0.0, robot.gravity], (1, 2, 3))
         imu = Imu(time=when[None], angular_rate=np.zeros((1, 2, 3)), specific_force=force)
     rate = Stamped(time=time - 0.01, value=np.zeros_like(lengths))

@@ -1,4 +1,4 @@
-"""Trajectories one after the other, with rests, as one path."""
+"""Trajectories one after the other, with rests, as one."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Reference
 from carosac_toolkit.trajectories import Trajectory
 
-NEAR = 1e-3  # [m]; where a trajectory starts this close, nobody has to go there
+START_TOLERANCE_M = 1e-3  # a trajectory that starts this close needs no approach
 
 
 class Course:
-    """Rests at the start, then follows each trajectory, with a rest before each.
+    """Sequence of trajectories with a rest before each.
 
     Attributes:
-        duration: Of it all [s].
+        duration: Duration of all [s].
     """
 
     def __init__(self, parts: Sequence[Trajectory], rest: float) -> None:
@@ -30,7 +30,7 @@ class Course:
         self.duration = float(sum(lengths))
 
     def window(self, time: float, horizon: float, period: float) -> Reference:
-        """What to follow from `time` on; see `Trajectory.window`."""
+        """Return the reference from `time` on; see `Trajectory.window`."""
         rows = 1 + int(np.floor(horizon / period + 1e-9))
         when = time + period * np.arange(rows)
         part = np.clip(np.searchsorted(self._starts - self._rest, when, side="right") - 1, 0, None)
@@ -47,10 +47,10 @@ class Course:
 
 def with_approach(path: Trajectory, start: Array, *, rest: float, speed_max: float,
                   acceleration_max: float) -> Course:  # fmt: skip
-    """Go straight from `start` [m], shape (3,), to where a trajectory begins, then follow it."""
+    """Return a straight approach from `start` [m], shape (3,), followed by the trajectory."""
     begin = path.sample(np.zeros(1)).position[0]
     parts = [path]
-    if np.linalg.norm(begin - start) > NEAR:
+    if np.linalg.norm(begin - start) > START_TOLERANCE_M:
         limits = {"speed_max": speed_max, "acceleration_max": acceleration_max}
         parts.insert(0, trajectories.line(start, begin, **limits))
     return Course(parts, rest)

@@ -1,4 +1,4 @@
-"""What is known of a run while it goes on, without keeping it."""
+"""Statistics of a run while it goes on, without keeping it."""
 
 from __future__ import annotations
 
@@ -10,28 +10,27 @@ from typing import Any, TextIO
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.live.messages import put, say
 from carosac_toolkit.loop.loop import Step
+from carosac_toolkit.safety.guard import GuardedDriver
 
-TERMINAL, FILE = 0.2, 2.0  # [s] between two lines
-MOST = 200_000  # latest cycles that quantiles are of
+TERMINAL_INTERVAL_S, FILE_INTERVAL_S = 0.2, 2.0  # between two lines
+QUANTILE_CYCLES_MAX = 200_000  # the first ones, of which quantiles are taken
 
 
 class Statistics:
-    """Counts and prints; call it with every step.
+    """Counters of a run, printed as it goes on; call it with every step.
 
     Attributes:
-        limits: How often each limit changed a command, by cycles.
-        position: Where the platform was believed last in W [m], shape (3,); None before the first
-            cycle.
+        limits: Number of cycles in which each limit changed a command.
+        position: Newest estimated position in W [m], shape (3,); None before the first cycle.
     """
 
     def __init__(self, guard: GuardedDriver, stream: TextIO | None = None) -> None:
         """Print to `stream`, by default the standard error."""
         self._guard = guard
         self._given = stream
-        self._every = TERMINAL if self._stream.isatty() else FILE
+        self._every = TERMINAL_INTERVAL_S if self._stream.isatty() else FILE_INTERVAL_S
         self._began = self._printed = time.monotonic()
         self._last: float | None = None
         self.cycles = 0
@@ -44,17 +43,17 @@ class Statistics:
 
     @property
     def _stream(self) -> TextIO:
-        """Where to print."""
+        """Stream to print to."""
         return self._given or sys.stderr
 
     def __call__(self, step: Step) -> None:
-        """Take one cycle in."""
+        """Count one cycle."""
         now = time.monotonic()
         self.cycles += 1
         if self.cycles == 1:
             self._say_home()
         self.limits.update({hit.limit for hit in step.command.limited})
-        if len(self._latency) < MOST:
+        if len(self._latency) < QUANTILE_CYCLES_MAX:
             self._latency.append(step.latency)
             if self._last is not None:
                 self._interval.append(now - self._last)
@@ -73,12 +72,12 @@ class Statistics:
             self._print(step, reference)
 
     def end_line(self) -> None:
-        """Leave the line that is written over and over."""
+        """End the status line, which is rewritten in place."""
         if self._stream.isatty() and self._printed > self._began:
             put(self._stream, "\n")
 
     def data(self, period: float) -> dict[str, Any]:
-        """Numbers of the whole run."""
+        """Return the numbers of the whole run."""
         late = np.array(self._interval)
         jitter = np.abs(late - period)
         rms = np.sqrt(self._squares / self._known) if self._known else (None, None)
@@ -96,17 +95,17 @@ class Statistics:
         }
 
     def _say_home(self) -> None:
-        """By how much homing has changed the readings: much more than yesterday is a slip."""
+        """Print by how much homing changed the readings: far more than yesterday is a slip."""
         change = self._guard.home_change
         if change is not None:
-            said = ", ".join(f"{1e3 * x:+.1f}" for x in change)
-            say(f"homed: the offsets of the cables changed by {said} mm")
+            changes = ", ".join(f"{1e3 * x:+.1f}" for x in change)
+            say(f"homed: the offsets of the cables changed by {changes} mm")
 
     def _print(self, step: Step, reference: Array) -> None:
-        """One line: state, time, belief, distance to the reference, latency, limits."""
-        believed = step.belief.position[0]
-        far = 1e3 * float(np.linalg.norm(believed - reference))
-        place = " ".join(f"{x:+.3f}" for x in believed)
+        """Print state, time, estimate, distance to the reference, latency and limits in a line."""
+        estimate = step.belief.position[0]
+        far = 1e3 * float(np.linalg.norm(estimate - reference))
+        place = " ".join(f"{x:+.3f}" for x in estimate)
         text = (
             f"{self._guard.state:<10} {float(step.measurement.time[0]):8.2f} s  at {place} m  "
             f"off {far:6.1f} mm  cycle {1e3 * step.latency:5.2f} ms  "
@@ -117,5 +116,5 @@ class Statistics:
 
 
 def _quantile(values: Any, share: float) -> float | None:
-    """A quantile, or None of nothing."""
+    """Return a quantile, or None where there are no values."""
     return float(np.quantile(values, share)) if len(values) else None

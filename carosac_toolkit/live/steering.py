@@ -1,4 +1,4 @@
-"""Lets somebody steer a run by keys and lines of the standard input."""
+"""Steering of a run by keys and lines of the standard input."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from collections.abc import Iterator
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.live.keyboard import listening
 from carosac_toolkit.live.messages import say
 from carosac_toolkit.loop.loop import Path
+from carosac_toolkit.safety.guard import GuardedDriver
 
-LOOK = 0.05  # [s] between two looks whether the target is reached, after the end of the input
+POLL_INTERVAL_S = 0.05  # after the end of the input, until the target is reached
 
 
 @contextlib.contextmanager
 def steered(path: Path, guard: GuardedDriver) -> Iterator[None]:
-    """Hear what is typed until the block ends, where a hand target is what is followed.
+    """Follow what is typed until the block ends, where the path is a hand target.
 
     Where the input ends the run goes on to the target, and ends.
     """
@@ -41,7 +41,7 @@ def steered(path: Path, guard: GuardedDriver) -> Iterator[None]:
             say(f"target {place(path.target)}", sys.stderr)
 
     def ended() -> None:
-        while not (path.arrived or guard.ending or guard.fault or over.wait(LOOK)):
+        while not (path.arrived or guard.ending or guard.fault or over.wait(POLL_INTERVAL_S)):
             pass
         guard.end("the input has ended")
 
@@ -53,5 +53,5 @@ def steered(path: Path, guard: GuardedDriver) -> Iterator[None]:
 
 
 def place(position: Array) -> str:
-    """A position [m], shape (3,), for people."""
+    """Return a position [m], shape (3,), as text."""
     return " ".join(f"{x:.3f}" for x in position) + " m"

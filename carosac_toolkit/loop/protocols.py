@@ -1,4 +1,4 @@
-"""What the loop calls: the contracts between the toolkit and everything that plugs into it.
+"""Contracts between the toolkit and everything that plugs into it.
 
 Each plug-in is a class found through an entry-point group (``carosac.controllers``,
 ``carosac.estimators``, ``carosac.drivers``) or as ``module:Class``, and is made by its classmethod
@@ -6,12 +6,16 @@ Each plug-in is a class found through an entry-point group (``carosac.controller
 Drivers get the plant robot, controllers and estimators the nominal one. A staticmethod
 ``check_settings(settings)``, where a class has one, refuses before a study begins what `build`
 would refuse for any robot, such as a file that is not there.
+
+A driver needs the members of `Driver`. What else it can do are capabilities, one small protocol
+each: the guard uses those that it finds, and the conformance checks refuse one that does not fit.
 """
 
 from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
+from carosac_toolkit.loop.drive_state import Fault
 from carosac_toolkit.loop.values import Belief, Command, Measurement, Reference, State
 
 
@@ -24,7 +28,6 @@ class Estimator(Protocol):
 
     def reset(self, measurement: Measurement) -> Belief:
         """Start from a first measurement, without any earlier belief."""
-        ...
 
     def update(self, belief: Belief, command: Command, measurement: Measurement) -> Belief:
         """Advance the belief.
@@ -37,7 +40,6 @@ class Estimator(Protocol):
         Returns:
             The new belief.
         """
-        ...
 
 
 class Controller(Protocol):
@@ -53,15 +55,13 @@ class Controller(Protocol):
 
     def reset(self, belief: Belief) -> None:
         """Forget everything; the platform is where the belief says."""
-        ...
 
     def command(self, belief: Belief, reference: Reference) -> Command:
         """Decide what the winches are asked for until the next call."""
-        ...
 
 
 class Driver(Protocol):
-    """What can be measured and commanded: simulated, recorded or real. It moves data, no more.
+    """A robot to measure and command: simulated, recorded or real. It moves data, no more.
 
     A driver on which commands change nothing has a class attribute ``replays = True``. One that
     simulates several plants at once has a classmethod ``build_batch(robots, settings, *, seeds)``.
@@ -69,15 +69,12 @@ class Driver(Protocol):
 
     def connect(self) -> None:
         """Make `measure` and `command` possible."""
-        ...
 
     def measure(self) -> Measurement:
-        """What the sensors say now, by the driver's clock."""
-        ...
+        """Return the newest samples of the sensors, by the driver's clock."""
 
     def command(self, command: Command) -> Command:
         """Send a command; return what was really sent after safety limits."""
-        ...
 
     def wait(self, duration: float) -> bool:
         """Wait to the next tick of an absolute schedule; a simulation integrates meanwhile.
@@ -88,39 +85,124 @@ class Driver(Protocol):
         Returns:
             False at the end of data or where the driver has stopped.
         """
-        ...
 
     def stop(self, reason: str) -> None:
         """Come to a controlled stop; always safe to call, also twice."""
-        ...
 
     def close(self) -> None:
         """Let go of everything; always safe to call."""
-        ...
 
 
-class MotionDriver(Driver, Protocol):
-    """A driver that can move things."""
+@runtime_checkable
+class NamedPlugin(Protocol):
+    """A plug-in, or its class, with a name of its own, for messages."""
+
+    @property
+    def name(self) -> str:
+        """Name, such as ``ads``."""
+
+
+@runtime_checkable
+class StatusSource(Protocol):
+    """A driver that knows the state of its drive system."""
+
+    def status(self) -> str:
+        """Return the state in one word, a value of `DriveState`."""
+
+
+@runtime_checkable
+class FaultSource(Protocol):
+    """A driver that names the fault of its drive system."""
+
+    @property
+    def fault(self) -> Fault:
+        """Fault that stops the drives, or `Fault.NONE`."""
+
+
+@runtime_checkable
+class FaultTextSource(Protocol):
+    """A driver that describes its fault."""
+
+    @property
+    def fault_text(self) -> str:
+        """Description of the fault, for people."""
+
+
+@runtime_checkable
+class LinkWatch(Protocol):
+    """A driver that watches the connection to its robot."""
+
+    @property
+    def link_fault(self) -> Fault:
+        """Fault of the connection itself, or `Fault.NONE`; drives may hold an older one."""
+
+
+@runtime_checkable
+class LinkPatience(Protocol):
+    """A driver that waits for its robot for a time of its own."""
+
+    @property
+    def lost_after(self) -> float:
+        """Silence after which the connection counts as lost [s]."""
+
+
+@runtime_checkable
+class SupportsHoming(Protocol):
+    """A driver that keeps the length offsets itself; else the guard does."""
 
     def home(self, position: State) -> None:
         """Set the length offsets from a known pose."""
-        ...
+
+
+@runtime_checkable
+class SupportsEnable(Protocol):
+    """A driver whose drives have to be switched on."""
 
     def enable(self) -> None:
         """Let commands through, from where the winches stand."""
-        ...
+
+
+@runtime_checkable
+class SupportsDisable(Protocol):
+    """A driver whose drives can be switched off."""
 
     def disable(self) -> None:
         """Hold the winches and let no command through."""
-        ...
+
+
+@runtime_checkable
+class SupportsFaultReset(Protocol):
+    """A driver that latches faults."""
 
     def reset_fault(self) -> None:
         """Clear a latched fault whose cause is gone."""
-        ...
 
-    def status(self) -> str:
-        """State of the drive system in one word."""
-        ...
+
+@runtime_checkable
+class SupportsFaultHold(Protocol):
+    """A driver that can hold a fault for hosts that connect later."""
+
+    def hold_fault(self, fault: Fault) -> None:
+        """Disable, and hold a fault that the host has found, until it is reset."""
+
+
+@runtime_checkable
+class SupportsSetDown(Protocol):
+    """A driver whose robot is simulated elsewhere and can be put somewhere, as for each case."""
+
+    @property
+    def sets_down(self) -> bool:
+        """Whether its fault is cleared and its robot set down when a guard connects to move it."""
+
+    def set_down(self, position: tuple[float, float, float]) -> None:
+        """Put the robot at rest at a position in W [m]."""
+
+
+class MotionDriver(
+    Driver, StatusSource, SupportsHoming, SupportsEnable, SupportsDisable, SupportsFaultReset,
+    Protocol,
+):  # fmt: skip
+    """A driver that can move things, with the whole lifecycle of a drive system."""
 
 
 @runtime_checkable
@@ -128,19 +210,17 @@ class Supervisor(Protocol):
     """A driver that watches those who command it; the loop tells it what they do."""
 
     def believe(self, belief: Belief) -> None:
-        """What the estimator says now, before the controller sees it."""
-        ...
+        """Take the newest belief, before the controller sees it."""
 
     def fail(self, part: str, error: BaseException) -> None:
-        """The ``"estimator"``, ``"controller"`` or ``"program"`` around them raised an error.
+        """Take an error of the ``"estimator"``, ``"controller"`` or ``"program"`` around them.
 
         `stop` follows. The program comes last: it repeats what one of the two has raised.
         """
-        ...
 
 
 def replays(driver: object) -> bool:
-    """Whether commands change nothing, so that tracking says nothing about the controller."""
+    """Return whether commands change nothing, so that tracking does not score the controller."""
     return bool(getattr(driver, "replays", False))
 
 
@@ -149,5 +229,4 @@ class TruthSource(Protocol):
     """A driver that knows the truth. Only the loop's logger and the scoring ask."""
 
     def truth(self) -> State | None:
-        """The state now, or None where it is not known at this instant."""
-        ...
+        """Return the state now, or None where it is not known at this instant."""

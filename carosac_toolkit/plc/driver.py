@@ -16,10 +16,19 @@ import numpy as np
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.numbers import check_period
-from carosac_toolkit.drivers.guard_inner import homing_lengths
 from carosac_toolkit.drivers.ticks import TickSchedule
 from carosac_toolkit.loop.drive_state import DriveState, Fault
+from carosac_toolkit.loop.protocols import (
+    FaultSource,
+    FaultTextSource,
+    LinkPatience,
+    LinkWatch,
+    MotionDriver,
+    SupportsFaultHold,
+    SupportsSetDown,
+)
 from carosac_toolkit.loop.values import Command, LimitHit, State
+from carosac_toolkit.physics.rest.homing import homing_lengths
 from carosac_toolkit.plc import reader
 from carosac_toolkit.plc.blocks import Answer, DriveStatus, Injection, Request
 from carosac_toolkit.plc.exchange import PlcExchange
@@ -38,7 +47,10 @@ SETTLING_S = 0.05  # ten cycles of an emulated PLC: data that arrive later are f
 _DRIVES_ON = (DriveState.ENABLED, DriveState.FOLLOWING)
 
 
-class PlcDriver(PlcReader):
+class PlcDriver(
+    PlcReader, MotionDriver, FaultSource, FaultTextSource, LinkWatch, LinkPatience,
+    SupportsFaultHold, SupportsSetDown,
+):  # fmt: skip
     """One robot behind a PLC, in real time.
 
     The clock is that of this host, from `connect` on. The lengths of a measurement are the newest
@@ -93,6 +105,11 @@ class PlcDriver(PlcReader):
     def emulated(self) -> bool:
         """Whether the PLC is an emulated one, which can set its robot down."""
         return self._connected().emulated
+
+    @property
+    def sets_down(self) -> bool:
+        """Whether the PLC is an emulated one, and `PlcDriverSettings.set_down` is set."""
+        return self._settings.set_down and self.exchange is not None and self.exchange.emulated
 
     def set_down(self, position: Point) -> None:
         """Have an emulated PLC set its robot down somewhere, at rest.

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from carosac_toolkit.drivers.guard_settings import GuardSettings
-from carosac_toolkit.drivers.guarded import GuardedDriver
+from carosac_toolkit.safety.guard import GuardedDriver, GuardSettings
 
 
 @dataclass(frozen=True, kw_only=True)
 class GuardedAdsSettings(GuardSettings):
-    """Settings of the guard; `inner` are those of `carosac_toolkit.plc.driver.PlcDriver`."""
+    """Settings of the guard; `inner` holds those of `carosac_toolkit.plc.driver.PlcDriver`."""
 
     driver: str = "carosac_toolkit.plc.driver:PlcDriver"
 

@@ -36,6 +36,9 @@ class PlcDriverSettings:
         suite: ``lengths``, or ``lengths+imu`` if the robot file names an IMU.
         start_position: Where an emulated PLC sets its robot down at `connect`, in W [m]; a real
             robot does not move. None: it stays where it is.
+        set_down: Whether a guard that connects to move an emulated PLC clears its fault and sets
+            its robot down where it homes, as for each case of a study. A real one cannot: its
+            platform has to be there, and people look at its faults.
         limits: Limits of the commands.
     """
 
@@ -49,6 +52,7 @@ class PlcDriverSettings:
     lost_after: float | None = None
     suite: str = "lengths"
     start_position: Point | None = None
+    set_down: bool = False
     limits: LimitSettings = field(default_factory=lambda: LimitSettings(box=False))
 
     def __post_init__(self) -> None:

@@ -5,7 +5,7 @@ drops a row that was cut and says so. ``kill -9`` costs no row that was handed o
 those since the last ``fsync`` (once a second). A file that is there is never written over.
 
 A disk may block every call here; the guard calls it from a thread that nobody waits for
-(`carosac_toolkit.drivers.scribe`).
+(`carosac_toolkit.safety.guard.row_queue`).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class CutRecording(UserWarning):
 
 
 class CrashSafeRecorder:
-    """Writes a run as it happens; a `carosac_toolkit.drivers.journal.Journal`.
+    """Writes a run as it happens; a `carosac_toolkit.safety.guard.journal.Journal`.
 
     Attributes:
         path: The file.

@@ -11,7 +11,7 @@ import pytest
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.cli.main import main
-from carosac_toolkit.drivers.lifecycle import IllegalTransition, NotReady
+from carosac_toolkit.conformance.capabilities import capabilities_fit
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Command
@@ -19,6 +19,7 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.plc.blocks import Injection
 from carosac_toolkit.plc.driver import PlcDriver, PlcDriverSettings
 from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
+from carosac_toolkit.safety.guard import IllegalTransition, NotReady
 from carosac_toolkit.studies.compare.study import Study
 from tests.plc_process import home_pose, plc_process
 
@@ -245,6 +246,10 @@ def test_a_study_runs_on_a_plc_by_the_name_of_the_driver(plc, tmp_path):
         rows = study.run(progress=False).rows
         assert [row["reason"] for row in rows] == [None]
         assert rows[0]["tracking_rmse_norm_m"] < 0.15
+
+
+def test_the_capabilities_of_the_driver_have_their_shapes(plc):
+    capabilities_fit(lambda robot, seed: PlcDriver.build(robot, seed=seed), plc.robot)
 
 
 def test_a_plc_that_is_killed_is_a_lost_connection_and_leaves_no_thread(plc):

@@ -30,7 +30,7 @@ from carosac_toolkit.trajectories.trajectory import Trajectory
 
 DRIVER = "simulator"
 GIVEN = (  # what a case says itself
-    "suite", "period", "start_position", "set_down", "wind_force", "wind_time",
+    "suite", "period", "start_position", "scene", "set_down", "wind_force", "wind_time",
 )  # fmt: skip
 REST = 3.0  # [s] after the end of the trajectory that counts as residual sway: over a period
 SERIES = 500  # samples kept of a case for pictures
@@ -124,9 +124,15 @@ def estimator_of(case: Case, robot: Robot, driver: object) -> Any:
 def given_to_driver(
     case: Case, condition: Condition, period: float, start: tuple[Any, ...]
 ) -> dict[str, Any]:
-    """Settings of a driver that the case itself says; `start` in W [m], one or a row each."""
-    said = (case.suite, period, start, True, condition.wind_force, condition.wind_time)
-    return dict(zip(GIVEN, said, strict=True))
+    """Return settings of a driver that the case itself says; `start` in W [m], one or a row each.
+
+    A guard gets the `scene` for the driver behind it.
+    """
+    scene = {
+        "set_down": True, "wind_force": condition.wind_force, "wind_time": condition.wind_time,
+    }  # fmt: skip
+    values = (case.suite, period, start, scene, *scene.values())
+    return dict(zip(GIVEN, values, strict=True))
 
 
 def period_of(controller: Any) -> float:

@@ -6,9 +6,7 @@ import pytest
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.cli.plc import _cables
-from carosac_toolkit.cli.run_builder import SHIFT
-from carosac_toolkit.drivers.guard_settings import GuardSettings
-from carosac_toolkit.drivers.guarded import GuardedDriver
+from carosac_toolkit.cli.run_builder import TENSION_SHIFT_MAX
 from carosac_toolkit.drivers.sensors import SensorSettings
 from carosac_toolkit.loop.drive_state import Fault
 from carosac_toolkit.loop.values import Command, Measurement, Stamped
@@ -16,6 +14,7 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.plc.emulator.settings import EmulatorSettings
 from carosac_toolkit.plc.emulator.world import World
 from carosac_toolkit.robot.hardware import Hardware
+from carosac_toolkit.safety.guard import GuardedDriver, GuardSettings
 from carosac_toolkit.trajectories import minimum_snap
 from tests.robots import simple_robot
 
@@ -69,7 +68,7 @@ def moved_until_seen(direction, **wired):
     """The fault of a slow straight motion, and how far the platform truly moved [m]."""
     driver = WiredDriver(**wired)
     settings = GuardSettings(period=PERIOD, motion=True, speed_max=1.5 * SPEED,
-                             tension_shift_max=SHIFT, home_anew=True)  # fmt: skip
+                             tension_shift_max=TENSION_SHIFT_MAX, home_anew=True)  # fmt: skip
     guard = GuardedDriver(driver, ROBOT, settings, real_time=False)
     guard.connect()
     start = driver.world.truth().position[0]

@@ -11,9 +11,18 @@ import pytest
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.loop import Log
 from carosac_toolkit.robot.file import robot_text
+from carosac_toolkit.robot.perturbations import find_condition
 from carosac_toolkit.studies import Case
 from carosac_toolkit.studies.run.rows import checked_values
-from carosac_toolkit.studies.run.run_case import SERIES, Truth, robot_digest, run_case, score
+from carosac_toolkit.studies.run.run_case import (
+    SERIES,
+    Truth,
+    build_part,
+    given_to_driver,
+    robot_digest,
+    run_case,
+    score,
+)
 from tests.recordings.synthetic import full_recording
 from tests.robots import simple_robot
 
@@ -143,6 +152,14 @@ def test_the_wind_of_a_condition_reaches_the_driver_that_has_one(watched):
     assert [d._settings.wind_force for d, _ in watched] == [1.0, 0.0]
     assert [d._settings.wind_time for d, _ in watched] == [2.0, 2.0]
     run_case(case(settings=FAST | {"driver": "quasi_static"}))  # has no wind
+
+
+def test_the_wind_of_a_condition_reaches_the_driver_behind_a_guard():
+    windy = case(settings={"driver_settings": {"guarded": {"driver": "simulator"}}})
+    given = given_to_driver(windy, find_condition("nominal-1"), 0.02, (0.0, -1.0, 2.0))
+    guard = build_part("drivers", "guarded", simple_robot(), windy, "driver_settings", given)
+    behind = guard.inner._settings
+    assert (behind.wind_force, behind.wind_time, behind.start_position) == (1.0, 2.0, (0, -1, 2))
 
 
 def test_sway_is_left_at_the_end_where_the_platform_has_inertia():

@@ -1,17 +1,17 @@
-"""What writes for the guard: in order, never waiting, bounded, and honest about what it lost."""
+"""The queue of the journal: in order, never waiting, bounded, and it counts what it lost."""
 
 import threading
 
-from carosac_toolkit.drivers.scribe import Scribe
+from carosac_toolkit.safety.guard.row_queue import RowQueue
 
 
-def scribe(**changes):
-    return Scribe(**{"lag": 60.0, "threaded": True, "describe": str, **changes})
+def queue(**changes):
+    return RowQueue(**{"lag": 60.0, "threaded": True, "describe": str, **changes})
 
 
 def test_rows_are_written_in_order_and_all_of_them():
     found = []
-    writer = scribe()
+    writer = queue()
     for k in range(2000):
         writer.put(found.append, k)
     assert writer.end() == 0
@@ -21,7 +21,7 @@ def test_rows_are_written_in_order_and_all_of_them():
 
 def test_without_a_clock_a_row_is_written_at_once():
     found = []
-    writer = scribe(threaded=False)
+    writer = queue(threaded=False)
     writer.put(found.append, 1)
     assert found == [1]
     writer.put(lambda: 1 / 0)
@@ -39,7 +39,7 @@ def test_a_full_queue_is_trouble_and_counted():
         began.set()
         free.wait()
 
-    writer = scribe(most=10)
+    writer = queue(rows_max=10)
     writer.put(block)
     assert began.wait(10.0)
     for k in range(15):
@@ -52,7 +52,7 @@ def test_a_full_queue_is_trouble_and_counted():
 
 def test_the_end_does_not_wait_for_a_disk_that_hangs():
     free = threading.Event()
-    writer = scribe()
+    writer = queue()
     writer.put(free.wait)
     writer.put(free.wait)
     assert writer.end(0.05) == 2
@@ -62,7 +62,7 @@ def test_the_end_does_not_wait_for_a_disk_that_hangs():
 
 
 def test_a_journal_that_fails_is_asked_no_more():
-    writer = scribe()
+    writer = queue()
     asked = []
 
     def fail():

@@ -11,15 +11,13 @@ import pytest
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.conformance.drivers import DRIVER_CHECKS
-from carosac_toolkit.drivers.guard_settings import GuardSettings
-from carosac_toolkit.drivers.guarded import GuardedDriver
-from carosac_toolkit.drivers.lifecycle import IllegalTransition, NotReady
 from carosac_toolkit.drivers.quasi_static import QuasiStaticSettings
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.loop import BadPlugin, run
 from carosac_toolkit.loop.values import Belief, Command, Stamped
 from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
-from tests.drivers.guards import (
+from carosac_toolkit.safety.guard import GuardedDriver, GuardSettings, IllegalTransition, NotReady
+from tests.safety.guard.guards import (
     PERIOD,
     ROBOT,
     FailingDriver,
@@ -317,7 +315,7 @@ def test_lost_measurements_are_a_lost_connection():
 def test_tension_outside_its_limits_is_a_fault():
     guard = connected()
     drive(guard, 5)
-    guard._checks._robot = replace(ROBOT, tension_max=np.full(4, 30.0))
+    guard.monitor.checks.robot = replace(ROBOT, tension_max=np.full(4, 30.0))
     to_the_end(guard)
     assert guard.fault.fault is Fault.TENSION
     assert "N estimated; allowed: 5 N to 30 N" in guard.fault.text
@@ -445,7 +443,7 @@ def test_an_error_of_any_kind_in_a_stop_leaves_nothing_enabled_or_open():
     def broken(*_):
         raise KeyboardInterrupt
 
-    guard._brake_to_rest = broken
+    guard.brake.to_rest = broken
     with pytest.raises(KeyboardInterrupt):
         guard.close()
     assert (inner.disables, inner.closes) == (1, 1)
@@ -453,7 +451,7 @@ def test_an_error_of_any_kind_in_a_stop_leaves_nothing_enabled_or_open():
     guard.close()
     guard = connected()
     drive(guard, 5)
-    guard.inner.disable = guard._out.brake = lambda *_: 1 / 0
+    guard.inner.disable = guard.commander.brake = lambda *_: 1 / 0
     guard.stop("done")
     guard.close()
     assert guard.inner.closes == 1
@@ -491,7 +489,7 @@ def test_a_watchdog_that_cannot_brake_tells_the_driver_and_goes_on():
             twice.set()
         raise RuntimeError("a bug")
 
-    guard._watchdog._miss = broken
+    guard.watchdog.miss = broken
     assert twice.wait(10.0)
     assert missed[:2] == [0, 1]
     assert guard.fault.fault is Fault.LOST_CONNECTION
@@ -622,7 +620,7 @@ def test_the_watchdog_brakes_while_a_recording_blocks():
     seen = np.array(guard.inner.seen)
     assert seen[-1] == pytest.approx(seen[-2], abs=1e-12)
     assert within_limits(seen)
-    guard._scribe.end(0.1)
+    guard.monitor.rows.end(0.1)
     guard.close()
     assert guard.unrecorded > 0  # counted, not silently lost
     guard.journal.free.set()
@@ -666,7 +664,7 @@ def test_a_belief_that_runs_away_is_a_fault_of_the_estimator():
     log = run(guard, controller, controller, path())
     assert not log.completed
     assert guard.fault.fault is Fault.ESTIMATOR
-    assert "the believed position is 0.5" in guard.fault.text
+    assert "the estimated position is 0.5" in guard.fault.text
     assert within_limits(guard.inner.seen)
 
 
@@ -731,6 +729,82 @@ def test_settings_are_checked_and_a_recording_needs_no_guard():
         GuardedDriver.build(ROBOT, GuardSettings(driver="replay"))
     with pytest.raises(InvalidField, match=r"inner\.segment"):
         GuardedDriver.build(ROBOT, GuardSettings(driver="quasi_static", inner={"segment": 3}))
+
+
+def test_no_guard_stands_behind_a_guard():
+    for name in ("guarded", "ads"):
+        with pytest.raises(InvalidField, match="a driver that moves, and no guard"):
+            GuardedDriver.build(ROBOT, GuardSettings(driver=name))
+
+
+def test_the_driver_behind_gets_of_a_scene_what_it_has():
+    scene = {"set_down": True, "wind_force": 2.0, "wind_time": 3.0}
+    simulated = GuardedDriver.build(ROBOT, GuardSettings(driver="simulator", scene=scene)).inner
+    assert (simulated._settings.wind_force, simulated._settings.wind_time) == (2.0, 3.0)
+    assert GuardedAds.build(ROBOT, GuardedAdsSettings(scene=scene)).inner._settings.set_down
+    GuardedDriver.build(ROBOT, GuardSettings(driver="quasi_static", scene=scene))
+    asked = GuardSettings(driver="simulator", scene=scene, inner={"wind_force": 1.0})
+    assert GuardedDriver.build(ROBOT, asked).inner._settings.wind_force == 1.0
+    with pytest.raises(InvalidField, match="scene: got 3; allowed: settings by name"):
+        GuardSettings(scene=3)
+
+
+# --- Settings that other tests leave alone --------------------------------------------------------
+
+
+@pytest.mark.parametrize(("margin", "fault"), [(0.05, None), (0.01, Fault.COMMAND)])
+def test_the_limits_hold_back_a_command_out_of_range_up_to_the_margin(margin, fault):
+    start = lengths_at(ROBOT.home_position)[0]
+    guard = connected(robot=replace(ROBOT, length_max=start + 0.02), range_margin=margin)
+    alive, sent = ask(guard, start[None] + 0.05)
+    assert alive == (fault is None)
+    assert (guard.fault and guard.fault.fault) == fault
+    assert (sent.unstrained_length <= start + 0.02).all()
+    guard.close()
+
+
+@pytest.mark.parametrize(("most", "said"), [(0.004, "the other way"), (1.0, "winch should be")])
+def test_a_winch_that_turns_the_other_way_is_found_before_it_is_far(most, said):
+    guard = connected(direction_max=most, jump_max=1.0, closure_max=9.0)
+    start, original = standing(guard), guard.inner.measure
+
+    def reversed_drive():
+        measurement = original()
+        mirrored = 2.0 * (start - guard.monitor.offset) - measurement.unstrained_length
+        return replace(measurement, unstrained_length=mirrored)
+
+    guard.inner.measure = reversed_drive
+    for k in range(50):
+        if not ask(guard, start + 0.004 * k)[0]:
+            break
+    assert guard.fault.fault is Fault.FOLLOWING_ERROR
+    assert said in guard.fault.text
+    guard.close()
+
+
+def test_homing_may_change_offsets_by_the_largest_change_of_every_day():
+    guard = connected(at_once=False, home_change_max=1.0)
+    moved = replace(home_state(), position=ROBOT.home_position[None] + np.array([0.5, 0.0, 0.0]))
+    guard.home(moved)
+    assert 0.1 < np.abs(guard.home_change).max() < 1.0
+    guard.close()
+
+
+@pytest.mark.parametrize("slack_time", [0.1, 0.4])
+def test_a_slack_cable_is_a_fault_once_it_lasts(slack_time):
+    guard = connected(slack_time=slack_time)
+    original = guard.inner.measure
+
+    def slack():
+        measurement = original()
+        tension = Stamped(time=measurement.time, value=np.array([[1.0, 90.0, 90.0, 90.0]]))
+        return replace(measurement, tension=tension)
+
+    guard.inner.measure = slack
+    cycles = to_the_end(guard)
+    assert guard.fault.fault is Fault.TENSION
+    assert cycles * PERIOD == pytest.approx(slack_time, abs=1.5 * PERIOD)
+    guard.close()
 
 
 @pytest.mark.parametrize("asked", [False, True])

@@ -1,4 +1,4 @@
-"""Which steps of the lifecycle are legal where, and what a latched fault says."""
+"""Lifecycle of a drive system: legal steps, and the latched fault."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ ALLOWED: dict[str, tuple[DriveState, ...]] = {
     "disable": (DriveState.HOMED, DriveState.ENABLED, DriveState.FOLLOWING, DriveState.STOPPING),
     "reset_fault": (DriveState.FAULT, DriveState.ESTOP),
 }
-UNHOMED = (Fault.ENCODER_JUMP, Fault.LOST_CONNECTION, Fault.CLOSURE)  # lengths are not known after
+UNHOMING_FAULTS = (Fault.ENCODER_JUMP, Fault.LOST_CONNECTION, Fault.CLOSURE)  # lengths are lost
 
 
 class IllegalTransition(CarosacError):
-    """A step of the lifecycle that is not allowed where the drive system stands.
+    """A step of the lifecycle that is not allowed in the present state.
 
     Attributes:
-        state: Where it stands.
-        asked: The step that was asked for.
-        allowed: Where that step is allowed.
+        state: State of the drive system.
+        asked: Step that was asked for.
+        allowed: States in which that step is allowed.
     """
 
     def __init__(self, state: DriveState, asked: str, why: str = "") -> None:
@@ -43,9 +43,9 @@ class FaultReport:
 
     Attributes:
         fault: Its name.
-        text: What was found.
+        text: Evidence for it.
         cable: Name of the cable, or None.
-        time: When, by the driver's clock [s].
+        time: Time of it by the driver's clock [s].
     """
 
     fault: Fault
@@ -54,26 +54,28 @@ class FaultReport:
     time: float
 
     def __str__(self) -> str:
-        """Name, place, what was found, what it means and what to do."""
+        """Return name, place, evidence, meaning and remedy."""
         where = "" if self.cable is None else f" (cable '{self.cable}')"
-        told = f"{self.fault}{where} at {self.time:.3f} s: {self.text}."
-        return f"{told} {self.fault.meaning} {self.fault.remedy}"
+        evidence = f"{self.fault}{where} at {self.time:.3f} s: {self.text}."
+        return f"{evidence} {self.fault.meaning} {self.fault.remedy}"
 
 
 class Lifecycle:
-    """Where a drive system stands, and the fault that holds it there.
+    """State of a drive system, and the fault that holds it there.
 
     Attributes:
-        state: Where it stands.
-        fault: What was latched first, or None.
+        state: State now.
+        fault: Fault that was latched first, or None.
         homed: Whether lengths belong to poses.
+        live: Whether this host drives the winches: from `enable` until a stop is at rest.
+        ended: Whether the run was stopped.
     """
 
     def __init__(self, tell: Callable[[str, str], None]) -> None:
         """Start disconnected; `tell` hears name and text of every change."""
         self.state = DriveState.DISCONNECTED
         self.fault: FaultReport | None = None
-        self.homed = False
+        self.homed = self.live = self.ended = False
         self._tell = tell
 
     def go(self, state: DriveState, text: str = "") -> None:
@@ -85,20 +87,20 @@ class Lifecycle:
             self._tell(str(state), text)
 
     def allow(self, step: str) -> None:
-        """Refuse a step that is not legal here.
+        """Refuse a step that is not legal now.
 
         Raises:
-            IllegalTransition: It is not.
+            IllegalTransition: The state does not allow it.
         """
         if self.state not in ALLOWED[step]:
             why = f" ({self.fault.fault})" if self.fault is not None else ""
             raise IllegalTransition(self.state, step, why)
 
     def latch(self, report: FaultReport) -> None:
-        """Keep a fault, unless there is one or nothing is connected; each may cost the homing."""
+        """Keep the first fault, where anything is connected; each fault may cost the homing."""
         if self.state is DriveState.DISCONNECTED:
             return
-        self.homed = self.homed and report.fault not in UNHOMED
+        self.homed = self.homed and report.fault not in UNHOMING_FAULTS
         if self.fault is not None:
             return
         self.fault = report
@@ -107,6 +109,6 @@ class Lifecycle:
         self.go(DriveState.FAULT, str(report))
 
     def release(self) -> None:
-        """Go where the latched fault has left the lengths."""
+        """Clear the fault: homed where it left the lengths known, else connected."""
         self.fault = None
         self.go(DriveState.HOMED if self.homed else DriveState.CONNECTED)

@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.drivers.guard_settings import GuardSettings
-from carosac_toolkit.drivers.guarded import GuardedDriver
 from carosac_toolkit.drivers.quasi_static import QuasiStaticDriver, QuasiStaticSettings
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.values import Command, State
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.safety.guard import GuardedDriver, GuardSettings
 from tests.robots import simple_robot
 
 PERIOD = 0.02

@@ -1,6 +1,6 @@
-"""Hands a journal everything from a thread of its own, so that no disk can hold up a robot.
+"""Queue of journal rows, written by a thread of its own, so that no disk can hold up a robot.
 
-The guard tells of measurements and commands while it holds its lock; a journal that blocks there,
+The guard journals measurements and commands while it holds its lock; a journal that blocks there,
 as one on a network disk that hangs, would keep the watchdog from braking. So the guard puts rows
 into a queue and goes on. The queue is bounded, in number and in age: a run whose recording is
 further behind is a run that nobody could explain afterwards, and the guard stops it.
@@ -14,32 +14,33 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-MOST = 20_000  # rows that may wait; about 15 MB
-PATIENCE = 5.0  # [s] for the rows of the end, after which they are given up
+WAITING_ROWS_MAX = 20_000  # about 15 MB
+END_TIMEOUT_S = 5.0  # for the last rows, after which they are given up
 
 Row = tuple[float, Callable[..., None], tuple[Any, ...], dict[str, Any]]
 
 
-class Scribe:
-    """Writes down rows in order; safe from several threads.
+class RowQueue:
+    """Queue of calls of a journal, in order; safe from several threads.
 
     Attributes:
         lost: Rows that were given up: there was no room, or the journal failed.
     """
 
     def __init__(
-        self, *, lag: float, threaded: bool, describe: Callable[[Exception], str], most: int = MOST
-    ) -> None:
-        """Nothing is started before the first row.
+        self, *, lag: float, threaded: bool, describe: Callable[[Exception], str],
+        rows_max: int = WAITING_ROWS_MAX,
+    ) -> None:  # fmt: skip
+        """Set up; nothing is started before the first row.
 
         Args:
-            lag: How long a row may wait [s].
+            lag: Largest time for which a row may wait [s].
             threaded: Whether a thread writes; else `put` does, for runs that no clock drives: they
                 outrun any queue, and nothing needs to be braked while they wait.
             describe: Puts an error of the journal into words.
-            most: Rows that may wait.
+            rows_max: Largest number of rows that may wait.
         """
-        self._lag, self._most, self._threaded = lag, most, threaded
+        self._lag, self._rows_max, self._threaded = lag, rows_max, threaded
         self._describe = describe
         self._rows: deque[Row] = deque()
         self._wake = threading.Condition()
@@ -51,7 +52,7 @@ class Scribe:
 
     @property
     def trouble(self) -> str | None:
-        """Why this recording is none any more, or None where all is well."""
+        """Reason why the recording is no longer complete or in time, or None."""
         with self._wake:
             if self._broken is not None:
                 return self._broken
@@ -64,13 +65,13 @@ class Scribe:
         return f"{lost} rows found no room" if lost else None
 
     def put(self, method: Callable[..., None], *arguments: Any, **named: Any) -> None:
-        """Have a method of the journal called; never waits for it where a thread writes."""
+        """Queue a call of the journal; never wait for it where a thread writes."""
         row = (time.monotonic(), method, arguments, named)
         if not self._threaded:
             self._write(row)
             return
         with self._wake:
-            if self._ending or self._broken is not None or len(self._rows) >= self._most:
+            if self._ending or self._broken is not None or len(self._rows) >= self._rows_max:
                 self.lost += 1
                 return
             if self._thread is None:
@@ -79,25 +80,25 @@ class Scribe:
             self._rows.append(row)
             self._wake.notify()
 
-    def end(self, patience: float = PATIENCE) -> int:
-        """Wait for the rows of the end, not longer than `patience` [s]; safe to call twice.
+    def end(self, timeout: float = END_TIMEOUT_S) -> int:
+        """Wait for the last rows, not longer than `timeout` [s]; safe to call twice.
 
         Returns:
-            How many rows were not written, in all.
+            Number of rows that were not written, in all.
         """
         with self._wake:
-            patience = 0.0 if self._ending else patience
+            timeout = 0.0 if self._ending else timeout
             self._ending = True
             self._wake.notify()
         if self._thread is not None:
-            self._thread.join(patience)
+            self._thread.join(timeout)
         with self._wake:
             self.lost += len(self._rows)
             self._rows.clear()
             return self.lost + (self._writing is not None)
 
     def _run(self) -> None:
-        """The thread: until the end, and then what is left."""
+        """Write rows until the end, and then those that are left."""
         while True:
             with self._wake:
                 self._wake.wait_for(lambda: bool(self._rows) or self._ending)
@@ -114,7 +115,7 @@ class Scribe:
                     return
 
     def _write(self, row: Row) -> None:
-        """Call the journal; one that fails is asked no more."""
+        """Call the journal; after one failure never again."""
         _, method, arguments, named = row
         if self._broken is not None:
             self.lost += 1

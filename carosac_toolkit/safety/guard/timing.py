@@ -1,4 +1,4 @@
-"""Time of a guard by the clock on the wall: cycles that come late, controllers that never come."""
+"""Wall-clock time of a guard: late cycles, and controllers that never come back."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from carosac_toolkit.drivers.guard_checks import Finding
-from carosac_toolkit.drivers.guard_settings import GuardSettings
 from carosac_toolkit.loop.drive_state import Fault
+from carosac_toolkit.safety.guard.checks import Finding
+from carosac_toolkit.safety.guard.settings import GuardSettings
 
-LATE = 3.0  # periods without a call from which on the winches slow down
+PERIODS_UNTIL_MISSED = 3.0  # without a call, from which on the winches slow down
 
 
-class Punctuality:
-    """Counts cycles that took longer than a period; where no clock runs none does.
+class CycleTimer:
+    """Counter of cycles that took longer than a period; without real time none does.
 
     Attributes:
-        began: When the last period began, by the monotonic clock [s].
-        late: Cycles since the start that took longer.
+        began: Start of the last period, by the monotonic clock [s].
+        late: Number of late cycles since the start.
     """
 
     def __init__(self, settings: GuardSettings, *, real_time: bool) -> None:
@@ -32,26 +32,26 @@ class Punctuality:
 
     @property
     def warming(self) -> bool:
-        """Whether this is one of the first cycles, which may be slow."""
+        """True in the first cycles, which may be slow."""
         return self._warming > 0
 
     @property
     def waited(self) -> float:
-        """Since the period began [s]."""
+        """Time since the period began [s]."""
         return time.monotonic() - self.began
 
     def begin(self) -> None:
-        """A period begins."""
+        """Begin a period."""
         self.began = time.monotonic()
 
     def warm_up(self) -> None:
-        """The first cycles begin."""
+        """Begin the first cycles after `enable`."""
         self._warming = self._settings.warm_up if self._real_time else 0
         self._second.clear()
         self.begin()
 
     def end_cycle(self) -> Finding | None:
-        """The controller has commanded: count, and say where too many cycles were late."""
+        """Count a cycle that has its command; return a finding where too many were late."""
         if self._warming > 0:
             self._warming -= 1
             return None
@@ -66,36 +66,40 @@ class Punctuality:
 
 
 class Watchdog:
-    """A thread that looks twice a period whether the guard was called."""
+    """Thread that checks twice a period whether the guard was called.
+
+    Attributes:
+        miss: Called as long as ticks are missed.
+    """
 
     def __init__(
         self, period: float, waited: Callable[[], float], miss: Callable[[], None],
         failed: Callable[[Exception], None],
     ) -> None:  # fmt: skip
-        """Call `miss` as long as `waited` [s] says that ticks are missed.
+        """Take the time waited since the last call [s], and what to do where ticks are missed.
 
         `failed` hears what `miss` raises, and must not raise; the watchdog goes on.
         """
         self._period = period
-        self._waited, self._miss, self._failed = waited, miss, failed
+        self._waited, self.miss, self._failed = waited, miss, failed
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._look, name="guard watchdog", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def end(self) -> None:
-        """Come to an end; safe to call from the watchdog itself."""
+        """End the thread; safe to call from the watchdog itself."""
         self._closing.set()
         if threading.current_thread() is not self._thread:
             self._thread.join()
 
     def _look(self) -> None:
-        """Until closed."""
+        """Check until closed."""
         while not self._closing.wait(0.5 * self._period):
-            if self._waited() > LATE * self._period:
+            if self._waited() > PERIODS_UNTIL_MISSED * self._period:
                 try:
-                    self._miss()
+                    self.miss()
                 except Exception as error:  # the only one who can still brake must not end
                     self._failed(error)

@@ -1,4 +1,4 @@
-"""Who hears of everything that happens on a guarded driver."""
+"""Journal of a guarded driver: hears of everything that happens."""
 
 from __future__ import annotations
 
@@ -8,36 +8,32 @@ from carosac_toolkit.loop.values import Belief, Command, Measurement
 
 
 class Journal(Protocol):
-    """Told of every measurement, command, belief and event, from more than one thread."""
+    """A listener to every measurement, command, belief and event, from more than one thread."""
 
     def measured(self, measurement: Measurement) -> None:
-        """What the sensors said, offsets of homing included."""
-        ...
+        """Take a measurement, offsets of homing included."""
 
     def sent(self, asked: Command | None, sent: Command, *, really: bool) -> None:
-        """What was asked, None in a stop, and what was sent, or would have been in a dry run."""
-        ...
+        """Take what was asked, None in a stop, and what was sent, or would be in a dry run."""
 
     def believed(self, belief: Belief) -> None:
-        """What the estimator said."""
-        ...
+        """Take a belief of the estimator."""
 
     def event(self, time: float, name: str, text: str) -> None:
-        """A change of state, a fault, a stop; `time` is the driver's [s]."""
-        ...
+        """Take a change of state, a fault or a stop; `time` is the driver's [s]."""
 
 
-class Silence:
-    """The journal of who wants none."""
+class NoJournal:
+    """A journal that keeps nothing."""
 
     def measured(self, measurement: Measurement) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def sent(self, asked: Command | None, sent: Command, *, really: bool) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def believed(self, belief: Belief) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def event(self, time: float, name: str, text: str) -> None:
-        """Nothing."""
+        """Do nothing."""
