@@ -16,12 +16,12 @@ import numpy as np
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
 from carosac_toolkit.live.real_time import quick_threads, take_priority
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.loop.loop import Step, run
 from carosac_toolkit.loop.values import State
-from carosac_toolkit.plc.client import PlcClient
+from carosac_toolkit.plc.driver import PlcDriver, PlcDriverSettings
+from carosac_toolkit.plc.emulator.client import PlcClient
 from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
 from carosac_toolkit.safety.guard import GuardedDriver
 from carosac_toolkit.trajectories.arcs import circle
@@ -84,9 +84,9 @@ def controlled(seconds: float) -> tuple[dict[str, list[float]], GuardedDriver, f
     ticks: dict[str, list[float]] = {"tick": [], "round_trip": [], "error": []}
 
     def watch(step: Step) -> None:
-        link = driver.inner.link
+        exchange = driver.inner.exchange
         ticks["tick"].append(time.monotonic())
-        ticks["round_trip"].append(link.counters.round_trip)
+        ticks["round_trip"].append(exchange.counters.round_trip)
         if step.truth is not None:
             off = step.truth.position[0] - step.reference.position[0, 0]
             ticks["error"].append(float(np.linalg.norm(off)))
@@ -97,23 +97,23 @@ def controlled(seconds: float) -> tuple[dict[str, list[float]], GuardedDriver, f
     return ticks, driver, time.monotonic() - began
 
 
-def bare(seconds: float) -> tuple[list[float], list[float], AdsDriver]:
+def bare(seconds: float) -> tuple[list[float], list[float], PlcDriver]:
     """Read and write at 500 Hz, holding; intervals and round trips [s]."""
     robot = ct.load_robot("carosac")
-    driver = AdsDriver(robot, AdsSettings(motion=True, period=FAST, io_period=10 * FAST))
+    driver = PlcDriver(robot, PlcDriverSettings(motion=True, period=FAST, io_period=10 * FAST))
     driver.connect()
     try:
         home = State(time=np.zeros(1), position=robot.home_position[None], rotation=np.eye(3)[None])
         driver.home(home)
         driver.enable()
-        link = driver.link
-        assert link is not None and link.reading is not None
-        held = link.reading.values["set_length"]
+        exchange = driver.exchange
+        assert exchange is not None and exchange.reading is not None
+        held = exchange.reading.values["set_length"]
         ticks, trips = [], []
         for _ in range(round(seconds / FAST)):
             began = time.monotonic()
-            link.send(held, np.zeros(robot.n), FAST)
-            link.wait_for_data(began, 0.1)
+            exchange.send(held, np.zeros(robot.n), FAST)
+            exchange.wait_for_data(began, 0.1)
             ticks.append(time.monotonic())
             trips.append(ticks[-1] - began)
             driver.wait(FAST)

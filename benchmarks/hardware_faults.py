@@ -35,11 +35,11 @@ from carosac_toolkit.cli import run as run_command
 from carosac_toolkit.live.real_time import quick_threads, take_priority
 from carosac_toolkit.loop.drive_state import Fault
 from carosac_toolkit.loop.values import Belief, Command, Measurement, Reference
-from carosac_toolkit.plc import machine_blocks
-from carosac_toolkit.plc.client import PlcClient
-from carosac_toolkit.plc.emulator import Emulator
-from carosac_toolkit.plc.machine_blocks import Injection
-from carosac_toolkit.plc.settings import PlcSettings
+from carosac_toolkit.plc import blocks
+from carosac_toolkit.plc.blocks import Injection
+from carosac_toolkit.plc.emulator.client import PlcClient
+from carosac_toolkit.plc.emulator.emulator import Emulator
+from carosac_toolkit.plc.emulator.settings import EmulatorSettings
 from carosac_toolkit.recordings.crash_safe import read_run
 from carosac_toolkit.robot.file import parse_robot, robot_text
 
@@ -130,7 +130,7 @@ def plc(trial: Trial, check: bool) -> int:
     """The PLC process."""
     take_priority("plc")
     robot = ct.load_robot(trial.folder / "robot.yaml")
-    settings = PlcSettings(encoder_check=check, shift=0.1, watchdog=NOTICED)
+    settings = EmulatorSettings(encoder_check=check, shift=0.1, watchdog=NOTICED)
     emulator = Emulator(robot, robot, settings, seed=os.getpid())
     signal.signal(signal.SIGTERM, lambda *_: emulator.stop())
     with quick_threads():
@@ -207,7 +207,7 @@ def ended(number: int) -> bool:
 
 def state(trial: Trial) -> tuple[int, int]:
     """State and fault of the PLC."""
-    from carosac_toolkit.drivers.ads_block import to_host
+    from carosac_toolkit.plc.blocks import to_host
 
     block = to_host(4)
     values = block.unpack(trial.client.read("CaRoSaC.to_host", block.size))
@@ -251,7 +251,7 @@ FAULTS: dict[str, tuple[Callable[[Trial], Any], str]] = {
 def late(number: int = 1001, delay: float = 0.3) -> tuple[str, bytes]:
     """What to write to have every answer come later [s]."""
     values = {"number": number, "kind": int(Injection.NETWORK), "value": delay}
-    return machine_blocks.CONTROL, machine_blocks.control().pack(values)
+    return blocks.CONTROL, blocks.control().pack(values)
 
 
 def run_trial(name: str, rng: np.random.Generator, number: int) -> Trial:

@@ -16,7 +16,7 @@ import numpy as np
 
 import carosac_toolkit as ct
 from carosac_toolkit.loop.values import State
-from carosac_toolkit.plc.client import PlcClient
+from carosac_toolkit.plc.emulator.client import PlcClient
 from carosac_toolkit.robot.file import robot_text
 from carosac_toolkit.robot.robot import Robot
 

@@ -1,12 +1,12 @@
 """Emulate the PLC of a robot in real time: ADS over TCP, winch drives, a simulated robot.
 
-Clients reach it as they reach a TwinCAT PLC: drivers `ads`, `carosac run`, any ADS client. It
-listens on this machine only, unless --ip says otherwise. With --control each line of the standard
-input does something to the machine: `trip 2`, `trip 2 off`, `jump 1 0.05`, `freeze-counter on`,
+Clients reach it as they reach a TwinCAT PLC: the driver `ads`, `carosac run`, any ADS client. It
+listens on this machine only, unless --ip is given. With --control each line of the standard input
+does something to the machine: `trip 2`, `trip 2 off`, `jump 1 0.05`, `freeze-counter on`,
 `freeze-data on`, `network 0.02 0.01`, `estop on`, `place 0.4 -1.8 2.2`, `clear`, `state`, `quit`;
 the end of the input ends it.
 
-Exit status 1 means that it missed more than one cycle in ten.
+Exit status 1 means that more than one cycle in ten was late.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions
 from carosac_toolkit.cli.position_option import Place
 from carosac_toolkit.live.real_time import quick_threads, take_priority
-from carosac_toolkit.plc.emulator import Emulator
-from carosac_toolkit.plc.machine_blocks import Injection
-from carosac_toolkit.plc.settings import PlcSettings
+from carosac_toolkit.plc.blocks import Injection
+from carosac_toolkit.plc.emulator.emulator import Emulator
+from carosac_toolkit.plc.emulator.settings import EmulatorSettings
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.perturbations import draw_plant, find_condition
 from carosac_toolkit.robot.robot import Robot
 
-WIRED = ("wrong_sign", "reversed_drive")
-_MISSED = 0.1  # share of late cycles above which it was no PLC
+WIRING_FAULTS = ("wrong_sign", "reversed_drive")
+LATE_CYCLES_MAX = 0.1  # share above which it was no PLC
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,34 +45,33 @@ class Options(CommonOptions):
     ip: str | None = None
     """Address to listen on; by default one of this machine only."""
     condition: str = "none"
-    """What the simulated robot has that its file does not say, as in a study."""
+    """Condition that perturbs the simulated robot, as in a study."""
     plant: str = "simulator"
     """Driver whose plant is the robot."""
     cables: str = "catenary"
-    """How the driver `simulator` simulates cables."""
+    """Cable model of the driver `simulator`."""
     start: Place = None
     """Where the platform is at power-on, x y z in m; by default at home."""
     cycle: float = 0.005
-    """Cycle of the PLC in s."""
+    """Period of the PLC in s."""
     watchdog: float = 0.5
-    """Silence of the host in s after which the winches ramp to rest: what a busy desk needs; a
-    plant wants 0.1."""
+    """Silence of the host in s after which the winches ramp to rest; the default suits a busy
+    desk, a plant needs 0.1."""
     shift: float = 0.0
-    """Standard deviation in m of what the encoders say too much after power-on."""
+    """Standard deviation in m of the offset of the encoders after power-on."""
     load_cells: bool = True
     """Whether the tensions are measured."""
     encoder_check: bool = True
-    """Whether the PLC itself stops where a position jumps."""
+    """Whether the PLC itself stops when a position jumps."""
     priority: bool = False
-    """Run before all ordinary processes, as a PLC does; on Linux, and with the right to it."""
+    """Run before all ordinary processes, as a PLC does; on Linux, with the permission to."""
     duration: float | None = None
     """How long to run in s; by default until Ctrl-C or SIGTERM."""
     fault: Annotated[
         tuple[str, ...], tyro.conf.arg(metavar="KIND=CABLE"), tyro.conf.UseAppendAction
     ] = ()
-    """What is wired otherwise than the robot file says: `wrong_sign=CABLE` (encoder and drive) or
-    `reversed_drive=CABLE` (the drive alone); a cable by name or number; may be given several
-    times."""
+    """Cable wired the other way than in the robot file: `wrong_sign=CABLE` (encoder and drive) or
+    `reversed_drive=CABLE` (the drive alone), by name or number; may be given several times."""
     control: bool = False
     """Read lines of the standard input that do something to the machine."""
 
@@ -84,7 +83,7 @@ def run(options: Options) -> CommandResult:
     nominal = load_robot(options.robot)
     condition = find_condition(options.condition)
     plant = draw_plant(nominal, condition, np.random.default_rng(options.seed))
-    settings = PlcSettings(
+    settings = EmulatorSettings(
         wrong_sign=_cables(options.fault, "wrong_sign", nominal),
         reversed_drive=_cables(options.fault, "reversed_drive", nominal),
         plant=options.plant, cables=options.cables, cycle=options.cycle,
@@ -104,51 +103,51 @@ def run(options: Options) -> CommandResult:
             emulator.run(options.duration)
     finally:
         emulator.close()
-    found = emulator.diagnosis()
-    print(f"carosac plc: {summary(found)}")
-    late = found["overruns"] > _MISSED * max(1, found["cycles"])
-    return CommandResult(found, status=int(late))
+    counters = emulator.diagnosis()
+    print(f"carosac plc: {summary(counters)}")
+    late = counters["overruns"] > LATE_CYCLES_MAX * max(1, counters["cycles"])
+    return CommandResult(counters, status=int(late))
 
 
 def _cables(faults: tuple[str, ...], wanted: str, robot: Robot) -> tuple[int, ...]:
-    """Cables of one kind of fault, from 0."""
-    found = []
+    """Return the cables of one kind of fault, from 0."""
+    cables = []
     for text in faults:
         kind, _, cable = text.partition("=")
         names = [*robot.cable_names, *(str(i + 1) for i in range(robot.n))]
-        if kind not in WIRED or cable not in names:
-            allowed = f"{' or '.join(WIRED)}, '=' and one of {', '.join(names)}"
+        if kind not in WIRING_FAULTS or cable not in names:
+            allowed = f"{' or '.join(WIRING_FAULTS)}, '=' and one of {', '.join(names)}"
             raise InvalidField("--fault", repr(text), allowed)
         if kind == wanted:
-            found.append(names.index(cable) % robot.n)
-    return tuple(found)
+            cables.append(names.index(cable) % robot.n)
+    return tuple(cables)
 
 
 def with_signals(emulator: Emulator) -> None:
-    """End the cycle at Ctrl-C and SIGTERM."""
+    """Stop the PLC at Ctrl-C and SIGTERM."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: emulator.stop())
 
 
-def summary(found: dict[str, Any]) -> str:
-    """The counters in a line."""
-    over = {name: found[f"over_{name}"] for name in ("length", "speed", "acceleration", "jerk")}
+def summary(counters: dict[str, Any]) -> str:
+    """Return the counters in one line."""
+    over = {name: counters[f"over_{name}"] for name in ("length", "speed", "acceleration", "jerk")}
     limits = ", ".join(f"{name} {count}" for name, count in over.items())
     return (
-        f"{found['cycles']} cycles, {found['overruns']} late, {found['lost_time']:.3f} s lost; "
-        f"{found['commands']} commands, {found['lost']} lost, {found['not_finite']} not finite; "
-        f"over limits: {limits}; beyond ends {found['beyond_ends']}; watchdog {found['watchdog']}"
-    )
+        "{cycles} cycles, {overruns} late, {lost_time:.3f} s lost; "
+        "{commands} commands, {lost} lost, {not_finite} not finite; "
+        "over limits: {limits}; beyond ends {beyond_ends}; watchdog {watchdog}"
+    ).format(limits=limits, **counters)
 
 
 def obey(emulator: Emulator, line: str) -> str:
     """Carry out one line of the standard input.
 
     Returns:
-        What to answer.
+        Answer to print.
 
     Raises:
-        CarosacError: It means nothing, or cannot be done now.
+        CarosacError: No such line, or it cannot be done now.
     """
     word, *rest = line.split()
     if word == "quit":
@@ -156,8 +155,8 @@ def obey(emulator: Emulator, line: str) -> str:
         return "ok"
     if word == "state":
         machine = emulator.machine
-        found = {"state": machine.state, "fault": machine.fault, "axis": machine.fault_axis}
-        return json.dumps(found | {"owner": machine.owner or None})  # the session it obeys
+        state = {"state": machine.state, "fault": machine.fault, "axis": machine.fault_axis}
+        return json.dumps(state | {"owner": machine.owner or None})  # the session it obeys
     kinds = {kind.name.lower().replace("_", "-"): kind for kind in Injection if kind}
     if word not in kinds:
         raise InvalidField("control", repr(line.strip()), f"{', '.join(kinds)}, state, quit")
@@ -166,7 +165,7 @@ def obey(emulator: Emulator, line: str) -> str:
 
 
 def _arguments(kind: Injection, words: list[str]) -> dict[str, Any]:
-    """Arguments of an injection from its words."""
+    """Return the arguments of an injection from its words."""
     try:
         numbers = [{"on": 1.0, "off": 0.0}.get(word) for word in words]
         values = [float(w) if x is None else x for w, x in zip(words, numbers, strict=True)]
@@ -185,7 +184,7 @@ def _arguments(kind: Injection, words: list[str]) -> dict[str, Any]:
 
 
 def listen(emulator: Emulator) -> None:
-    """Obey the standard input until it ends."""
+    """Obey lines of the standard input until it ends."""
     for line in sys.stdin:
         if not line.strip():
             continue

@@ -36,18 +36,29 @@ def build_plugin(
         InvalidField: `asked` names a field that the settings do not have, or a value of another
             type.
     """
+    settings = settings_of(plugin, where=where, asked=asked, offered=offered)
+    if seeds is not None:
+        return plugin.build_batch(robot, settings, seeds=seeds)
+    return plugin.build(robot, settings, seed=seed)
+
+
+def settings_of(
+    plugin: Any, *, where: str, asked: Mapping[str, Any] = NOTHING,
+    offered: Mapping[str, Any] = NOTHING,
+) -> Any:  # fmt: skip
+    """Return the settings that a plug-in is built with, or None if it has no ``Settings``.
+
+    Arguments and errors are those of `build_plugin`.
+    """
     kind = getattr(plugin, "Settings", None)
     if kind is None:
         if asked:
             raise InvalidField(where, dict(asked), f"nothing: {plugin.__name__} has no Settings")
-        return plugin.build(robot, None, seed=seed)
+        return None
     check_types(where, kind(), asked)
     names = setting_names(plugin)
     known = {name: value for name, value in offered.items() if name in names}
-    settings = filled(where, kind(), {**known, **asked})
-    if seeds is not None:
-        return plugin.build_batch(robot, settings, seeds=seeds)
-    return plugin.build(robot, settings, seed=seed)
+    return filled(where, kind(), {**known, **asked})
 
 
 def setting_names(plugin: Any) -> set[str]:

@@ -1,4 +1,4 @@
-"""Plug-ins by name: controllers, estimators, drivers, commands and figures of other packages.
+"""Plug-ins by name: controllers, estimators, drivers, links, commands and figures.
 
 Each is an entry point of an installed distribution, in the group ``carosac.<kind>``, or is named
 directly as ``module:Class``. Looking up reads metadata only; `load` imports the one asked for.
@@ -17,7 +17,7 @@ from typing import Any, Literal, get_args
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
 
-Kind = Literal["controllers", "estimators", "drivers", "commands", "figures"]
+Kind = Literal["controllers", "estimators", "drivers", "links", "commands", "figures"]
 
 OUR_PACKAGES = ("baselines", "learned", "sim_warp", "calibration")
 _PACKAGE_MARKER = "__carosac__"
@@ -32,7 +32,8 @@ def load(kind: Kind, name: str) -> Any:
     """Import one plug-in.
 
     Args:
-        kind: ``"controllers"``, ``"estimators"``, ``"drivers"``, ``"commands"`` or ``"figures"``.
+        kind: ``"controllers"``, ``"estimators"``, ``"drivers"``, ``"links"``, ``"commands"`` or
+            ``"figures"``.
         name: A name from `names`, or ``module:Class`` for what is not installed but importable;
             modules are looked for in the working folder as well, after all other places.
 

@@ -1,1 +1,1 @@
-"""An emulated PLC: real ADS over TCP, winch drives with limits and faults, a simulated robot."""
+"""A robot behind a PLC: driver, data blocks and links; `emulator` is a PLC to rehearse with."""

@@ -1,4 +1,4 @@
-"""The driver `ads`: the guard on a robot behind a TwinCAT PLC."""
+"""The driver `ads`: the guard around the driver of a robot behind a PLC."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from carosac_toolkit.safety.guard import GuardedDriver, GuardSettings
 
 @dataclass(frozen=True, kw_only=True)
 class GuardedAdsSettings(GuardSettings):
-    """Settings of the guard; `inner` holds those of `carosac_toolkit.drivers.ads.AdsDriver`."""
+    """Settings of the guard; `inner` holds those of `carosac_toolkit.plc.driver.PlcDriver`."""
 
-    driver: str = "carosac_toolkit.drivers.ads:AdsDriver"
+    driver: str = "carosac_toolkit.plc.driver:PlcDriver"
 
 
 class GuardedAds(GuardedDriver):
-    """A guarded `AdsDriver`; nothing is written to the PLC unless `motion` says so."""
+    """A guarded `PlcDriver`; nothing is written to the PLC unless `motion` allows it."""
 
     Settings: ClassVar[type[GuardedAdsSettings]] = GuardedAdsSettings
     name: ClassVar[str] = "ads"

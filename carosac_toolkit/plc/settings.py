@@ -1,82 +1,74 @@
-"""Settings of the emulated PLC."""
+"""Settings of the driver of a robot behind a PLC."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-
-import numpy as np
+from typing import Any
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.base.numbers import check_fields
-from carosac_toolkit.drivers.sensors import SensorSettings
-from carosac_toolkit.plc.winches import WinchLimits
-from carosac_toolkit.robot.hardware import Hardware
-from carosac_toolkit.robot.robot import Robot
+from carosac_toolkit.base.numbers import check_fields, check_positive
+from carosac_toolkit.safety.limiter import LimitSettings
+
+Point = tuple[float, float, float]
+
+SILENCE_MAX_S = 0.1  # a winch at 2.5 m/s pays out 25 cm in it; a network of its own never needs it
+EMULATED_SILENCE_MAX_S = 0.5  # PLC and host beside other programs on two cores: 0.25 s in 600 s
+_SUITES = ("lengths", "lengths+imu")
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlcSettings:
-    """The PLC and the machine behind it.
+class PlcDriverSettings:
+    """Settings of `PlcDriver`; the place of the PLC is in the robot file, section ``hardware``.
 
     Attributes:
-        plant: Driver whose plant is the machine; a name of the registry.
-        cables: How its cables are simulated, for the driver `simulator`.
-        cycle: Of the PLC [s].
-        watchdog: Silence of the host after which the winches ramp to rest [s].
-        jerk_max: Of commands, counted only [m/s^3].
-        step_max: Largest distance of a first command from where a winch stands [m].
-        following_max: Largest distance of a winch from its set position [m].
-        encoder_check: Whether a position that jumps is a fault of the PLC.
-        has_tension: Whether there are load cells.
-        shift: Standard deviation of what the encoders say too much after power-on [m].
-        start_position: Platform origin at power-on in W [m]; None is the home position.
-        sensors: Noise of encoders, load cells and IMU; their rates are those of the PLC.
-        wrong_sign: Cables, from 0, whose encoder and drive are wired the other way than the robot
-            file says.
-        reversed_drive: Cables, from 0, whose drive alone is.
-        wind_force: Standard deviation of the wind on the platform per horizontal axis [N].
+        link: Wire to the PLC: an entry point in ``carosac.links``, or ``module:Class``.
+        link_settings: Settings of the link by name, beside `ip` and `timeout`.
+        ip: Address of the PLC, such as 127.0.0.1 for an emulated one; over ADS the AMS net id is
+            then the same with .1.1. None: as in the robot file.
+        motion: Whether anything may be written to the PLC; without it the driver only reads.
+        period: Time between two commands [s].
+        io_period: Time between two exchanges of data [s]; a new command is sent at once.
+        timeout: Time after which a call of the link gives up [s]. None: as in the robot file.
+        lost_after: Silence of the PLC after which the connection counts as lost, and standstill of
+            its heartbeat or clock after which its data are stale [s]. None: `SILENCE_MAX_S`, and
+            `EMULATED_SILENCE_MAX_S` for an emulated PLC, which has to wait for processor time.
+        suite: ``lengths``, or ``lengths+imu`` if the robot file names an IMU.
+        start_position: Where an emulated PLC sets its robot down at `connect`, in W [m]; a real
+            robot does not move. None: it stays where it is.
+        set_down: Whether a guard that connects to move an emulated PLC clears its fault and sets
+            its robot down where it homes, as for each case of a study. A real one cannot: its
+            platform has to be there, and people look at its faults.
+        limits: Limits of the commands.
     """
 
-    plant: str = "simulator"
-    cables: str = "catenary"
-    cycle: float = 0.005
-    watchdog: float = 0.1
-    jerk_max: float = 200.0
-    step_max: float = 0.03
-    following_max: float = 0.25
-    encoder_check: bool = True
-    has_tension: bool = True
-    shift: float = 0.0
-    start_position: tuple[float, float, float] | None = None
-    sensors: SensorSettings = field(default_factory=lambda: SensorSettings(encoder_bias=0.0))
-    wrong_sign: tuple[int, ...] = ()
-    reversed_drive: tuple[int, ...] = ()
-    wind_force: float = 0.0
+    link: str = "ads"
+    link_settings: Mapping[str, Any] = field(default_factory=dict)
+    ip: str | None = None
+    motion: bool = False
+    period: float = 0.01
+    io_period: float = 0.005
+    timeout: float | None = None
+    lost_after: float | None = None
+    suite: str = "lengths"
+    start_position: Point | None = None
+    set_down: bool = False
+    limits: LimitSettings = field(default_factory=lambda: LimitSettings(box=False))
 
     def __post_init__(self) -> None:
-        """Refuse numbers that no PLC has."""
-        check_fields(
-            self,
-            positive=("cycle", "watchdog", "jerk_max", "step_max", "following_max"),
-            not_negative=("shift", "wind_force"),
-        )
-        if self.watchdog < 2.0 * self.cycle:
-            raise InvalidField(
-                "watchdog", f"{self.watchdog} s", f">= {2.0 * self.cycle} s, 2 cycles"
-            )
+        """Refuse a `motion` that is no bool, times that are not positive, an unknown suite."""
+        if not isinstance(self.motion, bool):
+            raise InvalidField("motion", repr(self.motion), "True or False")
+        check_fields(self, positive=("period", "io_period"))
+        for name in ("timeout", "lost_after"):
+            if getattr(self, name) is not None:
+                check_positive(name, getattr(self, name), "s")
+        if self.suite not in _SUITES:
+            allowed = f"one of {list(_SUITES)}; the PLC measures no poses"
+            raise InvalidField("suite", repr(self.suite), allowed)
 
-
-def limits_of(robot: Robot, hardware: Hardware, settings: PlcSettings) -> WinchLimits:
-    """Limits of a robot in the units of its PLC, as the PLC keeps them."""
-    scale = np.array(hardware.scale)
-    ends = np.stack([hardware.number(robot.length_min), hardware.number(robot.length_max)])
-    n = robot.n
-    return WinchLimits(
-        length_min=ends.min(axis=0),
-        length_max=ends.max(axis=0),
-        speed=robot.speed_max / scale,
-        acceleration=robot.acceleration_max / scale,
-        jerk=np.full(n, settings.jerk_max) / scale,
-        step=np.full(n, settings.step_max) / scale,
-        following=np.full(n, settings.following_max) / scale,
-    )
+    @property
+    def for_link(self) -> dict[str, Any]:
+        """Settings of the link that differ from its defaults."""
+        shared = {"ip": self.ip, "timeout": self.timeout}
+        return {k: v for k, v in shared.items() if v is not None} | dict(self.link_settings)

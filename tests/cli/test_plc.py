@@ -12,12 +12,12 @@ import pytest
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.cli.plc import listen, obey
-from carosac_toolkit.drivers.ads_block import from_host
 from carosac_toolkit.loop.drive_state import DriveState, Fault
-from carosac_toolkit.plc import machine_blocks
-from carosac_toolkit.plc.client import PlcClient
-from carosac_toolkit.plc.emulator import Emulator
-from carosac_toolkit.plc.settings import PlcSettings
+from carosac_toolkit.plc import blocks
+from carosac_toolkit.plc.blocks import from_host
+from carosac_toolkit.plc.emulator.client import PlcClient
+from carosac_toolkit.plc.emulator.emulator import Emulator
+from carosac_toolkit.plc.emulator.settings import EmulatorSettings
 from tests.plc_process import own_address
 from tests.robots import simple_robot
 
@@ -26,7 +26,7 @@ from tests.robots import simple_robot
 def emulator():
     """An emulator that nobody runs: its cycles are stepped by hand."""
     robot = simple_robot()
-    found = Emulator(robot, robot, PlcSettings(), ip=own_address())
+    found = Emulator(robot, robot, EmulatorSettings(), ip=own_address())
     yield found
     found.close()
 
@@ -83,15 +83,15 @@ def test_any_client_reads_the_counters_and_injects_faults(emulator, address):
         cycles = client.diagnosis()["cycles"]
         emulator.step()
         assert client.diagnosis()["cycles"] == cycles + 1
-        block = machine_blocks.control()
+        block = blocks.control()
         values = {"number": 77, "kind": 1, "axis": 9, "value": 1.0}
-        client.write(machine_blocks.CONTROL, block.pack(values))
+        client.write(blocks.CONTROL, block.pack(values))
         emulator.step()
         assert client.diagnosis()["control_refused"] == 77
         with pytest.raises(CarosacError, match="ADS code 0x710"):
             client.read("CaRoSaC.nothing", 8)
         with pytest.raises(CarosacError, match="ADS code 0x704"):
-            client.write(machine_blocks.TRUTH, bytes(machine_blocks.truth(4).size))
+            client.write(blocks.TRUTH, bytes(blocks.truth(4).size))
         with pytest.raises(CarosacError, match="ADS code 0x705"):
             client.write("CaRoSaC.from_host", b"short")
         assert client.read("carosac.FROM_HOST", 4) == bytes(4)  # names count without case

@@ -12,13 +12,13 @@ from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.conformance.capabilities import capabilities_fit
-from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.loop import run
 from carosac_toolkit.loop.values import Belief, Command
 from carosac_toolkit.physics.rest import statics
+from carosac_toolkit.plc.blocks import Injection
+from carosac_toolkit.plc.driver import PlcDriver, PlcDriverSettings
 from carosac_toolkit.plc.guarded import GuardedAds, GuardedAdsSettings
-from carosac_toolkit.plc.machine_blocks import Injection
 from carosac_toolkit.safety.guard import IllegalTransition, NotReady
 from carosac_toolkit.studies.compare.study import Study
 from tests.plc_process import home_pose, plc_process
@@ -124,7 +124,7 @@ def test_a_rehearsal_finds_a_wrong_home_and_writes_nothing_to_the_plc(plc):
     guard.connect()
     try:
         assert guard.state is DriveState.HOMED
-        assert guard.inner.link.reading.values["owner"] == 0
+        assert guard.inner.exchange.reading.values["owner"] == 0
     finally:
         guard.close()
     guard = guard_of(plc, rehearse=True, start_position=tuple(home + np.array([0.0, 0.5, 0.0])))
@@ -220,7 +220,7 @@ def test_a_held_fault_leaves_dry_runs_alone_and_can_be_reset(plc, fault):
 
 
 def test_the_command_clears_a_fault_and_moves_nothing(plc, capsys):
-    driver = AdsDriver(plc.robot, AdsSettings(motion=True))
+    driver = PlcDriver(plc.robot, PlcDriverSettings(motion=True))
     driver.connect()
     driver.hold_fault(Fault.ESTIMATOR)
     driver.close()
@@ -249,7 +249,7 @@ def test_a_study_runs_on_a_plc_by_the_name_of_the_driver(plc, tmp_path):
 
 
 def test_the_capabilities_of_the_driver_have_their_shapes(plc):
-    capabilities_fit(lambda robot, seed: AdsDriver.build(robot, seed=seed), plc.robot)
+    capabilities_fit(lambda robot, seed: PlcDriver.build(robot, seed=seed), plc.robot)
 
 
 def test_a_plc_that_is_killed_is_a_lost_connection_and_leaves_no_thread(plc):

@@ -1,4 +1,4 @@
-"""What the PLC checks of every command that reaches it, and what it counted."""
+"""Checks of every command that reaches the emulated PLC, and their counters."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.drive_state import Fault
-from carosac_toolkit.plc.winches import WinchLimits
+from carosac_toolkit.plc.emulator.winches import WinchLimits
 
-TOLERANCE = 1e-4  # share of a limit that rounding and other units may take
-FAR = 1.05  # above so many times the speed limit the PLC stops
+LIMIT_TOLERANCE = 1e-4  # share of a limit that rounding and a change of units may take
+SPEED_FAULT_RATIO = 1.05  # over the speed limit; above it the PLC stops
 
 
 @dataclass
 class Counters:
-    """What the PLC saw since it started.
+    """Counts of events since the PLC started.
 
     Attributes:
         commands: New commands followed or refused.
@@ -28,10 +28,10 @@ class Counters:
         over_acceleration: The same of acceleration, from three commands in a row.
         over_jerk: The same of jerk, from four.
         jumps: First commands too far from where a winch stood.
-        ignored: Commands while the PLC did not follow.
-        foreign: Writes of sessions that it does not obey.
-        torn: Data that were not of one write.
-        watchdog: How often the host fell silent while it had to be heard.
+        ignored: Commands that came while the PLC did not follow.
+        foreign: Writes of other sessions than the one it obeys.
+        torn: Blocks that were not of one write.
+        watchdog: Times the host fell silent while the drives were on.
         beyond_ends: Cycles in which a set position moved beyond a soft end.
         worst: Largest share of a limit asked for, by name; 1 is the limit.
     """
@@ -55,7 +55,7 @@ class Counters:
 
 
 class CommandChecks:
-    """Differences of successive commands against the limits."""
+    """Checks of successive commands against the limits."""
 
     def __init__(self, limits: WinchLimits, counters: Counters) -> None:
         self._limits = limits
@@ -63,17 +63,17 @@ class CommandChecks:
         self.reset(np.zeros(len(limits.speed)), 0)
 
     def reset(self, position: Array, number: int) -> None:
-        """Start from rest at set positions [unit], shape (n,); `number` is of the last command."""
+        """Start at rest at set positions [unit], shape (n,), after command `number`."""
         rest = np.zeros_like(position)
         self._last: list[Array | None] = [np.array(position), rest, rest]
         self._number, self._first = number, True
 
     def check(self, host: dict[str, Any], position: Array) -> Fault:
-        """Count one new command; say whether it must not be followed.
+        """Count one new command; return the fault that forbids to follow it, if any.
 
         Args:
-            host: What the host wrote.
-            position: Set positions now [unit], shape (n,).
+            host: Members of `blocks.from_host` by name.
+            position: Present set positions [unit], shape (n,).
         """
         counters, limits = self._counters, self._limits
         counters.commands += 1
@@ -82,7 +82,7 @@ class CommandChecks:
         if not finite or period <= 0.0:
             counters.not_finite += 1
             return Fault.COMMAND
-        slack = TOLERANCE * (limits.length_max - limits.length_min)
+        slack = LIMIT_TOLERANCE * (limits.length_max - limits.length_min)
         if ((length < limits.length_min - slack) | (length > limits.length_max + slack)).any():
             counters.over_length += 1
             return Fault.COMMAND
@@ -95,7 +95,7 @@ class CommandChecks:
         return self._differences(length, gap, period)
 
     def _differences(self, length: Array, gap: int, period: float) -> Fault:
-        """Speed, acceleration and jerk of a new command; unknown after a lost one."""
+        """Check speed, acceleration and jerk; the last two are unknown after a lost command."""
         limits, old = self._limits, self._last
         assert old[0] is not None
         speed = (length - old[0]) / (gap * period)
@@ -106,15 +106,15 @@ class CommandChecks:
         share = self._count("speed", speed, limits.speed)
         self._count("acceleration", acceleration, limits.acceleration)
         self._count("jerk", jerk, limits.jerk)
-        return Fault.OVER_LIMIT if share > FAR else Fault.NONE
+        return Fault.OVER_LIMIT if share > SPEED_FAULT_RATIO else Fault.NONE
 
     def _count(self, name: str, value: Array | None, limit: Array) -> float:
-        """Compare with a limit; the largest share of it."""
+        """Compare with a limit; return the largest share of it."""
         if value is None:
             return 0.0
         share = float((np.abs(value) / limit).max())
         counters = self._counters
         counters.worst[name] = max(counters.worst[name], share)
-        if share > 1.0 + TOLERANCE:
+        if share > 1.0 + LIMIT_TOLERANCE:
             setattr(counters, f"over_{name}", getattr(counters, f"over_{name}") + 1)
         return share

@@ -3,17 +3,18 @@
 import numpy as np
 import pytest
 
-from carosac_toolkit.drivers.ads_block import LAYOUT, Answer, Request
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.values import Command
-from carosac_toolkit.plc.machine import Inputs, Machine
-from carosac_toolkit.plc.winches import HEADROOM, Winches, WinchLimits
+from carosac_toolkit.plc.blocks import LAYOUT, Answer, Request
+from carosac_toolkit.plc.emulator.machine import Inputs, Machine
+from carosac_toolkit.plc.emulator.winches import ACCELERATION_HEADROOM, Winches, WinchLimits
 from carosac_toolkit.safety.limiter import Limiter, LimitSettings
 from tests.robots import simple_robot
 
 CYCLE, PERIOD, WATCHDOG = 0.005, 0.01, 0.1
 START = np.array([9.0, 8.0, 9.0, 8.5])
 ROBOT = simple_robot()
+PEAK_MAX = ACCELERATION_HEADROOM * ROBOT.acceleration_max + 1e-9
 LIMITS = WinchLimits(
     length_min=ROBOT.length_min, length_max=ROBOT.length_max, speed=ROBOT.speed_max,
     acceleration=ROBOT.acceleration_max, jerk=np.full(4, 200.0), step=np.full(4, 0.03),
@@ -111,7 +112,7 @@ def test_commands_within_limits_give_motion_within_the_same_limits(rig, amplitud
     assert counters.over_speed == counters.over_acceleration == counters.over_jerk == 0
     assert counters.commands == len(sent) and counters.lost == 0
     assert (winches.speed_peak <= ROBOT.speed_max * (1 + 1e-9)).all()
-    assert (winches.acceleration_peak <= HEADROOM * ROBOT.acceleration_max + 1e-9).all()
+    assert (winches.acceleration_peak <= PEAK_MAX).all()
     # The motion is the commands some 1.5 periods later: compare with them a whole number later.
     asked = np.repeat(sent, 2, axis=0)
     got = np.array(rig.positions[-len(asked) :])
@@ -228,7 +229,7 @@ def test_a_command_beyond_the_speed_limit_stops_the_winches_within_their_limits(
     assert rig.machine.fault is Fault.OVER_LIMIT
     rig.cycles(200)
     assert rig.machine.counters.over_speed == 1
-    assert (rig.machine.winches.acceleration_peak <= HEADROOM * ROBOT.acceleration_max + 1e-9).all()
+    assert (rig.machine.winches.acceleration_peak <= PEAK_MAX).all()
     assert rig.machine.winches.at_rest
 
 
@@ -241,7 +242,7 @@ def test_commands_that_stop_coming_are_not_followed_for_ever(rig):
     assert rig.machine.winches.speed == pytest.approx(np.zeros(4), abs=1e-6)
     far = np.abs(rig.machine.winches.position - sent[-1]).max()
     assert far < 3 * PERIOD * np.abs(rate).max()
-    assert (rig.machine.winches.acceleration_peak <= HEADROOM * ROBOT.acceleration_max + 1e-9).all()
+    assert (rig.machine.winches.acceleration_peak <= PEAK_MAX).all()
 
 
 def test_only_one_session_is_obeyed(rig):
@@ -297,7 +298,7 @@ def test_a_trip_that_goes_away_in_mid_ramp_does_not_start_the_winch_again(rig):
     while not rig.machine.winches.at_rest:
         rig.cycles()
         assert rig.machine.winches.speed[0] == 0.0
-    assert (rig.machine.winches.acceleration_peak <= HEADROOM * ROBOT.acceleration_max + 1e-9).all()
+    assert (rig.machine.winches.acceleration_peak <= PEAK_MAX).all()
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -324,7 +325,7 @@ def test_a_ramp_ends_before_the_soft_ends_and_otherwise_by_one_factor(sign):
         worst = max(worst, sign * (winches.position[1] - end[1]))
     assert worst < 1e-4
     assert capped > 10  # the common ramp alone would have passed the end
-    assert (winches.acceleration_peak <= HEADROOM * ROBOT.acceleration_max + 1e-9).all()
+    assert (winches.acceleration_peak <= PEAK_MAX).all()
 
 
 def test_positions_that_move_out_beyond_a_soft_end_are_counted(rig):
@@ -338,7 +339,7 @@ def test_positions_that_move_out_beyond_a_soft_end_are_counted(rig):
     assert rig.machine.counters.beyond_ends == 1
     rig.cycles(100)
     assert winches.at_rest
-    assert winches.acceleration_peak[0] <= HEADROOM * ROBOT.acceleration_max[0] + 1e-9
+    assert winches.acceleration_peak[0] <= PEAK_MAX[0]
 
 
 def test_each_start_of_the_program_has_another_number(rig):

@@ -1,73 +1,69 @@
-"""The link to a PLC over ADS: one thread that reads and writes one structure each, again and again.
+"""The exchange of data with a PLC: one thread reads and writes one block each, again and again.
 
-pyads is not safe in several threads, so that all its calls are made here. A connection that broke
-stays broken until it is opened anew with new handles; both are done here. Without `writing` nothing
-is ever written, and with it only from a request on until `quiet`, and never while the PLC obeys
-another session: there is one structure for all hosts.
+The thread makes all calls of the link, which therefore needs no locks. A connection that broke
+stays broken until it is opened anew, which the thread does as well. Without `writing` nothing is
+ever written. With it, the exchange writes from a request on until `quiet`, and never while the PLC
+obeys another session: all hosts share one block.
 """
 
 from __future__ import annotations
 
-import ctypes
 import secrets
-import socket
 import threading
 import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.drivers import ads_block
-from carosac_toolkit.drivers.ads_block import Answer, Request
-from carosac_toolkit.drivers.ads_reading import LinkCounters, Reading
-from carosac_toolkit.drivers.clock_offset import ClockOffset
-from carosac_toolkit.plc.machine_blocks import TRUTH, truth
-from carosac_toolkit.robot.hardware import ADS_TCP_PORT, AdsAddress
+from carosac_toolkit.plc import blocks
+from carosac_toolkit.plc.blocks import FROM_HOST, TO_HOST, TRUTH, Answer, Request
+from carosac_toolkit.plc.clock_offset import ClockOffset
+from carosac_toolkit.plc.link import LinkError, PlcLink
+from carosac_toolkit.plc.reading import LinkCounters, Reading
 
-_AGAIN = 0.2  # [s] between two attempts to connect
-_REOPEN = 4  # calls in a row that failed, after which the connection is opened anew
-_BY_HANDLE = 0xF005
-_LETS_GO = (Request.DISABLE, Request.HOLD)
+FIRST_DATA_TIMEOUT_S = 2.0  # beyond it a PLC is off or elsewhere
+RECONNECT_PERIOD_S = 0.2
+FAILURES_BEFORE_RECONNECT = 4  # calls in a row: a lost packet or two is no broken connection
+_RELEASING = (Request.DISABLE, Request.HOLD)
 
 
-class AdsLink:
-    """One PLC, from one host.
+class PlcExchange:
+    """The cyclic exchange of one host with one PLC.
 
     Attributes:
-        counters: What happened.
-        session: By which the PLC knows this host.
-        reading: The newest one, or None.
-        error: The newest error in words, or None where the last cycle went well.
-        wants_truth: Whether the truth of an emulated PLC is read as well, which takes a call more.
-        hold_heartbeat: For tests: the sequence stays the same while this is true.
+        counters: Counts of cycles, errors and restarts.
+        session: Number that identifies this host to the PLC.
+        reading: Newest data from the PLC, or None.
+        error: Newest error in words, or None if the last cycle succeeded.
+        emulated: Whether the PLC is an emulated one, which knows the true state of its robot.
+        wants_truth: Whether to read that state as well, which takes one more call a cycle.
     """
 
-    def __init__(
-        self, address: AdsAddress, n: int, *, period: float, writing: bool, timeout: float
-    ) -> None:
+    def __init__(self, link: PlcLink, n: int, *, period: float, writing: bool) -> None:
         """Set up; `open` connects.
 
         Args:
-            address: Of the PLC.
+            link: Wire to the PLC; from `open` on only the thread calls it.
             n: Number of cables.
-            period: Of the thread [s]; commands are sent at once.
+            period: Period of the thread [s]; commands are sent at once.
             writing: Whether anything may be written at all.
-            timeout: After which a call is given up [s].
         """
         self.counters = LinkCounters()
         self.session = secrets.randbelow(2**32 - 1) + 1
         self.reading: Reading | None = None
         self.error: str | None = None
+        self.emulated = False
         self.wants_truth = False
-        self.hold_heartbeat = False
-        self._address, self._n, self._period, self._timeout = address, n, period, timeout
-        self._writing = writing
-        self._to_host, self._from_host = ads_block.to_host(n), ads_block.from_host(n)
-        self._truth = truth(n)
+        self._link, self._n, self._period, self._writing = link, n, period, writing
+        self._to_host, self._from_host = blocks.to_host(n), blocks.from_host(n)
+        self._truth = blocks.truth(n)
         self._offset = ClockOffset()
-        self._plc: Any = None
-        self._handles: dict[str, int] = {}
+        self._connected = False
         self._wake = threading.Condition()
         self._answered = threading.Condition()
+        self._calls: deque[tuple[Future[Any], Callable[..., Any], tuple[Any, ...]]] = deque()
         self._fresh = False
         self._active = False  # whether anything is written now
         self._ending = False  # whether that ends with the next write
@@ -76,30 +72,30 @@ class AdsLink:
         self._running = False
         self._thread: threading.Thread | None = None
         self._out: dict[str, Any] = {
-            "layout": ads_block.LAYOUT, "cables": n, "session": self.session, "follow": 0,
+            "layout": blocks.LAYOUT, "cables": n, "session": self.session, "follow": 0,
             "request": 0, "request_number": secrets.randbelow(2**31), "command": 0,
             "period": 0.0, "length": 0.0, "rate": 0.0, "fault": 0,
         }  # fmt: skip
         self._sequence, self._failures, self._ended = 0, 0, 0.0
 
-    def open(self, patience: float = 2.0) -> Reading:
+    def open(self) -> Reading:
         """Start the thread and wait for the first data.
 
         Raises:
-            CarosacError: There were none in time [s]; the thread has ended then.
+            CarosacError: No data came within `FIRST_DATA_TIMEOUT_S`; the thread has ended then.
         """
         self._running = True
-        self._thread = threading.Thread(target=self._run, name="ads-link", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="plc-exchange", daemon=True)
         self._thread.start()
-        end = time.monotonic() + patience
+        end = time.monotonic() + FIRST_DATA_TIMEOUT_S
         with self._answered:
             while self.reading is None and time.monotonic() < end:
                 self._answered.wait(end - time.monotonic())
         if self.reading is None:
-            why = self.error or "no answer"
+            reason = self.error or "no answer"
             self.close()
             raise CarosacError(
-                f"PLC {self._address.net_id} at {self._address.ip}: {why} after {patience:g} s"
+                f"PLC {self._link.address}: {reason} after {FIRST_DATA_TIMEOUT_S:g} s"
             )
         return self.reading
 
@@ -109,29 +105,30 @@ class AdsLink:
         with self._wake:
             self._wake.notify()
         if self._thread is not None:
-            self._thread.join(10.0 * self._timeout + 2.0)
+            self._thread.join(self._patience)
             self._thread = None
 
     @property
-    def emulated(self) -> bool:
-        """Whether the PLC is an emulated one, which knows the truth."""
-        return "truth" in self._handles
-
-    @property
     def other(self) -> int:
-        """Another session that the PLC obeys, by its newest answer; 0 where there is none."""
+        """Another session that the PLC obeys, by its newest data; 0 if there is none."""
         reading = self.reading
         owner = 0 if reading is None else int(reading.values["owner"])
         return 0 if owner == self.session else owner
 
     @property
     def age(self) -> float:
-        """Time since the last answer of the PLC [s]."""
+        """Time since the newest data came from the PLC [s]."""
         reading = self.reading
         return float("inf") if reading is None else time.monotonic() - reading.received
 
     def send(self, length: Any, rate: Any, period: float) -> None:
-        """Have the winches follow this from now on, in the units of the PLC; sent at once."""
+        """Send a command at once; the winches follow it from then on.
+
+        Args:
+            length: Set positions [unit], shape (n,).
+            rate: Set velocities [unit/s], shape (n,).
+            period: Time between two commands [s].
+        """
         with self._wake:
             out = self._out
             command = (out["command"] + 1) % 2**32
@@ -141,24 +138,19 @@ class AdsLink:
             self._fresh = True
             self._wake.notify()
 
-    def hold(self) -> None:
-        """Ask for no motion any more; the heartbeat goes on."""
-        with self._wake:
-            self._out = self._out | {"follow": 0}
-
     def request(self, request: Request, patience: float = 0.0, *, fault: int = 0) -> Answer:
-        """Ask the PLC for something; commands no longer count then.
+        """Send a request to the PLC; commands sent before no longer count.
 
         Args:
-            request: What.
+            request: The request.
             patience: How long to wait for the answer [s]; 0: not at all.
             fault: Number of the fault to hold.
 
         A disable or hold that is not answered in time stays, and the heartbeat stands still, so
-        that the watchdog of the PLC stops the winches where the request does not reach it.
+        that the watchdog of the PLC stops the winches even if the request never arrives.
 
         Returns:
-            The answer, `Answer.NONE` where there was none in time.
+            The answer, or `Answer.NONE` if none came in time.
         """
         with self._wake:
             number = (self._out["request_number"] + 1) % 2**32 or 1
@@ -169,10 +161,10 @@ class AdsLink:
             self._active, self._ending, self._pending = True, False, None
             self._fresh = True
             self._wake.notify()
-        answer = self._answer(number, patience)
+        answer = self._wait_for_answer(number, patience)
         with self._wake:
             if self._out["request_number"] == number:
-                if request in _LETS_GO and answer is Answer.NONE:
+                if request in _RELEASING and answer is Answer.NONE:
                     self._pending = number
                 elif patience > 0.0:  # a PLC that starts anew must not find it
                     self._out = self._out | {"request": 0}
@@ -186,19 +178,13 @@ class AdsLink:
             self._fresh = True
             self._wake.notify()
 
-    def _answer(self, number: int, patience: float) -> Answer:
-        """What the PLC answered to a request, `Answer.NONE` where it did not in time [s]."""
-        end = time.monotonic() + patience
-        with self._answered:
-            while time.monotonic() < end:
-                reading = self.reading
-                if reading is not None and reading.values["answered"] == number:
-                    return Answer(reading.values["answer"])
-                self._answered.wait(max(0.0, end - time.monotonic()))
-        return Answer.NONE
-
     def wait_for_data(self, received: float, patience: float) -> bool:
-        """Wait for an answer that came after `received` [s]; False where none did in time."""
+        """Wait for data received after a time; return whether they came.
+
+        Args:
+            received: By `time.monotonic` [s].
+            patience: How long to wait [s].
+        """
         end = time.monotonic() + patience
         with self._answered:
             while self.reading is None or self.reading.received <= received:
@@ -208,14 +194,61 @@ class AdsLink:
                 self._answered.wait(left)
         return True
 
+    def read(self, block: str, size: int) -> bytes:
+        """Return the bytes of a block, read between two cycles.
+
+        Raises:
+            LinkError: As of `PlcLink.read`, or the connection is broken.
+        """
+        data: bytes = self._call(self._link.read, block, size)
+        return data
+
+    def write(self, block: str, data: bytes) -> None:
+        """Write the bytes of a block between two cycles.
+
+        Raises:
+            LinkError: As of `PlcLink.write`, the connection is broken, or nothing may be written.
+        """
+        if not self._writing:
+            raise LinkError(f"PLC {self._link.address}: nothing may be written")
+        self._call(self._link.write, block, data)
+
+    @property
+    def _patience(self) -> float:
+        """Time within which the thread has finished a cycle, whatever the network does [s]."""
+        return 10.0 * self._link.timeout + 2.0
+
+    def _call(self, method: Callable[..., Any], *arguments: Any) -> Any:
+        """Have the thread make one call of the link."""
+        answer: Future[Any] = Future()
+        with self._wake:
+            self._calls.append((answer, method, arguments))
+            self._wake.notify()
+        try:
+            return answer.result(self._patience)
+        except TimeoutError as error:
+            answer.cancel()
+            raise LinkError(f"PLC {self._link.address}: {self.error or 'no answer'}") from error
+
+    def _wait_for_answer(self, number: int, patience: float) -> Answer:
+        """Return the answer to a request, `Answer.NONE` if it did not come in time [s]."""
+        end = time.monotonic() + patience
+        with self._answered:
+            while time.monotonic() < end:
+                reading = self.reading
+                if reading is not None and reading.values["answered"] == number:
+                    return Answer(reading.values["answer"])
+                self._answered.wait(max(0.0, end - time.monotonic()))
+        return Answer.NONE
+
     def _run(self) -> None:
-        """The thread: on an absolute schedule, and at once where there is something to send."""
+        """Run the thread: on an absolute schedule, and at once if there is something to send."""
         due = time.monotonic()
         try:
             while self._running:
-                if self._plc is None and not self._connect():
+                if not self._connected and not self._connect():
                     with self._wake:
-                        self._wake.wait_for(lambda: not self._running, _AGAIN)
+                        self._wake.wait_for(lambda: not self._running, RECONNECT_PERIOD_S)
                     due = time.monotonic()
                     continue
                 self._cycle()
@@ -227,18 +260,20 @@ class AdsLink:
             self._disconnect()
 
     def _next(self, due: float) -> float:
-        """Wait for the next tick, or for something to send."""
+        """Wait for the next tick, or for something to send; return the tick after it [s]."""
         now = time.monotonic()
         due += self._period
         if now > due:
             self.counters.missed += int((now - due) / self._period)
             due = now
         with self._wake:
-            self._wake.wait_for(lambda: self._fresh or not self._running, max(0.0, due - now))
+            self._wake.wait_for(
+                lambda: self._fresh or self._calls or not self._running, max(0.0, due - now)
+            )
         return min(due, time.monotonic())
 
     def _cycle(self) -> None:
-        """Write where it is allowed, and read."""
+        """Write if it is allowed, and read."""
         began = time.monotonic()
         try:
             if self._may_write():
@@ -248,11 +283,9 @@ class AdsLink:
             if self._pending is not None and self.reading is not None:
                 if self.reading.values["answered"] == self._pending:
                     self.quiet()
-        except ads_block.WrongBlock as error:
+        except blocks.WrongBlock as error:
             self._failed(f"{error}; host and PLC have other data blocks")
-        except Exception as error:  # pyads raises its own and RuntimeError
-            if not _is_ads(error):
-                raise
+        except LinkError as error:
             self._failed(str(error))
         else:
             self.error, self._failures = None, 0
@@ -264,11 +297,22 @@ class AdsLink:
             self._ended = now
             counters.round_trip = now - began
             counters.round_trip_max = max(counters.round_trip_max, counters.round_trip)
+            self._make_calls()
         with self._answered:
             self._answered.notify_all()
 
+    def _make_calls(self) -> None:
+        """Make the calls that other threads wait for."""
+        while self._calls:
+            answer, method, arguments = self._calls.popleft()
+            if answer.set_running_or_notify_cancel():
+                try:
+                    answer.set_result(method(*arguments))
+                except LinkError as error:
+                    answer.set_exception(error)
+
     def _may_write(self) -> bool:
-        """Whether something is to be written, and nobody else writes."""
+        """Return whether there is something to write, and nobody else writes."""
         with self._wake:
             self._active = self._active and not self.other
             allowed = self._writing and self._active and self._heard
@@ -279,22 +323,21 @@ class AdsLink:
         """Send the newest of everything, with the next heartbeat."""
         with self._wake:
             out, self._fresh, ending = self._out, False, self._ending
-            held = self.hold_heartbeat or self._pending is not None
+            held = self._pending is not None
         self._sequence = (self._sequence + (not held)) % 2**32
         data = self._from_host.pack(
             out | {"sequence": self._sequence, "sequence_end": self._sequence}
         )
-        kind = ctypes.c_ubyte * len(data)
-        self._plc.write(_BY_HANDLE, self._handles["from_host"], data, kind)
+        self._link.write(FROM_HOST, data)
         with self._wake:
             if ending and self._ending:
                 self._active = self._ending = False
 
     def _read(self) -> None:
-        """Take over what the PLC says."""
-        values = self._to_host.unpack(self._fetch("to_host", self._to_host.size))
+        """Read the data of the PLC; keep them if they are whole."""
+        values = self._to_host.unpack(self._link.read(TO_HOST, self._to_host.size))
         received = time.monotonic()
-        if not ads_block.whole(self._to_host, values, self._n):
+        if not blocks.whole(self._to_host, values, self._n):
             self.counters.torn += 1
             return
         last = self.reading
@@ -306,84 +349,40 @@ class AdsLink:
         alive = last is None or all(values[x] != last.values[x] for x in ("sequence", "time"))
         if alive:
             self._offset.add(received, values["time"])
-        known = None
+        truth = None
         if self.wants_truth and self.emulated:
-            known = self._truth.unpack(self._fetch("truth", self._truth.size))
+            truth = self._truth.unpack(self._link.read(TRUTH, self._truth.size))
         self.reading = Reading(
-            values=values, received=received, truth=known,
+            values=values, received=received, truth=truth,
             measured=self._offset.here(values["time"]) if last is None or alive else last.measured,
             advanced=received if last is None or alive else last.advanced,
         )  # fmt: skip
 
-    def _fetch(self, name: str, size: int) -> bytes:
-        found = self._plc.read(
-            _BY_HANDLE, self._handles[name], ctypes.c_ubyte * size, return_ctypes=True
-        )
-        return bytes(found)
-
     def _connect(self) -> bool:
-        """Open the connection and ask for handles."""
-        import pyads
-
-        address = self._address
+        """Open the connection; return whether that succeeded."""
         try:
-            # The library has no time limit of its own for a host that does not answer.
-            socket.create_connection((address.ip, ADS_TCP_PORT), max(self._timeout, 0.2)).close()
-            plc = pyads.Connection(address.net_id, address.port, address.ip)
-            plc.open()
-        except Exception as error:
-            if not _is_ads(error):
-                raise
-            self._failed(f"cannot connect: {error}")
-            return False
-        self._plc, self._heard = plc, False
-        try:
-            plc.set_timeout(max(1, round(1000.0 * self._timeout)))
-            self._handles = {"to_host": plc.get_handle(address.to_host)}
-            if self._writing:
-                self._handles["from_host"] = plc.get_handle(address.from_host)
-            try:
-                self._handles["truth"] = plc.get_handle(TRUTH)
-            except pyads.ADSError as error:
-                if error.err_code != _NO_SYMBOL:
-                    raise
-        except Exception as error:
-            if not _is_ads(error):
-                raise
+            self._link.connect(writing=self._writing)
+        except LinkError as error:
             self._disconnect()
-            self._failed(f"cannot find the data block: {error}")
+            self._failed(str(error))
             return False
-        self._failures = 0
+        self._connected, self._heard, self._failures = True, False, 0
+        self.emulated = self._link.has(TRUTH)
         self.counters.reconnects += self.reading is not None
         return True
 
-    def _failed(self, why: str) -> None:
-        """Count a failure; after some in a row the connection is given up."""
-        self.error = why
+    def _failed(self, reason: str) -> None:
+        """Count a failure; give the connection up after some in a row."""
+        self.error = reason
         self.counters.errors += 1
-        self._failures = self._failures + 1
-        if self._failures >= _REOPEN:
+        self._failures += 1
+        if self._failures >= FAILURES_BEFORE_RECONNECT:
             self._disconnect()
 
     def _disconnect(self) -> None:
-        """Close the connection, whatever state it is in."""
-        plc, self._plc = self._plc, None
-        self._failures = 0
-        if plc is None:
-            return
+        """Close the connection, in whatever state it is."""
+        self._connected, self._failures = False, 0
         try:
-            plc.close()
-        except Exception as error:
-            if not _is_ads(error):
-                raise
+            self._link.close()
+        except LinkError as error:
             self.error = str(error)
-
-
-_NO_SYMBOL = 1808
-
-
-def _is_ads(error: Exception) -> bool:
-    """Whether it is what a network or the ADS library raises."""
-    import pyads
-
-    return isinstance(error, pyads.ADSError | OSError | RuntimeError)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.drivers import ads_block, ads_reader
-from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
-from carosac_toolkit.drivers.ads_link import AdsLink
-from carosac_toolkit.drivers.imu_udp import imu_line
 from carosac_toolkit.loop.drive_state import DriveState, Fault
-from carosac_toolkit.plc.machine import Inputs, Machine
-from carosac_toolkit.plc.settings import PlcSettings, limits_of
+from carosac_toolkit.plc import blocks, reader
+from carosac_toolkit.plc import driver as driver_module
+from carosac_toolkit.plc.driver import PlcDriver, PlcDriverSettings
+from carosac_toolkit.plc.emulator.machine import Inputs, Machine
+from carosac_toolkit.plc.emulator.settings import winch_limits
+from carosac_toolkit.plc.imu_udp import imu_line
 from carosac_toolkit.robot.hardware import Hardware, ImuSource
 from tests.plc_process import home_pose
 from tests.robots import simple_robot
@@ -26,28 +26,36 @@ START = (ROBOT.length_min + ROBOT.length_max) / 2
 
 
 class Program:
-    """The program of a PLC; a cycle at each read. `deaf`: it finds no request."""
+    """The program of a PLC and the link to it; a cycle a read. `deaf`: it finds no request."""
+
+    address, timeout = "in this process", 0.05
 
     def __init__(self):
         self.lock = threading.Lock()
-        self.from_host, self.to_host = ads_block.from_host(N), ads_block.to_host(N)
+        self.from_host, self.to_host = blocks.from_host(N), blocks.to_host(N)
         self.memory = bytes(self.from_host.size)
         self.writers = []
         self.deaf = False
         self.start()
 
     def start(self):
-        limits = limits_of(ROBOT, Hardware.loopback(N), PlcSettings())
+        limits = winch_limits(ROBOT, Hardware.loopback(N))
         self.machine = Machine(limits, cycle=0.005, watchdog=0.1)
         self.machine.place(START)
         self.memory = bytes(self.from_host.size)
 
-    def write(self, group, handle, data, kind):
+    def connect(self, *, writing):
+        pass
+
+    def has(self, block):
+        return block in (blocks.FROM_HOST, blocks.TO_HOST)
+
+    def write(self, block, data):
         with self.lock:
             self.memory = data
             self.writers.append(self.from_host.unpack(data)["session"])
 
-    def read(self, group, handle, kind, return_ctypes):
+    def read(self, block, size):
         with self.lock:
             host = self.from_host.unpack(self.memory)
             if self.deaf:
@@ -64,13 +72,8 @@ class Program:
 def program(monkeypatch):
     found = Program()
 
-    def connect(link):
-        link._handles = {"to_host": 1, "from_host": 2}
-        link._plc, link._heard = found, False
-        return True
-
-    monkeypatch.setattr(AdsLink, "_connect", connect)
-    monkeypatch.setattr(ads_reader, "ANSWER", 0.6)
+    monkeypatch.setattr(driver_module, "build_link", lambda *_: found)
+    monkeypatch.setattr(reader, "ANSWER_TIMEOUT_S", 0.6)
     return found
 
 
@@ -80,7 +83,7 @@ def host(program):
     made = []
 
     def make():
-        driver = AdsDriver(ROBOT, AdsSettings(motion=True, lost_after=1.0))
+        driver = PlcDriver(ROBOT, PlcDriverSettings(motion=True, lost_after=1.0))
         driver.connect()
         driver.home(home_pose(ROBOT))
         made.append(driver)
@@ -109,7 +112,7 @@ def test_a_host_writes_from_enable_until_the_plc_has_let_go(program, host):
     driver = host()
     assert not program.writers
     driver.enable()
-    assert written(program) == {driver.link.session}
+    assert written(program) == {driver.exchange.session}
     driver.disable()
     assert program.machine.state is DriveState.CONNECTED
     until(lambda: not written(program))
@@ -151,7 +154,7 @@ def test_a_plc_that_was_started_anew_holds_the_fault_of_its_host_all_the_same(pr
 def test_a_fault_that_the_plc_did_not_take_is_said(program, host):
     driver = host()
     driver.enable()
-    program.machine._request = lambda host, mine: ads_block.Answer.UNKNOWN
+    program.machine._request = lambda host, mine: blocks.Answer.UNKNOWN
     with pytest.raises(CarosacError, match="does not hold controller: it does not know this"):
         driver.hold_fault(Fault.CONTROLLER)
 
@@ -176,12 +179,14 @@ def test_only_an_emulated_plc_sets_its_robot_down(program, host):
 def test_a_second_host_writes_nothing_and_is_refused(program, host):
     first, second = host(), host()
     first.enable()
-    until(lambda: second.link.other == first.link.session)
+    until(lambda: second.exchange.other == first.exchange.session)
     for refused in (second.enable, second.reset_fault):
-        with pytest.raises(CarosacError, match=f"obeys another host, session {first.link.session}"):
+        with pytest.raises(
+            CarosacError, match=f"obeys another host, session {first.exchange.session}"
+        ):
             refused()
-    assert written(program) == {first.link.session}
-    assert second.link.session not in program.writers
+    assert written(program) == {first.exchange.session}
+    assert second.exchange.session not in program.writers
     assert program.machine.counters.foreign == 0
     second.close()
     assert first.state is DriveState.ENABLED
@@ -197,8 +202,10 @@ def test_a_host_that_lost_the_plc_to_another_stops_writing_and_says_so(program, 
     second.enable()
     until(lambda: first.fault is Fault.OWNER)
     assert first.state is DriveState.FAULT and not first.wait(0.01)
-    assert written(program) == {second.link.session}
-    with pytest.raises(CarosacError, match=f"obeys another host, session {second.link.session}"):
+    assert written(program) == {second.exchange.session}
+    with pytest.raises(
+        CarosacError, match=f"obeys another host, session {second.exchange.session}"
+    ):
         first.disable()
     assert program.machine.state is DriveState.ENABLED
     second.disable()
@@ -227,7 +234,7 @@ def test_a_disable_without_answer_stays_and_the_watchdog_stops_the_winches(progr
     driver.disable()
     until(lambda: program.machine.fault is Fault.HEARTBEAT_LOST)
     until(lambda: program.machine.output(program.machine._inputs)["owner"] == 0)
-    assert program.from_host.unpack(program.memory)["request"] == ads_block.Request.DISABLE
+    assert program.from_host.unpack(program.memory)["request"] == blocks.Request.DISABLE
     program.deaf = False
     until(lambda: not written(program))
     driver.reset_fault()
@@ -238,7 +245,7 @@ def test_a_disable_without_answer_stays_and_the_watchdog_stops_the_winches(progr
 def test_a_disable_that_is_heard_late_is_obeyed(program, host, monkeypatch):
     driver = host()
     driver.enable()
-    monkeypatch.setattr(ads_reader, "ANSWER", 0.02)
+    monkeypatch.setattr(reader, "ANSWER_TIMEOUT_S", 0.02)
     program.deaf = True
     driver.disable()
     program.deaf = False
@@ -276,7 +283,7 @@ def test_inertial_samples_reach_the_measurement_at_the_times_of_the_sensor(progr
         port = free.getsockname()[1]
     source = ImuSource(port=port)
     robot = replace(ROBOT, hardware=replace(Hardware.loopback(N), imu=source))
-    driver = AdsDriver(robot, AdsSettings(suite="lengths+imu", lost_after=1.0))
+    driver = PlcDriver(robot, PlcDriverSettings(suite="lengths+imu", lost_after=1.0))
     driver.connect()
     try:
         assert driver.measure().imu is None

@@ -1,8 +1,11 @@
-"""The data that host and PLC exchange: one structure each way, of the same layout on both sides.
+"""The memory that host and PLC share: blocks of the same layout on both sides, whatever the wire.
 
-Every 8-byte number stands at a multiple of 8 bytes and the whole is one, so that the layout is the
-same under every ``pack_mode`` of TwinCAT. Little-endian, as ADS is. Lengths, rates and the period
-are in the PLC's units of length and in seconds; `Hardware` says what a unit is.
+Every 8-byte number starts at a multiple of 8 bytes and every block is a multiple of 8 bytes long,
+so that the layout is the same under every ``pack_mode`` of TwinCAT. Little-endian. Lengths, rates
+and the period are in the PLC's units of length and in seconds; `Hardware` converts them.
+
+Every PLC has the blocks `FROM_HOST` and `TO_HOST`. Only an emulated one has `CONTROL`, through
+which faults are injected, `DIAGNOSIS`, its counters, and `TRUTH`, the state of its robot.
 """
 
 from __future__ import annotations
@@ -18,21 +21,26 @@ import numpy as np
 from carosac_toolkit.base.errors import CarosacError
 
 LAYOUT = 2  # version of the layout; both sides refuse another one
+FROM_HOST = "from_host"  # names of the blocks; over ADS the robot file names the first two symbols
+TO_HOST = "to_host"
+CONTROL = "Emulator.control"
+DIAGNOSIS = "Emulator.diagnosis"
+TRUTH = "Emulator.truth"
 
 
 class Request(IntEnum):
-    """What the host asks of the PLC, once for each new ``request_number``."""
+    """Request of the host, obeyed once for each new ``request_number``."""
 
     NONE = 0
     ENABLE = 1  # obey this session from now on; the drives hold
     STOP = 2  # ramp to rest; the drives hold then
-    DISABLE = 3  # ramp to rest, switch the drives off, obey nobody
+    DISABLE = 3  # ramp to rest, switch the drives off, release the session
     RESET = 4  # clear a latched fault whose cause is gone
     HOLD = 5  # as disable, and latch a fault that the host has seen
 
 
 class Answer(IntEnum):
-    """What the PLC made of a request."""
+    """Answer of the PLC to a request."""
 
     NONE = 0
     DONE = 1
@@ -52,7 +60,7 @@ class DriveStatus(IntEnum):
 
 
 class WrongBlock(CarosacError):
-    """Data that are not those of this layout or of this number of cables."""
+    """Data of another layout, size or number of cables."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +70,8 @@ class Field:
     Attributes:
         name: As in the PLC program.
         kind: IEC type, ``UDINT``, ``ULINT`` or ``LREAL``.
+        comment: Meaning and unit, as in the PLC program.
         count: 0 for a single number, else the length of the array.
-        comment: What it means.
     """
 
     name: str
@@ -80,9 +88,9 @@ class Block:
     """The layout of one structure.
 
     Attributes:
-        name: Of the type in the PLC program.
-        comment: What it is.
-        fields: In their order.
+        name: Name of the type in the PLC program.
+        comment: Meaning, as in the PLC program.
+        fields: Members in their order.
     """
 
     name: str
@@ -91,27 +99,27 @@ class Block:
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
-        """The layout for numpy, without any gap."""
+        """Layout for numpy, without gaps."""
         parts = [(f.name, _TYPES[f.kind], (f.count,) if f.count else ()) for f in self.fields]
         return np.dtype(parts)
 
     @property
     def size(self) -> int:
-        """[bytes]."""
+        """Size [bytes]."""
         return self.dtype.itemsize
 
     def pack(self, values: Mapping[str, Any]) -> bytes:
-        """The bytes of some values; what is not named is 0."""
+        """Return the bytes of some values; members not named are 0."""
         record = np.zeros((), self.dtype)
         for name, value in values.items():
             record[name] = value
         return record.tobytes()
 
     def unpack(self, data: bytes) -> dict[str, Any]:
-        """Numbers and arrays by name.
+        """Return numbers and arrays by name.
 
         Raises:
-            WrongBlock: Another size.
+            WrongBlock: The data have another size.
         """
         if len(data) != self.size:
             raise WrongBlock(f"{self.name}: got {len(data)} bytes; allowed: {self.size}")
@@ -120,7 +128,7 @@ class Block:
                 for f in self.fields}  # fmt: skip
 
     def structured_text(self) -> str:
-        """The type as a PLC programmer declares it."""
+        """Return the type as a PLC programmer declares it."""
         width = max(len(f.name) for f in self.fields)
         lines = [f"(* {self.comment} *)", f"TYPE {self.name} :", "STRUCT"]
         for f in self.fields:
@@ -130,7 +138,7 @@ class Block:
 
 
 def from_host(n: int) -> Block:
-    """What the host writes, for n cables."""
+    """Return the block that the host writes, for n cables."""
     return Block("ST_FromHost", "written by the host once a cycle", (
         Field("layout", "UDINT", f"version of this layout, {LAYOUT}"),
         Field("cables", "UDINT", "number of cables"),
@@ -149,7 +157,7 @@ def from_host(n: int) -> Block:
 
 
 def to_host(n: int) -> Block:
-    """What the host reads, for n cables."""
+    """Return the block that the host reads, for n cables."""
     return Block("ST_ToHost", "written by the PLC once a cycle", (
         Field("layout", "UDINT", f"version of this layout, {LAYOUT}"),
         Field("cables", "UDINT", "number of cables"),
@@ -175,12 +183,73 @@ def to_host(n: int) -> Block:
 
 
 def whole(block: Block, values: Mapping[str, Any], n: int) -> bool:
-    """Whether unpacked data are of one write.
+    """Return whether unpacked data are of one write.
 
     Raises:
-        WrongBlock: Another layout or number of cables.
+        WrongBlock: The data have another layout or number of cables.
     """
     for name, allowed in (("layout", LAYOUT), ("cables", n)):
         if values[name] != allowed:
             raise WrongBlock(f"{block.name}.{name}: got {values[name]}; allowed: {allowed}")
     return bool(values["sequence"] == values["sequence_end"])
+
+
+class Injection(IntEnum):
+    """Fault or move of the emulated machine; a value of 0 ends one that lasts."""
+
+    NONE = 0
+    TRIP = 1  # drive of `axis`, from 1
+    JUMP = 2  # encoder of `axis`, by `value` [m]
+    FREEZE_COUNTER = 3
+    FREEZE_DATA = 4
+    NETWORK = 5  # answers come `value` later and up to `second` more [s]
+    ESTOP = 6
+    PLACE = 7  # set the platform down at rest at `position`; drives off
+    CLEAR = 8  # all but JUMP and PLACE
+
+
+def control() -> Block:
+    """Return the block through which a client injects a fault."""
+    return Block("ST_EmulatorControl", "written to inject a fault", (
+        Field("number", "UDINT", "one more at each request"),
+        Field("kind", "UDINT", "what to do"),
+        Field("axis", "UDINT", "cable, from 1"),
+        Field("spare", "UDINT", "0"),
+        Field("value", "LREAL", "how much"),
+        Field("second", "LREAL", "how much more"),
+        Field("position", "LREAL", "platform origin in W [m]", 3),
+    ))  # fmt: skip
+
+
+COUNTS = (
+    "cycles", "overruns", "commands", "lost", "not_finite", "over_length", "over_speed",
+    "over_acceleration", "over_jerk", "jumps", "ignored", "foreign", "torn", "watchdog",
+    "beyond_ends",
+)  # fmt: skip
+
+
+def diagnosis(n: int) -> Block:
+    """Return the block of what the PLC counted, for n cables."""
+    return Block("ST_Diagnosis", "counters of the PLC", (
+        Field("control_done", "ULINT", "number of the newest request carried out"),
+        Field("control_refused", "ULINT", "number of the newest request refused"),
+        *(Field(name, "ULINT", "count") for name in COUNTS),
+        Field("lost_time", "LREAL", "time for which the PLC did not run [s]"),
+        *(Field(f"worst_{x}", "LREAL", "largest share of the limit commanded")
+          for x in ("speed", "acceleration", "jerk")),
+        Field("set_speed", "LREAL", "set velocity now [unit/s]", n),
+        Field("speed_peak", "LREAL", "largest set velocity [unit/s]", n),
+        Field("acceleration_peak", "LREAL", "largest set acceleration [unit/s^2]", n),
+    ))  # fmt: skip
+
+
+def truth(n: int) -> Block:
+    """Return the block of the robot's true state, for n cables; for scoring only."""
+    return Block("ST_Truth", "state of the simulated robot", (
+        Field("time", "LREAL", "clock of the PLC [s]"),
+        Field("position", "LREAL", "platform origin in W [m]", 3),
+        Field("rotation", "LREAL", "from P to W, by rows", 9),
+        Field("twist", "LREAL", "in W at the platform origin [m/s, rad/s]", 6),
+        Field("length", "LREAL", "unstrained lengths [m]", n),
+        Field("tension", "LREAL", "at the platform [N]", n),
+    ))  # fmt: skip

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -13,35 +12,39 @@ from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.drivers.plant import Plant
 from carosac_toolkit.drivers.sensor_suite import SensorSuite
 from carosac_toolkit.loop import plugins
+from carosac_toolkit.loop.plugin_builder import build_plugin
 from carosac_toolkit.loop.values import State
-from carosac_toolkit.plc.machine import Inputs
-from carosac_toolkit.plc.settings import PlcSettings
+from carosac_toolkit.plc.emulator.machine import Inputs
+from carosac_toolkit.plc.emulator.settings import EmulatorSettings
 from carosac_toolkit.robot.hardware import Hardware
 from carosac_toolkit.robot.robot import Robot
 
-_RATE_SPAN = 0.01  # [s] over which the PLC takes the difference for a velocity
+RATE_SPAN_S = 0.01  # over which the PLC takes the difference for a velocity
 
 
 class World:
     """One robot with encoders, load cells and an IMU.
 
-    The encoders say `shift` too much: what they lost while they were switched off. The drives close
-    their loops on the motors, so that an encoder that jumps moves nothing. What is wired the other
-    way goes the other way from where the robot was set down.
+    The encoders read `shift` too much, which they lost while they were switched off. The drives
+    close their loops on the motors, so that an encoder that jumps moves nothing. Drives and
+    encoders with the wrong sign turn the other way from where the robot was set down.
 
     Attributes:
-        plant: The simulation.
-        time: Simulated [s].
+        plant: Simulation of the robot.
+        time: Simulated time since the robot was set down [s].
+        shift: Offset of each encoder [m], shape (n,).
     """
 
-    def __init__(self, robot: Robot, hardware: Hardware, settings: PlcSettings, seed: int) -> None:
+    def __init__(
+        self, robot: Robot, hardware: Hardware, settings: EmulatorSettings, seed: int
+    ) -> None:
         """Make the plant; call `place` before anything else.
 
         Args:
-            robot: The plant.
-            hardware: What the numbers of the PLC mean.
-            settings: Of plant and sensors.
-            seed: Of wind, noise and shift.
+            robot: Robot that is simulated.
+            hardware: Units of the PLC.
+            settings: Settings of plant and sensors.
+            seed: Seed of wind, noise and shift.
 
         Raises:
             InvalidField: No such plant.
@@ -58,7 +61,7 @@ class World:
         """Set the robot down at rest, platform origin at a position in W [m], shape (3,).
 
         Raises:
-            InvalidField: It cannot rest there.
+            InvalidField: It has no equilibrium there.
         """
         self.plant.reset(position[None])
         self.time = 0.0
@@ -69,7 +72,7 @@ class World:
             tension_delay=0.0, tension=self._settings.has_tension,
         )  # fmt: skip
         self._suite = SensorSuite(suite, sensors, self.plant, self._seed)
-        span = max(1, round(_RATE_SPAN / self._settings.cycle))
+        span = max(1, round(RATE_SPAN_S / self._settings.cycle))
         self._lengths: deque[Array] = deque(maxlen=span + 1)
         self._imu: list[tuple[float, Array]] = []
         self._read()
@@ -77,11 +80,11 @@ class World:
         self._down_standing = self.standing
 
     def jump(self, axis: int, distance: float) -> None:
-        """Let the encoder of a cable, from 0, say so much more from now on [m]."""
+        """Shift the readings of the encoder of a cable, from 0, by a distance [m]."""
         self.shift[axis] += distance
 
     def advance(self, number: Array) -> None:
-        """One PLC cycle with constant set positions, free of `shift` [unit], shape (n,)."""
+        """Advance one PLC cycle at constant set positions, without `shift` [unit], shape (n,)."""
         number = self._down_standing + self._drive_sign * (number - self._down_standing)
         asked = self._hardware.length(number) - self._suite.encoder_bias[0]
         for step in self._suite.steps(self.time, self._settings.cycle):
@@ -91,13 +94,13 @@ class World:
 
     @property
     def standing(self) -> Array:
-        """Set positions, free of `shift` and noise, at which nothing moves [unit], shape (n,)."""
+        """Set positions, without `shift` and noise, at which nothing moves [unit], shape (n,)."""
         lengths = self.plant.read_lengths() + self._suite.encoder_bias
         return self._hardware.number(lengths[0])
 
     @property
     def inputs(self) -> Inputs:
-        """What the sensors say now, in the units of the PLC."""
+        """Present readings of the sensors, in the units of the PLC."""
         lengths = self._lengths
         span = (len(lengths) - 1) * self._settings.cycle
         rate = (lengths[-1] - lengths[0]) / span if span else np.zeros_like(lengths[-1])
@@ -110,16 +113,16 @@ class World:
         )
 
     def imu_samples(self) -> list[tuple[float, Array]]:
-        """Samples since the last call: time [s]; angular rate and specific force in P, (6,)."""
-        found, self._imu = self._imu, []
-        return found
+        """Return times [s] and samples since the last call: angular rate, specific force in P."""
+        samples, self._imu = self._imu, []
+        return samples
 
     def truth(self) -> State:
-        """The state of the robot."""
+        """Return the true state of the robot."""
         return self.plant.truth()
 
     def _read(self) -> None:
-        """Sample what is due."""
+        """Take the samples that are due."""
         self._suite.sample(self.plant, self.time)
         self._measured = self._suite.measure(self.time)
         self._lengths.append(np.array(self._measured.unstrained_length[0]))
@@ -129,13 +132,11 @@ class World:
             self._imu += list(zip(imu.time[0].tolist(), both, strict=True))
 
 
-def _plant(robot: Robot, settings: PlcSettings, seed: int) -> Plant:
-    """The plant of a simulated driver."""
-    kind: Any = plugins.load("drivers", settings.plant)
-    chosen = {"cables": settings.cables, "wind_force": settings.wind_force}
-    known = vars(kind.Settings()) if hasattr(kind, "Settings") else {}
-    wanted = {name: value for name, value in chosen.items() if name in known}
-    driver = kind.build(robot, replace(kind.Settings(), **wanted), seed=seed)
+def _plant(robot: Robot, settings: EmulatorSettings, seed: int) -> Plant:
+    """Return the plant of a simulated driver."""
+    offered = {"cables": settings.cables, "wind_force": settings.wind_force}
+    kind = plugins.load("drivers", settings.plant)
+    driver = build_plugin(kind, robot, where="plant", offered=offered, seed=seed)
     plant: Plant | None = getattr(driver, "plant", None)
     if plant is None:
         raise CarosacError(f"plc: driver '{settings.plant}' has no plant; use a simulated one")

@@ -9,21 +9,21 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.drivers.ads_block import LAYOUT, Answer, DriveStatus, Request
 from carosac_toolkit.loop.drive_state import DriveState, Fault, fault_of
-from carosac_toolkit.plc.command_checks import CommandChecks, Counters
-from carosac_toolkit.plc.playback import Playback
-from carosac_toolkit.plc.winches import Winches, WinchLimits
+from carosac_toolkit.plc.blocks import LAYOUT, Answer, DriveStatus, Request
+from carosac_toolkit.plc.emulator.command_checks import CommandChecks, Counters
+from carosac_toolkit.plc.emulator.playback import Playback
+from carosac_toolkit.plc.emulator.winches import Winches, WinchLimits
 
-_ON = (DriveState.ENABLED, DriveState.FOLLOWING, DriveState.STOPPING)
-_SESSIONS = 32  # whose newest request is remembered
-_SETTLE = 2.0  # periods in which a winch comes back to the motion asked for
-_JUMP = 3.0  # times the speed limit above which a position cannot have moved
+_DRIVES_ON = (DriveState.ENABLED, DriveState.FOLLOWING, DriveState.STOPPING)
+SESSIONS_REMEMBERED_MAX = 32  # by their newest request
+FOLLOW_TIME_PERIODS = 2.0  # time constant with which a winch returns to the commanded motion
+ENCODER_JUMP_RATIO = 3.0  # over the speed limit; no winch moves that fast
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Inputs:
-    """What the PLC reads of its machine in a cycle.
+    """Signals of the machine in one cycle.
 
     Attributes:
         length: Positions [unit], shape (n,).
@@ -38,13 +38,13 @@ class Inputs:
 
 @dataclass
 class Wires:
-    """What is wired to the PLC, and what faults are injected.
+    """Inputs wired to the PLC, and injected faults.
 
     Attributes:
-        tripped: Drives whose own protection has opened, shape (n,).
+        tripped: Whether the protection of each drive has opened, shape (n,).
         estop: Whether the emergency-stop circuit is open.
-        freeze_counter: Whether the heartbeat stays the same.
-        freeze_data: Whether all data but the heartbeat stay the same.
+        freeze_counter: Whether the heartbeat stands still.
+        freeze_data: Whether all data but the heartbeat stand still.
     """
 
     tripped: Array
@@ -55,7 +55,7 @@ class Wires:
 
 @dataclass
 class _Host:
-    """The session that the PLC obeys."""
+    """Session that the PLC obeys."""
 
     session: int = 0
     sequence: int = 0
@@ -66,28 +66,28 @@ class _Host:
 
 
 class Machine:
-    """n winches behind one host.
+    """Program of a PLC that moves n winches for one host.
 
     Attributes:
-        state: Now.
-        fault: The latched fault.
-        fault_axis: Its cable from 1, or 0.
-        winches: Their set points.
-        boot: Drawn at each start of the program, so that a host sees that it started anew.
-        counters: What came from hosts, and positions beyond the ends.
-        wires: Injected faults.
-        reference: By how much set points were renamed to agree with the encoders [unit], (n,); the
-            machine follows ``winches.position - reference``.
+        state: Present state.
+        fault: Latched fault.
+        fault_axis: Cable of the fault from 1, or 0.
+        winches: Set point generators.
+        boot: Number drawn at each start of the program, by which a host notices the start.
+        counters: Counts of what came from hosts, and of positions beyond the ends.
+        wires: Inputs and injected faults.
+        reference: Shift of the set positions that makes them agree with the encoders [unit],
+            shape (n,); the machine follows ``winches.position - reference``.
     """
 
     def __init__(
         self, limits: WinchLimits, *, cycle: float, watchdog: float, encoder_check: bool = True
     ) -> None:
-        """Switched off, obeying nobody.
+        """Start with the drives off, obeying nobody.
 
         Args:
-            limits: Of the winches.
-            cycle: [s].
+            limits: Limits of the winches.
+            cycle: Period of the PLC [s].
             watchdog: Silence of the host after which the winches ramp to rest [s].
             encoder_check: Whether a position that jumps is a fault.
         """
@@ -118,15 +118,15 @@ class Machine:
 
     @property
     def owner(self) -> int:
-        """Session that it obeys; 0: nobody."""
+        """Session that the PLC obeys; 0: nobody."""
         return self._host.session
 
     def cycle(self, host: dict[str, Any] | None, inputs: Inputs) -> None:
-        """One cycle: listen, check, move the set points.
+        """Run one cycle: listen, check, move the set points.
 
         Args:
-            host: What is in the structure of the host, or None where it is of no valid layout.
-            inputs: What the machine says.
+            host: Members of `blocks.from_host` by name, or None if the block is not valid.
+            inputs: Signals of the machine.
         """
         self._ticks += 1
         self._inputs = inputs
@@ -140,12 +140,12 @@ class Machine:
         self._length = inputs.length
 
     def output(self, inputs: Inputs) -> dict[str, Any]:
-        """What the host will read."""
+        """Return the members of `blocks.to_host` by name."""
         heartbeat = {"sequence": self._beats, "sequence_end": self._beats}
         if self.wires.freeze_data and self._frozen is not None:
             return self._frozen | heartbeat
         tension = inputs.tension
-        found = heartbeat | {
+        values = heartbeat | {
             "layout": LAYOUT, "cables": len(inputs.length), "echo": self._host.sequence,
             "owner": self.owner, "state": self.state.number, "fault": self.fault.number,
             "fault_axis": self.fault_axis, "answered": self._answer[0], "answer": self._answer[1],
@@ -154,23 +154,23 @@ class Machine:
             "tension": 0.0 if tension is None else tension, "drive_status": self._drives(),
             "set_length": self.winches.position, "boot": self.boot,
         }  # fmt: skip
-        self._frozen = found
-        return found
+        self._frozen = values
+        return values
 
     def place(self, length: Array) -> None:
-        """Call where the winches stand by these positions; nothing moves."""
+        """Give the positions where the winches stand new numbers; nothing moves."""
         self.reference = self.reference + (length - self.winches.position)
         self.winches.place(length)
         self._length = None
 
     def stop(self, fault: Fault, axis: int = 0) -> None:
-        """Latch a fault, the first one only, and ramp to rest."""
+        """Latch a fault unless one is latched already, and ramp to rest."""
         if self.state not in (DriveState.FAULT, DriveState.ESTOP):
             self.state, self.fault, self.fault_axis = DriveState.FAULT, fault, axis
             self._host.playback = None
 
     def _listen(self, host: dict[str, Any]) -> None:
-        """Take over what the session that counts has written."""
+        """Take over new data of a host, if it is the one that counts."""
         if host["sequence"] != host["sequence_end"]:
             self.counters.torn += 1
             return
@@ -186,7 +186,7 @@ class Machine:
         if host["request"] and host["request_number"] != self._numbers.get(session, 0):
             self._numbers.pop(session, None)
             self._numbers[session] = host["request_number"]
-            if len(self._numbers) > _SESSIONS:
+            if len(self._numbers) > SESSIONS_REMEMBERED_MAX:
                 del self._numbers[next(iter(self._numbers))]
             self._answer = (host["request_number"], self._request(host, mine))
         if session == self._host.session:
@@ -258,14 +258,14 @@ class Machine:
         self.state = DriveState.FOLLOWING
 
     def _watch(self) -> None:
-        """Ramp to rest where the host is silent; then obey nobody."""
+        """Ramp to rest if the host is silent; then obey nobody."""
         own = self._host
         if not own.session:
             return
         own.silent += self._cycle
         if own.silent < self._watchdog:
             return
-        if self.state in _ON:
+        if self.state in _DRIVES_ON:
             self.counters.watchdog += 1
             self.stop(Fault.HEARTBEAT_LOST)
         elif self.winches.at_rest:
@@ -276,7 +276,7 @@ class Machine:
         self._host = _Host()
 
     def _protect(self, inputs: Inputs) -> None:
-        """Faults of the machine itself."""
+        """Latch faults of the machine itself."""
         if self.wires.estop and self.state is not DriveState.ESTOP:
             self.state = DriveState.ESTOP
             self._host.playback = None
@@ -284,10 +284,13 @@ class Machine:
         if len(tripped):
             self.stop(Fault.DRIVE_TRIP, int(tripped[0]) + 1)
         if self._length is not None and self._encoder_check:
-            far = np.abs(inputs.length - self._length) > _JUMP * self._limits.speed * self._cycle
-            if far.any():
-                self.stop(Fault.ENCODER_JUMP, int(np.argmax(far)) + 1)
-        if self.state in _ON:
+            jumped = (
+                np.abs(inputs.length - self._length)
+                > ENCODER_JUMP_RATIO * self._limits.speed * self._cycle
+            )
+            if jumped.any():
+                self.stop(Fault.ENCODER_JUMP, int(np.argmax(jumped)) + 1)
+        if self.state in _DRIVES_ON:
             behind = np.abs(inputs.length - self.winches.position) > self._limits.following
             if behind.any():
                 self.stop(Fault.FOLLOWING_ERROR, int(np.argmax(behind)) + 1)
@@ -297,7 +300,7 @@ class Machine:
         own = self._host
         if self.state is DriveState.FOLLOWING and own.playback is not None:
             goal, rate = own.playback.advance(self._cycle)
-            self.winches.follow(goal, rate, _SETTLE * own.period)
+            self.winches.follow(goal, rate, FOLLOW_TIME_PERIODS * own.period)
             return
         braked = np.ones_like(self.wires.tripped) if self.state is DriveState.ESTOP else (
             self.wires.tripped
@@ -311,8 +314,10 @@ class Machine:
             self._disable = False
 
     def _drives(self) -> Array:
-        """Status of each drive."""
-        on = self.state in _ON or (self.state is DriveState.FAULT and not self.winches.at_rest)
+        """Return the status of each drive, as `DriveStatus`."""
+        on = self.state in _DRIVES_ON or (
+            self.state is DriveState.FAULT and not self.winches.at_rest
+        )
         moving = np.where(self.winches.speed != 0.0, DriveStatus.MOVING, DriveStatus.HOLDING)
-        found = np.where(on, moving, DriveStatus.OFF)
-        return np.where(self.wires.tripped, DriveStatus.TRIPPED, found).astype(np.uint64)
+        status = np.where(on, moving, DriveStatus.OFF)
+        return np.where(self.wires.tripped, DriveStatus.TRIPPED, status).astype(np.uint64)

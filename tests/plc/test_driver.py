@@ -7,18 +7,17 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.drivers.ads import AdsDriver, AdsSettings
-from carosac_toolkit.drivers.ads_block import LAYOUT, Request, from_host
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.values import Command
 from carosac_toolkit.physics.rest import statics
-from carosac_toolkit.plc.machine_blocks import Injection
-from carosac_toolkit.plc.winches import HEADROOM
+from carosac_toolkit.plc.blocks import FROM_HOST, LAYOUT, Injection, Request, from_host
+from carosac_toolkit.plc.driver import PlcDriver, PlcDriverSettings
+from carosac_toolkit.plc.emulator.winches import ACCELERATION_HEADROOM
 from carosac_toolkit.safety.limiter import Limiter
 from tests.plc_process import home_pose, own_address, plc_process
 
 WATCHDOG = 0.6  # [s]; loaded machines let a process wait for tenths of a second
-SETTINGS = AdsSettings(motion=True, lost_after=0.5)
+SETTINGS = PlcDriverSettings(motion=True, lost_after=0.5)
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +31,7 @@ def driver(plc):
     """Connected, homed, enabled; faults of the last test are gone."""
     with plc.client() as client:
         client.inject(Injection.CLEAR)
-    found = AdsDriver(plc.robot, SETTINGS)
+    found = PlcDriver(plc.robot, SETTINGS)
     found.connect()
     if found.state is DriveState.FAULT:
         found.reset_fault()
@@ -74,7 +73,7 @@ def test_lengths_are_metres_of_cable_whatever_the_units_of_the_plc(plc, driver):
     # The platform is at home, whatever the encoders said before homing; 1 mm is five times noise.
     assert measured == pytest.approx(pose.unstrained_length, abs=1e-3)
     assert truth.unstrained_length == pytest.approx(pose.unstrained_length, abs=2e-3)
-    numbers = driver.link.reading.values["length"]
+    numbers = driver.exchange.reading.values["length"]
     assert (np.abs(numbers) > 1000.0).all()  # millimetres
 
 
@@ -90,7 +89,7 @@ def test_enabling_moves_nothing(plc, driver):
 
 
 def test_inertial_samples_come_over_udp_in_the_time_of_the_driver(plc):
-    driver = AdsDriver(plc.robot, AdsSettings(suite="lengths+imu"))
+    driver = PlcDriver(plc.robot, PlcDriverSettings(suite="lengths+imu"))
     driver.connect()
     try:
         driver.measure()
@@ -119,7 +118,9 @@ def test_winches_follow_and_no_limit_is_passed(plc, driver):
     assert found["over_acceleration"] == found["over_jerk"] == 0
     robot = plc.robot
     assert (found["speed_peak"] * 1e-3 <= robot.speed_max).all()
-    assert (found["acceleration_peak"] * 1e-3 <= HEADROOM * robot.acceleration_max + 1e-9).all()
+    assert (
+        found["acceleration_peak"] * 1e-3 <= ACCELERATION_HEADROOM * robot.acceleration_max + 1e-9
+    ).all()
 
 
 def test_stop_is_a_ramp_of_all_winches_together(plc, driver):
@@ -158,14 +159,14 @@ def test_a_drive_trip_is_named_latched_and_reset_on_purpose(plc, driver):
     driver.enable()
 
 
-def test_a_silent_host_stops_the_winches_within_the_watchdog_and_the_ramp(plc, driver):
+def test_a_silent_host_stops_the_winches_within_the_watchdog_and_the_ramp(plc, driver, monkeypatch):
     follow(driver, 0.3)
-    driver.link.hold_heartbeat = True
-    until(lambda: driver.state is DriveState.FAULT)
-    assert driver.fault is Fault.HEARTBEAT_LOST
-    with plc.client() as client:
-        until(lambda: not client.diagnosis()["set_speed"].any(), 1.0)
-    driver.link.hold_heartbeat = False
+    with monkeypatch.context() as patch:
+        patch.setattr(driver.exchange._link, "write", lambda *_: None)
+        until(lambda: driver.state is DriveState.FAULT)
+        assert driver.fault is Fault.HEARTBEAT_LOST
+        with plc.client() as client:
+            until(lambda: not client.diagnosis()["set_speed"].any(), 1.0)
     driver.reset_fault()
     driver.enable()
 
@@ -193,7 +194,7 @@ def test_what_freezes_shows_in_the_time_of_the_measurement(plc, driver, what, ki
         first = driver.measure()
         until(lambda: driver.fault is Fault.STALE_DATA)
         second = driver.measure()
-        assert driver.link.age < SETTINGS.lost_after  # it answers
+        assert driver.exchange.age < SETTINGS.lost_after  # it answers
         assert not driver.wait(0.01)
         client.inject(Injection.CLEAR)
     assert second.time > first.time
@@ -203,7 +204,7 @@ def test_what_freezes_shows_in_the_time_of_the_measurement(plc, driver, what, ki
 
 def test_a_second_host_is_refused_and_does_not_disturb(plc, driver):
     name, block = plc.robot.hardware.ads.from_host, from_host(4)
-    other = {"layout": LAYOUT, "cables": 4, "session": driver.link.session ^ 1, "follow": 1,
+    other = {"layout": LAYOUT, "cables": 4, "session": driver.exchange.session ^ 1, "follow": 1,
              "request": int(Request.STOP), "length": [9e3] * 4, "period": 0.01}  # fmt: skip
     with plc.client() as client:
         before = client.diagnosis()["foreign"]
@@ -214,28 +215,30 @@ def test_a_second_host_is_refused_and_does_not_disturb(plc, driver):
         after = client.diagnosis()
     assert after["foreign"] > before
     assert driver.state is DriveState.ENABLED
-    assert driver.link.reading.values["owner"] == driver.link.session
+    assert driver.exchange.reading.values["owner"] == driver.exchange.session
     assert not after["set_speed"].any()
 
 
 def test_read_only_is_the_default_and_writes_nothing(plc):
-    driver = AdsDriver(plc.robot)
+    driver = PlcDriver(plc.robot)
     driver.connect()
     try:
-        sequence = driver.link.reading.values["owner"]
+        sequence = driver.exchange.reading.values["owner"]
         assert sequence == 0
         driver.home(home_pose(plc.robot))
         with pytest.raises(CarosacError, match="read only"):
             driver.enable()
         with pytest.raises(CarosacError, match="not enabled"):
             driver.command(Command(time=np.zeros(1), unstrained_length=np.full((1, 4), 9.0)))
-        assert "from_host" not in driver.link._handles
+        assert not driver.exchange._link.has(FROM_HOST)
+        with pytest.raises(CarosacError, match="nothing may be written"):
+            driver.exchange.write(FROM_HOST, from_host(4).pack({}))
     finally:
         driver.close()
 
 
 def test_motion_needs_homing(plc):
-    driver = AdsDriver(plc.robot, SETTINGS)
+    driver = PlcDriver(plc.robot, SETTINGS)
     driver.connect()
     try:
         with pytest.raises(CarosacError, match="not homed"):
@@ -249,14 +252,14 @@ def test_no_plc_is_one_clear_message_and_leaves_no_thread(plc):
     ads = replace(plc.robot.hardware.ads, ip=ip, net_id=f"{ip}.1.1")
     robot = replace(plc.robot, hardware=replace(plc.robot.hardware, ads=ads))
     with pytest.raises(CarosacError, match=rf"PLC {ip}.1.1 at {ip}: cannot connect"):
-        AdsDriver(robot).connect()
-    assert not [t for t in threading.enumerate() if t.name == "ads-link"]
+        PlcDriver(robot).connect()
+    assert not [t for t in threading.enumerate() if t.name == "plc-exchange"]
 
 
 def test_a_suite_needs_its_sensors(plc):
     blind = replace(plc.robot, hardware=replace(plc.robot.hardware, imu=None))
     with pytest.raises(InvalidField, match=r"hardware\.imu"):
-        AdsDriver(blind, AdsSettings(suite="lengths+imu")).connect()
+        PlcDriver(blind, PlcDriverSettings(suite="lengths+imu")).connect()
 
 
 def test_a_plc_that_stands_still_is_seen_and_comes_back(plc, driver):
@@ -268,7 +271,7 @@ def test_a_plc_that_stands_still_is_seen_and_comes_back(plc, driver):
         assert time.monotonic() - began < 0.1  # nobody waits for the network
     finally:
         plc.signal(signal.SIGCONT)
-    until(lambda: driver.link.age < 0.05)
+    until(lambda: driver.exchange.age < 0.05)
 
 
 def test_a_slow_network_delays_and_loses_nothing(plc, driver):
@@ -286,9 +289,9 @@ def test_a_slow_network_delays_and_loses_nothing(plc, driver):
 def test_a_robot_with_a_plc_elsewhere_is_rehearsed_on_this_machine(plc):
     ads = replace(plc.robot.hardware.ads, ip="192.0.2.1", net_id="192.0.2.1.1.1")
     robot = replace(plc.robot, hardware=replace(plc.robot.hardware, ads=ads))
-    driver = AdsDriver(robot, AdsSettings(ip=plc.ip))
+    driver = PlcDriver(robot, PlcDriverSettings(ip=plc.ip))
     driver.connect()
-    assert driver.link.reading.values["cables"] == 4
+    assert driver.exchange.reading.values["cables"] == 4
     driver.close()
 
 
@@ -299,7 +302,7 @@ def test_a_killed_plc_is_a_lost_connection_and_a_new_one_needs_reset_and_homing(
     until(lambda: driver.fault is Fault.LOST_CONNECTION)
     assert not driver.wait(0.01)
     with plc_process("--watchdog", str(WATCHDOG), ip=plc.ip, imu=5005) as second:
-        until(lambda: driver.link.age < 0.1, 10.0)
+        until(lambda: driver.exchange.age < 0.1, 10.0)
         assert driver.state is DriveState.FAULT  # latched, although it answers again
         assert "started anew" in driver.fault_text
         driver.reset_fault()
@@ -310,4 +313,4 @@ def test_a_killed_plc_is_a_lost_connection_and_a_new_one_needs_reset_and_homing(
         follow(driver, 0.2)
         assert driver.state is DriveState.FOLLOWING
         driver.close()
-    assert not [t for t in threading.enumerate() if t.name == "ads-link"]
+    assert not [t for t in threading.enumerate() if t.name == "plc-exchange"]

@@ -11,8 +11,8 @@ from carosac_toolkit.drivers.sensors import SensorSettings
 from carosac_toolkit.loop.drive_state import Fault
 from carosac_toolkit.loop.values import Command, Measurement, Stamped
 from carosac_toolkit.physics.rest import statics
-from carosac_toolkit.plc.settings import PlcSettings
-from carosac_toolkit.plc.world import World
+from carosac_toolkit.plc.emulator.settings import EmulatorSettings
+from carosac_toolkit.plc.emulator.world import World
 from carosac_toolkit.robot.hardware import Hardware
 from carosac_toolkit.safety.guard import GuardedDriver, GuardSettings
 from carosac_toolkit.trajectories import minimum_snap
@@ -24,7 +24,7 @@ QUIET = SensorSettings(encoder_bias=0.0, encoder_noise=0.0, encoder_resolution=0
 
 
 def world(**wired):
-    settings = PlcSettings(cycle=PERIOD, sensors=QUIET, **wired)
+    settings = EmulatorSettings(cycle=PERIOD, sensors=QUIET, **wired)
     found = World(ROBOT, Hardware.loopback(ROBOT.n), settings, 1)
     found.place(np.array(ROBOT.home_position))
     return found

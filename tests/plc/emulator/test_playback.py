@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from carosac_toolkit.plc.playback import Playback
+from carosac_toolkit.plc.emulator.playback import Playback
 
 PERIOD, CYCLE = 0.01, 0.002
 

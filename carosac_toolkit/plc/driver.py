@@ -1,10 +1,9 @@
-"""The driver of a robot behind a TwinCAT PLC: one structure read and one written a cycle over ADS.
+"""The driver of a robot behind a PLC: one block read and one written a cycle, over any link.
 
 It moves data: lengths in metres become numbers of the PLC and back. Nothing is ever written unless
-`AdsSettings.motion` says so, and then from `enable` or `reset_fault` until the PLC has let go only.
-The winches move only after `home` and `enable`. What may be sent
-is limited here as in every driver, and by the PLC again; faults are watched by the guard
-(`carosac_toolkit.safety.guard.guard`) and by the PLC.
+`PlcDriverSettings.motion` allows it, and then only from `enable` or `reset_fault` until the PLC has
+let go. The winches move only after `home` and `enable`. Commands are limited here as in every
+driver, and by the PLC again; the guard and the PLC watch for faults.
 """
 
 from __future__ import annotations
@@ -17,12 +16,6 @@ import numpy as np
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.numbers import check_period
-from carosac_toolkit.drivers import ads_reader
-from carosac_toolkit.drivers.ads_block import Answer, DriveStatus, Request
-from carosac_toolkit.drivers.ads_link import AdsLink
-from carosac_toolkit.drivers.ads_reader import AdsReader
-from carosac_toolkit.drivers.ads_settings import AdsSettings, Point
-from carosac_toolkit.drivers.imu_udp import ImuListener
 from carosac_toolkit.drivers.ticks import TickSchedule
 from carosac_toolkit.loop.drive_state import DriveState, Fault
 from carosac_toolkit.loop.protocols import (
@@ -36,79 +29,87 @@ from carosac_toolkit.loop.protocols import (
 )
 from carosac_toolkit.loop.values import Command, LimitHit, State
 from carosac_toolkit.physics.rest.homing import homing_lengths
+from carosac_toolkit.plc import reader
+from carosac_toolkit.plc.blocks import Answer, DriveStatus, Injection, Request
+from carosac_toolkit.plc.exchange import PlcExchange
+from carosac_toolkit.plc.imu_udp import ImuListener
+from carosac_toolkit.plc.injection import inject
+from carosac_toolkit.plc.link import build_link
+from carosac_toolkit.plc.reader import PlcReader
+from carosac_toolkit.plc.settings import PlcDriverSettings, Point
 from carosac_toolkit.robot.robot import Robot
 
-__all__ = ["AdsDriver", "AdsSettings"]
+__all__ = ["PlcDriver", "PlcDriverSettings"]
 
-_HOMING = 10  # readings of which the mean is homed
-_AFTER_STOP = 1.0  # [s] beyond what braking from full speed takes
-_ON = (DriveState.ENABLED, DriveState.FOLLOWING)
+HOMING_READINGS = 10  # their mean is homed: a third of the noise of one
+REST_MARGIN_S = 1.0  # beyond what braking from full speed takes
+SETTLING_S = 0.05  # ten cycles of an emulated PLC: data that arrive later are from after a move
+_DRIVES_ON = (DriveState.ENABLED, DriveState.FOLLOWING)
 
 
-class AdsDriver(
-    AdsReader, MotionDriver, FaultSource, FaultTextSource, LinkWatch, LinkPatience,
+class PlcDriver(
+    PlcReader, MotionDriver, FaultSource, FaultTextSource, LinkWatch, LinkPatience,
     SupportsFaultHold, SupportsSetDown,
 ):  # fmt: skip
     """One robot behind a PLC, in real time.
 
     The clock is that of this host, from `connect` on. The lengths of a measurement are the newest
-    that came; when the PLC measured them is the time of `length_rate`.
+    that came; the time of its `length_rate` is when the PLC measured them.
 
     Attributes:
-        link: The connection; None before `connect` and after `close`.
-        link_counters: What happened on it, also after `close`.
+        exchange: The exchange with the PLC; None before `connect` and after `close`.
+        link_counters: Counts of that exchange, also after `close`.
     """
 
     @classmethod
     def build(
-        cls, robot: Robot, settings: AdsSettings | None = None, *, seed: int = 0
-    ) -> AdsDriver:
-        """Make one; nothing is random here."""
+        cls, robot: Robot, settings: PlcDriverSettings | None = None, *, seed: int = 0
+    ) -> PlcDriver:
+        """Make a driver; nothing is random here, so that `seed` has no effect."""
         return cls(robot, settings)
 
     def connect(self) -> None:
-        """Connect to the PLC and read; nothing is enabled, and no offset is homed.
+        """Connect to the PLC and read; enable nothing, and home no offset.
 
         Raises:
-            CarosacError: It does not answer, or has another data block.
-            InvalidField: A suite with an IMU, and none in the robot file.
+            CarosacError: The PLC does not answer, or has another data block.
+            InvalidField: No such link, or a suite with an IMU that the robot file does not have.
         """
-        if self.link is not None:
+        if self.exchange is not None:
             raise CarosacError(f"{self.name}: connected already; call close() first")
-        settings, address = self._settings, self._named.ads
-        if "imu" in settings.suite and self._named.imu is None:
+        settings, source = self._settings, self._hardware_of_file.imu
+        if "imu" in settings.suite and source is None:
             raise InvalidField("suite", repr(settings.suite), "'lengths': the robot file has no "
                                "hardware.imu")  # fmt: skip
-        link = AdsLink(
-            address, self._robot.n, period=settings.io_period, writing=settings.motion,
-            timeout=settings.timeout or address.timeout,
-        )  # fmt: skip
-        link.open()
+        link = build_link(settings.link, self._hardware_of_file, settings.for_link)
+        exchange = PlcExchange(
+            link, self._robot.n, period=settings.io_period, writing=settings.motion
+        )
+        exchange.open()
         try:
-            if settings.motion and settings.start_position is not None and link.emulated:
-                self._place(settings.start_position)
-                link.wait_for_data(time.monotonic() + 0.05, ads_reader.ANSWER)
-            if "imu" in settings.suite and self._named.imu is not None:
-                self._imu = ImuListener(self._named.imu)
+            if settings.motion and settings.start_position is not None and exchange.emulated:
+                self._set_down(exchange, settings.start_position)
+            if "imu" in settings.suite and source is not None:
+                self._imu = ImuListener(source)
         except BaseException:
-            link.close()
+            exchange.close()
             raise
-        self.link, self.link_counters = link, link.counters
-        self._hardware = self._named
+        self.exchange, self.link_counters = exchange, exchange.counters
+        self._hardware = self._hardware_of_file
         self._homed = self._enabled = self._stopped = False
-        self._restarts = link.counters.restarts
-        # between connecting and the first cycle any time may pass
+        self._restarts = exchange.counters.restarts
+        # any time may pass between connecting and the first cycle
         self._ticks = TickSchedule(settings.period, forgiving=True)
 
     @property
     def emulated(self) -> bool:
-        """Whether the PLC is an emulated one."""
+        """Whether the PLC is an emulated one, which can set its robot down."""
         return self._connected().emulated
 
     @property
     def sets_down(self) -> bool:
-        """Whether the robot is that of an emulated PLC, and `AdsSettings.set_down` is asked for."""
-        return self._settings.set_down and self.link is not None and self.link.emulated
+        """Whether the PLC is an emulated one, and `PlcDriverSettings.set_down` is set."""
+        return self._settings.set_down and self.exchange is not None and self.exchange.emulated
 
     def set_down(self, position: Point) -> None:
         """Have an emulated PLC set its robot down somewhere, at rest.
@@ -117,37 +118,38 @@ class AdsDriver(
             position: In W [m].
 
         Raises:
-            CarosacError: Read only, a real PLC, drives that are on, or no pose of rest.
+            CarosacError: Read only, a real PLC, drives that are on, or no equilibrium there.
         """
-        link = self._connected()
-        if not self._settings.motion or not link.emulated:
-            raise CarosacError(f"{self.name}: set_down() wants motion=True and an emulated PLC")
-        self._place(position)
-        link.wait_for_data(time.monotonic() + 0.05, ads_reader.ANSWER)
+        exchange = self._connected()
+        if not self._settings.motion or not exchange.emulated:
+            raise CarosacError(f"{self.name}: set_down() needs motion=True and an emulated PLC")
+        self._set_down(exchange, position)
 
     def home(self, position: State) -> None:
-        """Find the offset of each cable: the platform stands still at this pose.
+        """Find the offset of each cable from the pose at which the platform stands still.
 
         Args:
-            position: A batch of one. Its lengths count if it has some; else those of the statics:
-                with six cables or more at its rotation, with fewer at that of rest.
+            position: A batch of one. Its lengths count if it has any; else those of equilibrium,
+                with six cables or more at its rotation, with fewer at the one it takes by itself.
 
         Raises:
             CarosacError: Not connected, no fresh data, or enabled.
             InvalidField: The platform cannot rest there.
         """
-        link = self._connected()
+        exchange = self._connected()
         if self._enabled:
             raise CarosacError(f"{self.name}: home() while enabled; call disable() first")
         lengths = homing_lengths(self._robot, position)
         numbers = []
-        for _ in range(_HOMING):
-            if not link.wait_for_data(time.monotonic(), ads_reader.ANSWER):
-                raise CarosacError(f"{self.name}: no data from the PLC to home with: {link.error}")
+        for _ in range(HOMING_READINGS):
+            if not exchange.wait_for_data(time.monotonic(), reader.ANSWER_TIMEOUT_S):
+                raise CarosacError(
+                    f"{self.name}: no data from the PLC to home with: {exchange.error}"
+                )
             numbers.append(self._reading().values["length"])
-        said = self._hardware.length(np.mean(numbers, axis=0))
-        moved = np.array(self._hardware.offset) + lengths - said
-        self._hardware = replace(self._hardware, offset=tuple(moved))
+        measured = self._hardware.length(np.mean(numbers, axis=0))
+        offset = np.array(self._hardware.offset) + lengths - measured
+        self._hardware = replace(self._hardware, offset=tuple(offset))
         self._homed = True
 
     def enable(self) -> None:
@@ -156,19 +158,19 @@ class AdsDriver(
         Raises:
             CarosacError: Read only, not homed, a fault, another host, or no answer.
         """
-        link = self._connected()
+        exchange = self._connected()
         if not self._settings.motion:
             raise CarosacError(f"{self.name}: read only; set motion=True to let the winches move")
         if not self._homed:
             raise CarosacError(f"{self.name}: not homed; call home() first")
         if self.status() in (DriveState.FAULT, DriveState.ESTOP, DriveState.DISCONNECTED):
             raise CarosacError(f"{self.name}: {self.fault_text}; call reset_fault() first")
-        self._alone()
+        self._refuse_other_host()
         self._enabled = True  # from here on the PLC may obey, whatever happens
         try:
-            self._asked(Request.ENABLE)
-            if not link.wait_for_data(time.monotonic(), ads_reader.ANSWER):
-                raise CarosacError(f"{self.name}: no data from the PLC: {link.error}")
+            self._request(Request.ENABLE)
+            if not exchange.wait_for_data(time.monotonic(), reader.ANSWER_TIMEOUT_S):
+                raise CarosacError(f"{self.name}: no data from the PLC: {exchange.error}")
             held = self._hardware.length(self._reading().values["set_length"])
             self._limiter.reset(held[None])
         except BaseException:
@@ -178,68 +180,68 @@ class AdsDriver(
         self._stopped = False
 
     def disable(self) -> None:
-        """Ramp to rest, switch the drives off, obey nobody; nothing happens where none is on.
+        """Have the PLC ramp to rest, switch the drives off and release this host.
 
-        Where the PLC does not answer, the request stays and the heartbeat ends: its watchdog stops
-        the winches.
+        Nothing happens if the drives are off. If the PLC does not answer, the request stays and
+        the heartbeat ends, so that its watchdog stops the winches.
 
         Raises:
-            CarosacError: The PLC obeys another host, whose winches these are.
+            CarosacError: The PLC obeys another host, which owns the winches.
         """
         self._let_go(Request.DISABLE)
 
     def hold_fault(self, fault: Fault) -> None:
-        """Disable, and have the PLC hold a fault of this side: nobody moves before a reset.
+        """Disable, and have the PLC latch a fault that this host has seen.
 
         Raises:
-            CarosacError: As of `disable`, or the PLC has not taken it.
+            CarosacError: As of `disable`, or the PLC has not latched it.
         """
         self._let_go(Request.HOLD, fault)
 
     def reset_fault(self) -> None:
-        """Clear a latched fault of the PLC, or of the connection once it is back.
+        """Clear a latched fault of the PLC, or of a connection that works again.
 
         Raises:
-            CarosacError: Its cause is still there, or the PLC obeys another host.
+            CarosacError: The cause is still there, or the PLC obeys another host.
         """
-        link = self._connected()
+        exchange = self._connected()
         if not self._settings.motion:
             raise CarosacError(f"{self.name}: read only; set motion=True to reset the PLC")
-        if link.counters.restarts != self._restarts:
-            self._restarts = link.counters.restarts
+        if exchange.counters.restarts != self._restarts:
+            self._restarts = exchange.counters.restarts
             self._homed = self._enabled = False
         if self.link_fault in (Fault.LOST_CONNECTION, Fault.STALE_DATA):
             raise CarosacError(f"{self.name}: {self.fault_text}")
-        self._alone()
+        self._refuse_other_host()
         self._wait_for_rest()
         try:
-            self._asked(Request.RESET)
+            self._request(Request.RESET)
             self._enabled = False
         finally:
             if not self._enabled:
-                link.quiet()
-        link.wait_for_data(time.monotonic(), ads_reader.ANSWER)
+                exchange.quiet()
+        exchange.wait_for_data(time.monotonic(), reader.ANSWER_TIMEOUT_S)
 
     def stop(self, reason: str) -> None:
         """Have the PLC ramp all winches to rest together; no command passes until `enable`."""
-        if self.link is None or not self._settings.motion or self._stopped:
-            self._stopped = self._stopped or self.link is not None
+        if self.exchange is None or not self._settings.motion or self._stopped:
+            self._stopped = self._stopped or self.exchange is not None
             return
         self._stopped = True
         if self._enabled:
-            self.link.request(Request.STOP)
+            self.exchange.request(Request.STOP)
 
     def close(self) -> None:
         """Come to rest and let go; safe to call twice."""
-        link = self.link
-        if link is None:
+        exchange = self.exchange
+        if exchange is None:
             return
         try:
             self.disable()
         finally:
-            self.link = None
+            self.exchange = None
             self._homed = self._enabled = False
-            link.close()
+            exchange.close()
             if self._imu is not None:
                 self._imu.close()
                 self._imu = None
@@ -248,13 +250,13 @@ class AdsDriver(
         """Limit a command and send it at once.
 
         Returns:
-            What was sent. Where the PLC is stopped or has a fault nothing is: the lengths are
-            those measured, and `limited` names ``stopped``.
+            The command as sent. If the PLC is stopped or has a fault, nothing is sent: the
+            lengths are those measured, and `limited` names ``stopped``.
 
         Raises:
             CarosacError: Read only, or not enabled.
         """
-        link = self._connected()
+        exchange = self._connected()
         shape, wanted = command.unstrained_length.shape, (1, self._robot.n)
         if shape != wanted:
             raise InvalidField("unstrained_length", f"shape {shape}", f"shape {wanted}")
@@ -262,7 +264,7 @@ class AdsDriver(
             raise CarosacError(f"{self.name}: not enabled; call home() and enable() first")
         values = self._reading().values
         actual = self._hardware.length(values["length"])[None]
-        if self._stopped or self.state not in _ON:
+        if self._stopped or self.state not in _DRIVES_ON:
             hits = tuple(
                 LimitHit(limit="stopped", cable=i, asked=float(asked), sent=float(held))
                 for i, (asked, held) in enumerate(
@@ -276,7 +278,7 @@ class AdsDriver(
         sent = self._limiter.apply(command, actual)
         rate = self._limiter.motion.speed[0] if sent.length_rate is None else sent.length_rate[0]
         hardware = self._hardware
-        link.send(
+        exchange.send(
             hardware.number(sent.unstrained_length[0]), rate / hardware.unit, self._settings.period
         )
         return sent
@@ -285,53 +287,52 @@ class AdsDriver(
         """Wait for the next tick of an absolute schedule.
 
         Returns:
-            False once stopped, and where the PLC does not answer, or has a fault and is not only
-            read.
+            False once stopped, if the PLC does not answer, and, with `motion`, if it has a fault.
 
         Raises:
-            InvalidField: Another duration than the period, for which the limits count.
+            InvalidField: A duration other than the period, by which the limits are computed.
         """
         self._connected()
         check_period(duration, self._settings.period, "driver")
         self._ticks.wait()
-        if not self._settings.motion:  # what reads only may look on at drives that hold a fault
+        if not self._settings.motion:  # reading goes on while the drives hold a fault
             return not self._stopped and self.link_fault is Fault.NONE
         return not self._stopped and self.state not in (DriveState.FAULT, DriveState.ESTOP)
 
     def _let_go(self, request: Request, fault: Fault = Fault.NONE) -> None:
-        """Disable where the drives may be on, or hold a fault, be they on or not."""
-        link = self.link
-        if link is None or not self._settings.motion:
+        """Disable if the drives may be on, or hold a fault in any case."""
+        exchange = self.exchange
+        if exchange is None or not self._settings.motion:
             return
         if request is Request.DISABLE and not self._enabled:
             return
         self._enabled = False
-        if not link.other:
-            answer = link.request(request, ads_reader.ANSWER, fault=fault.number)
+        if not exchange.other:
+            answer = exchange.request(request, reader.ANSWER_TIMEOUT_S, fault=fault.number)
             if answer not in (Answer.NONE, Answer.NOT_OWNER):
                 self._wait_for_rest()
             if answer is not Answer.NONE:
-                link.quiet()
+                exchange.quiet()
             if request is Request.HOLD and answer is not Answer.DONE:
                 raise CarosacError(f"{self.name}: the PLC does not hold {fault}: {_WHY[answer]}")
             if answer is Answer.NONE:
                 return
-        self._alone()
+        self._refuse_other_host()
 
-    def _alone(self) -> None:
-        """Refuse to write where the PLC obeys another host."""
-        link = self._connected()
-        if link.other:  # perhaps it has let go since
-            link.wait_for_data(time.monotonic(), ads_reader.ANSWER)
-        other = link.other
+    def _refuse_other_host(self) -> None:
+        """Refuse to write while the PLC obeys another host."""
+        exchange = self._connected()
+        if exchange.other:  # it may have been released since
+            exchange.wait_for_data(time.monotonic(), reader.ANSWER_TIMEOUT_S)
+        other = exchange.other
         if other:
             raise CarosacError(
                 f"{self.name}: the PLC obeys another host, session {other}; disable it there first"
             )
 
-    def _asked(self, request: Request) -> None:
-        """Ask the PLC; refuse everything but that it is done."""
-        answer = self._connected().request(request, ads_reader.ANSWER)
+    def _request(self, request: Request) -> None:
+        """Send a request and refuse every answer but `Answer.DONE`."""
+        answer = self._connected().request(request, reader.ANSWER_TIMEOUT_S)
         if answer is Answer.DONE:
             return
         raise CarosacError(
@@ -340,25 +341,23 @@ class AdsDriver(
         )
 
     def _wait_for_rest(self) -> None:
-        """Wait until the drives of the PLC no longer move, as long as braking can take."""
-        robot, link = self._robot, self._connected()
+        """Wait until no drive moves, at most as long as braking can take."""
+        robot, exchange = self._robot, self._connected()
         end = time.monotonic() + float((robot.speed_max / robot.acceleration_max).max())
-        while time.monotonic() < end + _AFTER_STOP:
+        while time.monotonic() < end + REST_MARGIN_S:
             status = self._reading().values["drive_status"]
             if not (status == DriveStatus.MOVING).any() and self._reading().values["state"] != (
                 DriveState.STOPPING.number
             ):
                 return
-            if not link.wait_for_data(time.monotonic(), ads_reader.ANSWER):
+            if not exchange.wait_for_data(time.monotonic(), reader.ANSWER_TIMEOUT_S):
                 return
 
-    def _place(self, position: Point) -> None:
-        """Have an emulated PLC set its robot down."""
-        from carosac_toolkit.plc.client import PlcClient
-        from carosac_toolkit.plc.machine_blocks import Injection
-
-        with PlcClient(self._robot.n, self._named.ads.ip) as client:
-            client.inject(Injection.PLACE, position=position)
+    def _set_down(self, exchange: PlcExchange, position: Point) -> None:
+        """Have an emulated PLC set its robot down, and wait for data from after that."""
+        inject(exchange, self._robot.n, Injection.PLACE, position=position)
+        end = time.monotonic() + SETTLING_S
+        exchange.wait_for_data(end, reader.ANSWER_TIMEOUT_S)
 
 
 _WHY = {

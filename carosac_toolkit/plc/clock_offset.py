@@ -1,4 +1,4 @@
-"""From the clock of a device to that of this host, where answers are late by more or less."""
+"""Conversion from the clock of a device to that of this host, despite variable delays."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ from collections import deque
 
 
 class ClockOffset:
-    """Difference of two clocks, from the answers that came soonest.
+    """Difference of two clocks, estimated from the answers that arrived with the least delay.
 
-    What arrives last is at least as old as the quickest way through the network. The smallest
-    difference of the last seconds counts, so that a slow drift of the clocks is followed.
+    The smallest difference of the last seconds counts, so that a slow drift of the clocks is
+    followed. It includes the shortest delay of the network, which cannot be told apart.
     """
 
     def __init__(self, span: float = 10.0) -> None:
-        """Nothing known yet; `span` is how long a difference counts [s]."""
+        """Start without a difference; each one added counts for `span` [s]."""
         self._span = span
         self._difference = 0.0
         self._least: deque[tuple[float, float]] = deque()  # received, difference; both grow
 
     def add(self, received: float, stamp: float) -> None:
-        """Take one answer: when it was received here and its time by the device [s]."""
+        """Add one answer: time of arrival by this host and its time by the device [s]."""
         difference = received - stamp
         while self._least and self._least[-1][1] >= difference:
             self._least.pop()
@@ -29,10 +29,10 @@ class ClockOffset:
         self._difference = self._least[0][1]
 
     def clear(self) -> None:
-        """Forget everything: the device started again."""
+        """Forget everything, as after a restart of the device."""
         self._least.clear()
         self._difference = 0.0
 
     def here(self, stamp: float) -> float:
-        """When it was by the clock of this host [s]."""
+        """Return a time of the device by the clock of this host [s]."""
         return stamp + self._difference

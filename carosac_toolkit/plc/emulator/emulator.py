@@ -1,4 +1,4 @@
-"""The emulated PLC in real time: cycle by cycle, with ADS in front and a simulated robot behind."""
+"""The emulated PLC in real time, with ADS in front and a simulated robot behind."""
 
 from __future__ import annotations
 
@@ -9,54 +9,54 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
-from carosac_toolkit.drivers import ads_block
-from carosac_toolkit.drivers.imu_udp import imu_line
-from carosac_toolkit.plc import machine_blocks
-from carosac_toolkit.plc.ams_server import AmsServer
-from carosac_toolkit.plc.machine import Machine
-from carosac_toolkit.plc.machine_blocks import Injection
-from carosac_toolkit.plc.settings import PlcSettings, limits_of
-from carosac_toolkit.plc.symbols import Symbols
-from carosac_toolkit.plc.world import World
-from carosac_toolkit.robot.hardware import ADS_TCP_PORT, LOOPBACK_ADDRESS, Hardware
+from carosac_toolkit.plc import blocks
+from carosac_toolkit.plc.blocks import Injection
+from carosac_toolkit.plc.emulator.ams_server import AmsServer
+from carosac_toolkit.plc.emulator.machine import Machine
+from carosac_toolkit.plc.emulator.settings import EmulatorSettings, winch_limits
+from carosac_toolkit.plc.emulator.symbols import Symbols
+from carosac_toolkit.plc.emulator.world import World
+from carosac_toolkit.plc.imu_udp import imu_line
+from carosac_toolkit.robot.hardware import LOOPBACK_ADDRESS, Hardware
 from carosac_toolkit.robot.robot import Robot
 
-_WARM = 3  # cycles before anybody is heard: the first ones load kernels
-_CATCH_UP = 4  # cycles in a row without waiting; more are lost time, as where a PLC stands still
+WARM_UP_CYCLES = 3  # before it listens: the first ones load kernels
+CATCH_UP_CYCLES_MAX = 4  # run at once after a delay; the rest of a longer one is lost time
 
 
 class Emulator:
     """A PLC with its robot; `run` is its task.
 
-    Its clock is the number of its cycles: where the process did not get to run, the clock, the
-    watchdog and the robot stood still together, and `lost_time` says for how long.
+    Its clock is the number of its cycles: while the process did not get to run, the clock, the
+    watchdog and the robot stood still together; `lost_time` adds these times up.
 
     Attributes:
-        machine: The program.
-        server: What answers ADS.
-        ip: Where it listens.
-        world: The robot.
-        overruns: Cycles that came late.
-        lost_time: [s].
+        machine: Program of the PLC.
+        symbols: Shared memory, which `server` and servers of other wires read and write.
+        symbol_names: Name of the symbol of each block.
+        server: ADS server.
+        ip: Address on which it listens.
+        world: Simulated robot.
+        overruns: Number of cycles that came late.
+        lost_time: Time that the clock lost [s].
     """
 
     def __init__(
-        self, plant: Robot, nominal: Robot, settings: PlcSettings, *, seed: int = 0,
-        ip: str | None = None, port: int = ADS_TCP_PORT,
+        self, plant: Robot, nominal: Robot, settings: EmulatorSettings, *, seed: int = 0,
+        ip: str | None = None,
     ) -> None:  # fmt: skip
         """Listen, and set the robot down.
 
         Args:
-            plant: The robot that is simulated.
-            nominal: What the PLC knows: limits and units.
-            settings: Of both.
-            seed: Of everything random.
-            ip: Where to listen; None: this machine only, at the address of the robot file if that
-                is of this machine.
-            port: TCP port; clients know only that of ADS.
+            plant: Robot that is simulated.
+            nominal: Robot that the PLC knows: limits and units.
+            settings: Settings of PLC and machine.
+            seed: Seed of everything random.
+            ip: Address on which to listen; None: one of this machine only, that of the robot file
+                if it is one.
 
         Raises:
-            CarosacError: The address cannot be used.
+            CarosacError: The address is not of this machine, or in use.
             InvalidField: The robot cannot rest at its start.
         """
         n = nominal.n
@@ -68,24 +68,22 @@ class Emulator:
         )  # fmt: skip
         self.world.place(start)
         self.machine = Machine(
-            limits_of(nominal, self.hardware, settings), cycle=settings.cycle,
+            winch_limits(nominal, self.hardware), cycle=settings.cycle,
             watchdog=settings.watchdog, encoder_check=settings.encoder_check,
         )  # fmt: skip
-        self._stand()
+        self._take_over_positions()
         self._blocks = {
-            "from_host": ads_block.from_host(n), "to_host": ads_block.to_host(n),
-            "control": machine_blocks.control(), "diagnosis": machine_blocks.diagnosis(n),
-            "truth": machine_blocks.truth(n),
+            blocks.FROM_HOST: blocks.from_host(n), blocks.TO_HOST: blocks.to_host(n),
+            blocks.CONTROL: blocks.control(), blocks.DIAGNOSIS: blocks.diagnosis(n),
+            blocks.TRUTH: blocks.truth(n),
         }  # fmt: skip
-        self._names = {
-            "from_host": self.hardware.ads.from_host, "to_host": self.hardware.ads.to_host,
-            "control": machine_blocks.CONTROL, "diagnosis": machine_blocks.DIAGNOSIS,
-            "truth": machine_blocks.TRUTH,
-        }  # fmt: skip
-        self._symbols = Symbols()
-        for key, name in self._names.items():
-            writable = key in ("from_host", "control")
-            self._symbols.add(name, self._blocks[key].size, writable=writable)
+        ads = self.hardware.ads
+        names = {blocks.FROM_HOST: ads.from_host, blocks.TO_HOST: ads.to_host}
+        self.symbol_names = {name: names.get(name, name) for name in self._blocks}
+        self.symbols = Symbols()
+        for name, block in self._blocks.items():
+            writable = name in (blocks.FROM_HOST, blocks.CONTROL)
+            self.symbols.add(self.symbol_names[name], block.size, writable=writable)
         self._n, self._cycles, self.overruns, self.lost_time = n, 0, 0, 0.0
         self._control, self._refused = 0, 0
         self._imu: socket.socket | None = None
@@ -93,15 +91,14 @@ class Emulator:
         if self.hardware.imu is not None:
             self._imu = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._running = True
-        for _ in range(_WARM):
+        for _ in range(WARM_UP_CYCLES):
             self.step()
-        named = self.hardware.ads.ip
-        self.ip = ip or (named if named.startswith("127.") else LOOPBACK_ADDRESS)
-        self.server = AmsServer(self._symbols, self.ip, port)
+        self.ip = ip or (ads.ip if ads.ip.startswith("127.") else LOOPBACK_ADDRESS)
+        self.server = AmsServer(self.symbols, self.ip)
         self.server.start()
 
     def run(self, duration: float | None = None) -> None:
-        """Run in real time, until `stop` or for so long [s]."""
+        """Run in real time until `stop`, or for this duration [s]."""
         cycle = self._settings.cycle
         origin, done = time.monotonic(), 0
         while self._running and (duration is None or done * cycle < duration):
@@ -112,18 +109,17 @@ class Emulator:
                 time.sleep(-late)
                 continue
             self.overruns += late > cycle
-            if late > _CATCH_UP * cycle:
+            if late > CATCH_UP_CYCLES_MAX * cycle:
                 self.lost_time += late
                 origin += late
 
     def step(self) -> None:
-        """One PLC cycle."""
+        """Run one PLC cycle."""
         self._obey_control()
-        data = self._symbols.read(self._names["from_host"])
-        host: dict[str, Any] | None = self._blocks["from_host"].unpack(data)
+        host: dict[str, Any] | None = self._read(blocks.FROM_HOST)
         try:
-            ads_block.whole(self._blocks["from_host"], host or {}, self._n)
-        except ads_block.WrongBlock:
+            blocks.whole(self._blocks[blocks.FROM_HOST], host or {}, self._n)
+        except blocks.WrongBlock:
             host = None
         machine = self.machine
         machine.cycle(host, self.world.inputs)
@@ -133,11 +129,11 @@ class Emulator:
         self._send_imu()
 
     def stop(self) -> None:
-        """End `run` after this cycle."""
+        """Have `run` return after this cycle."""
         self._running = False
 
     def close(self) -> None:
-        """Let go of the network; safe to call twice."""
+        """Close all sockets; safe to call twice."""
         self.stop()
         self.server.close()
         if self._imu is not None:
@@ -147,11 +143,11 @@ class Emulator:
         self, kind: Injection, axis: int = 0, value: float = 1.0, second: float = 0.0,
         position: Any = (0.0, 0.0, 0.0),
     ) -> None:  # fmt: skip
-        """Do something to the machine; arguments as in `machine_blocks.control`.
+        """Do something to the machine; arguments as in `carosac_toolkit.plc.injection`.
 
         Raises:
-            InvalidField: No such cable, or a position where the robot cannot rest.
-            CarosacError: It cannot be done in this state.
+            InvalidField: No such cable, or a position at which the robot has no equilibrium.
+            CarosacError: The state of the PLC does not allow it.
         """
         wires, on = self.machine.wires, value != 0.0
         if kind in (Injection.TRIP, Injection.JUMP) and not 1 <= axis <= self._n:
@@ -178,10 +174,10 @@ class Emulator:
             raise InvalidField("kind", int(kind), f"one of {[int(k) for k in Injection][1:]}")
 
     def diagnosis(self) -> dict[str, Any]:
-        """What the PLC counted."""
+        """Return the counters of the PLC, as in `blocks.diagnosis`."""
         counters, winches = self.machine.counters, self.machine.winches
-        found = {name: getattr(counters, name, 0) for name in machine_blocks.COUNTS}
-        return found | {
+        counts = {name: getattr(counters, name, 0) for name in blocks.COUNTS}
+        return counts | {
             "cycles": self._cycles, "overruns": self.overruns, "lost_time": self.lost_time,
             "control_done": self._control, "control_refused": self._refused,
             "set_speed": winches.speed, "speed_peak": winches.speed_peak,
@@ -189,37 +185,37 @@ class Emulator:
         } | {f"worst_{name}": value for name, value in counters.worst.items()}  # fmt: skip
 
     def _obey_control(self) -> None:
-        """Carry out what a client injected."""
-        asked = self._blocks["control"].unpack(self._symbols.read(self._names["control"]))
-        if asked["number"] == self._control:
+        """Carry out a new injection of a client."""
+        order = self._read(blocks.CONTROL)
+        if order["number"] == self._control:
             return
-        self._control = asked["number"]
+        self._control = order["number"]
         try:
-            kind = Injection(asked["kind"])
-            self.inject(kind, asked["axis"], asked["value"], asked["second"], asked["position"])
+            kind = Injection(order["kind"])
+            self.inject(kind, order["axis"], order["value"], order["second"], order["position"])
         except (CarosacError, ValueError):
-            self._refused = asked["number"]
+            self._refused = order["number"]
 
     def _place(self, position: Any) -> None:
-        """Set the platform down elsewhere."""
+        """Set the platform down at rest elsewhere."""
         if self.machine.state.value not in ("connected", "fault", "estop"):
             raise CarosacError("plc: the drives are on; disable them first")
         self.world.place(np.asarray(position, dtype=np.float64))
-        self._stand()
+        self._take_over_positions()
 
-    def _stand(self) -> None:
-        """The set points are where the winches stand."""
+    def _take_over_positions(self) -> None:
+        """Set the set positions to where the winches stand."""
         machine = self.machine
         machine.place(self.world.inputs.length)
         machine.reference = machine.winches.position - self.world.standing
 
     def _publish(self) -> None:
-        """Write what clients read."""
+        """Write the blocks that clients read."""
         inputs, state = self.world.inputs, self.world.truth()
         n = self._n
-        self._write("to_host", self.machine.output(inputs))
-        self._write("diagnosis", self.diagnosis())
-        self._write("truth", {
+        self._write(blocks.TO_HOST, self.machine.output(inputs))
+        self._write(blocks.DIAGNOSIS, self.diagnosis())
+        self._write(blocks.TRUTH, {
             "time": self.machine.time, "position": state.position[0],
             "rotation": state.rotation[0].ravel(),
             "twist": np.zeros(6) if state.twist is None else state.twist[0],
@@ -228,11 +224,14 @@ class Emulator:
             "tension": np.zeros(n) if state.tension is None else state.tension[0],
         })  # fmt: skip
 
-    def _write(self, key: str, values: dict[str, Any]) -> None:
-        self._symbols.write(self._names[key], self._blocks[key].pack(values))
+    def _read(self, block: str) -> dict[str, Any]:
+        return self._blocks[block].unpack(self.symbols.read(self.symbol_names[block]))
+
+    def _write(self, block: str, values: dict[str, Any]) -> None:
+        self.symbols.write(self.symbol_names[block], self._blocks[block].pack(values))
 
     def _send_imu(self) -> None:
-        """One datagram for each sample of the IMU, by the clock of the PLC."""
+        """Send one datagram for each sample of the IMU, with the time by the clock of the PLC."""
         samples = self.world.imu_samples()
         imu = self.hardware.imu
         if self._imu is None or imu is None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.drivers.clock_offset import ClockOffset
-from carosac_toolkit.drivers.imu_udp import ImuListener, imu_line, parse_imu_line
+from carosac_toolkit.plc.clock_offset import ClockOffset
+from carosac_toolkit.plc.imu_udp import ImuListener, imu_line, parse_imu_line
 from carosac_toolkit.robot.hardware import ImuSource
 
 

@@ -1,4 +1,4 @@
-"""From commands that come every now and then to a smooth motion by the clock of the PLC."""
+"""Interpolation of periodic commands to a smooth motion by the clock of the PLC."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 
-_BEHIND = 1.75  # commands by which the motion is behind the newest one as that arrives
-_KEPT = 8  # commands
-_SMOOTH = 0.1  # share of a new distance from `_BEHIND` in the mean of the last ones
-_STEER, _WARP = 0.05, 0.02  # how much the clock hurries for such a distance, and at most
-_LOST = 3.0  # distance above which it is taken away at once
-_EXTRA = 1.5  # commands for which the motion goes on straight where none comes
+DELAY_COMMANDS = 1.75  # from the motion to the newest command as that arrives
+COMMANDS_KEPT = 8  # the spline needs three; the rest bridges jitter
+DELAY_SMOOTHING = 0.1  # weight of the newest delay error in its running mean
+CLOCK_GAIN, CLOCK_CHANGE_MAX = 0.05, 0.02  # change of clock rate per command of delay error
+DELAY_ERROR_MAX_COMMANDS = 3.0  # beyond it the clock is set at once
+EXTRAPOLATION_COMMANDS = 1.5  # for which the motion goes on straight if no command comes
 
 
 class Playback:
@@ -25,41 +25,43 @@ class Playback:
     .. math:: s(u) = \tfrac12 (\tfrac12 - u)^2 L_{k-1} + (\tfrac34 - u^2) L_k
               + \tfrac12 (\tfrac12 + u)^2 L_{k+1}, \qquad |u| \le \tfrac12 .
 
-    Commands may come a little early or late; the motion goes by the clock of the PLC, which hurries
-    or waits by 2 % at most. Lost commands are taken to lie on a straight line.
+    Commands may come a little early or late; the motion goes by the clock of the PLC, sped up or
+    slowed down by 2 % at most. Lost commands are interpolated linearly.
     """
 
     def __init__(self, position: Array) -> None:
-        """Stand at positions [unit], shape (n,)."""
-        self._points: deque[Array] = deque([np.array(position)] * 3, maxlen=_KEPT)
+        """Start at rest at positions [unit], shape (n,)."""
+        self._points: deque[Array] = deque([np.array(position)] * 3, maxlen=COMMANDS_KEPT)
         self._newest = 0  # number of the last point, from 0 at the start
-        self._at = -_BEHIND
+        self._at = -DELAY_COMMANDS
         self._period = 1.0
         self._error: float | None = None
 
     def add(self, length: Array, gap: int, period: float) -> None:
         """Take a command [unit], shape (n,), that is `gap` after the last one; `period` in s."""
         last = self._points[-1]
-        first = max(1, gap - _KEPT + 1)
+        first = max(1, gap - COMMANDS_KEPT + 1)
         for k in range(first, gap + 1):
             self._points.append(last + (length - last) * (k / gap))
         self._newest += gap
         self._period = period
-        error = self._newest - _BEHIND - self._at
-        if self._error is None or abs(error) > _LOST:
+        error = self._newest - DELAY_COMMANDS - self._at
+        if self._error is None or abs(error) > DELAY_ERROR_MAX_COMMANDS:
             self._at += error
             self._error = error = 0.0
-        self._error += _SMOOTH * (error - self._error)
+        self._error += DELAY_SMOOTHING * (error - self._error)
 
     def advance(self, duration: float) -> tuple[Array, Array]:
-        """Let time pass [s].
+        """Advance by a duration [s].
 
         Returns:
-            Where to be then [unit], and how fast [unit/s], each of shape (n,).
+            Positions then [unit] and velocities [unit/s], each of shape (n,).
         """
-        last = self._newest + _EXTRA
-        hurry = 1.0 + float(np.clip(_STEER * (self._error or 0.0), -_WARP, _WARP))
-        self._at = min(self._at + hurry * duration / self._period, last)
+        last = self._newest + EXTRAPOLATION_COMMANDS
+        clock_rate = 1.0 + float(
+            np.clip(CLOCK_GAIN * (self._error or 0.0), -CLOCK_CHANGE_MAX, CLOCK_CHANGE_MAX)
+        )
+        self._at = min(self._at + clock_rate * duration / self._period, last)
         k = int(np.floor(self._at + 0.5))
         u = self._at - k
         before, here, after = (self._point(k + i) for i in (-1, 0, 1))
@@ -68,7 +70,7 @@ class Playback:
         return goal, (rate if self._at < last else np.zeros_like(rate))
 
     def _point(self, number: int) -> Array:
-        """A command by its number; the ones to come go on straight."""
+        """Return a command by its number, extrapolated beyond the newest one."""
         ahead = number - self._newest
         if ahead > 0:
             return self._points[-1] + ahead * (self._points[-1] - self._points[-2])

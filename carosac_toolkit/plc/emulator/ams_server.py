@@ -14,41 +14,33 @@ import threading
 import time
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.plc.symbols import Symbols
+from carosac_toolkit.plc.emulator.symbols import WRONG_SIZE, Refused, Symbols
 from carosac_toolkit.robot.hardware import ADS_TCP_PORT
 
-LONGEST = 1 << 16  # bytes of a request; longer ones are no ADS
-_HEADER = struct.Struct("<6sH6sHHHIII")
-_PATIENCE = 2.0  # [s] for threads to end
+REQUEST_BYTES_MAX = 1 << 16  # longer requests are no ADS
+HEADER = struct.Struct("<6sH6sHHHIII")  # of an AMS packet
+THREAD_END_TIMEOUT_S = 2.0
 
-_INFO, _READ, _WRITE, _STATE, _READ_WRITE = 1, 2, 3, 4, 9
-_HANDLE_BY_NAME, _VALUE_BY_HANDLE, _RELEASE_HANDLE = 0xF003, 0xF005, 0xF006
-_UNSUPPORTED, _WRONG_GROUP, _WRONG_SIZE = 0x701, 0x702, 0x705
+_INFO, READ, WRITE, _STATE, READ_WRITE = 1, 2, 3, 4, 9
+HANDLE_BY_NAME, VALUE_BY_HANDLE, _RELEASE_HANDLE = 0xF003, 0xF005, 0xF006
+_UNSUPPORTED, _WRONG_GROUP = 0x701, 0x702
 _RUN = 5  # ADS state of a running PLC
 
 
-class _Refused(Exception):
-    """An ADS return code."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(f"ADS code {code:#x}")
-        self.code = code
-
-
 class AmsServer:
-    """Answers ADS requests, one thread for each connection.
+    """A server of ADS requests, with one thread for each connection.
 
     Attributes:
-        delay: By how much every answer comes later [s]: a slow network.
-        jitter: By how much more at most, at random [s].
+        delay: Delay of every answer, as in a slow network [s].
+        jitter: Largest further delay, drawn at random [s].
         requests: Number of requests answered.
     """
 
-    def __init__(self, symbols: Symbols, ip: str, port: int = ADS_TCP_PORT) -> None:
-        """Listen; requests wait until `start`.
+    def __init__(self, symbols: Symbols, ip: str) -> None:
+        """Listen on the TCP port of ADS; requests wait until `start`.
 
         Raises:
-            CarosacError: The address cannot be used.
+            CarosacError: The address is not of this machine, or in use.
         """
         self.symbols = symbols
         self.delay = 0.0
@@ -61,23 +53,23 @@ class AmsServer:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            self._socket.bind((ip, port))
+            self._socket.bind((ip, ADS_TCP_PORT))
             self._socket.listen(8)
         except OSError as error:
             self._socket.close()
             raise CarosacError(
-                f"plc: cannot listen on {ip}:{port}: {error.strerror or error}; is another PLC "
-                "or a TwinCAT router running there?"
+                f"plc: cannot listen on {ip}:{ADS_TCP_PORT}: {error.strerror or error}; "
+                "is another PLC or a TwinCAT router running there?"
             ) from error
 
     def start(self) -> None:
-        """Answer from now on."""
+        """Start to answer requests."""
         self._running = True
         self._accepting = threading.Thread(target=self._accept, name="ads-accept", daemon=True)
         self._accepting.start()
 
     def close(self) -> None:
-        """Cut all connections and end all threads; safe to call twice."""
+        """Close all connections and end all threads; safe to call twice."""
         self._running = False
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
@@ -88,7 +80,7 @@ class AmsServer:
                     connection.shutdown(socket.SHUT_RDWR)
         threads = [*self._threads, *([self._accepting] if hasattr(self, "_accepting") else [])]
         for thread in threads:
-            thread.join(_PATIENCE)
+            thread.join(THREAD_END_TIMEOUT_S)
 
     def _accept(self) -> None:
         while self._running:
@@ -106,14 +98,14 @@ class AmsServer:
             thread.start()
 
     def _serve(self, connection: socket.socket) -> None:
-        """Answer one connection until it ends; what is no ADS ends it."""
+        """Answer one connection until it ends; close it at data that are no ADS."""
         try:
             while self._running:
-                head = _exactly(connection, 6)
+                head = receive_exactly(connection, 6)
                 size = int.from_bytes(head[2:], "little")
-                if not _HEADER.size <= size <= LONGEST:
+                if not HEADER.size <= size <= REQUEST_BYTES_MAX:
                     return
-                packet = _exactly(connection, size)
+                packet = receive_exactly(connection, size)
                 if self.delay or self.jitter:
                     time.sleep(self.delay + random.uniform(0.0, self.jitter))
                 answer = self._answer(packet)
@@ -127,73 +119,49 @@ class AmsServer:
             connection.close()
 
     def _answer(self, packet: bytes) -> bytes:
-        """The answer to one request, with its header."""
-        target, port, source, source_port, command, flags, _, _, number = _HEADER.unpack_from(
-            packet
-        )
-        body = packet[_HEADER.size :]
+        """Return the answer to one request, with its header."""
+        target, port, source, source_port, command, flags, _, _, number = HEADER.unpack_from(packet)
+        body = packet[HEADER.size :]
         try:
             data = struct.pack("<I", 0) + self._do(command, body)
-        except _Refused as refused:
+        except Refused as refused:
             data = struct.pack("<I", refused.code)
-            data += bytes(4) if command in (_READ, _READ_WRITE) else b""
+            data += bytes(4) if command in (READ, READ_WRITE) else b""
         except struct.error:
-            data = struct.pack("<I", _WRONG_SIZE)
-        return _HEADER.pack(
+            data = struct.pack("<I", WRONG_SIZE)
+        return HEADER.pack(
             source, source_port, target, port, command, flags | 1, len(data), 0, number
         ) + data  # fmt: skip
 
     def _do(self, command: int, body: bytes) -> bytes:
-        """Carry out a request; the answer without its return code."""
+        """Carry out a request; return the answer without its return code."""
         if command == _INFO:
             return struct.pack("<BBH16s", 3, 1, 0, b"carosac plc")
         if command == _STATE:
             return struct.pack("<HH", _RUN, 0)
-        if command == _READ:
-            group, offset, size = struct.unpack_from("<III", body)
-            return _sized(self._read(group, offset, size))
-        if command == _WRITE:
-            group, offset, size = struct.unpack_from("<III", body)
-            self._write(group, offset, body[12 : 12 + size])
+        if command not in (READ, WRITE, READ_WRITE):
+            raise Refused(_UNSUPPORTED)
+        group, offset, size = struct.unpack_from("<III", body)
+        if command == READ and group == VALUE_BY_HANDLE:
+            return _sized(self.symbols.read_handle(offset)[:size])
+        if command == WRITE and group == VALUE_BY_HANDLE:
+            self.symbols.write_handle(offset, body[12 : 12 + size])
             return b""
-        if command == _READ_WRITE:
-            group, offset, _, size = struct.unpack_from("<IIII", body)
-            if group != _HANDLE_BY_NAME:
-                raise _Refused(_WRONG_GROUP)
+        if command == WRITE and group == _RELEASE_HANDLE:
+            return b""
+        if command == READ_WRITE and group == HANDLE_BY_NAME:
+            size = struct.unpack_from("<IIII", body)[3]
             name = body[16 : 16 + size].split(b"\0")[0].decode("latin-1")
-            return _sized(struct.pack("<I", _known(self.symbols.handle(name))))
-        raise _Refused(_UNSUPPORTED)
-
-    def _read(self, group: int, offset: int, size: int) -> bytes:
-        if group != _VALUE_BY_HANDLE:
-            raise _Refused(_WRONG_GROUP)
-        data = self.symbols.read_handle(offset)
-        if isinstance(data, int):
-            raise _Refused(data)
-        return data[:size]
-
-    def _write(self, group: int, offset: int, data: bytes) -> None:
-        if group == _RELEASE_HANDLE:
-            return
-        if group != _VALUE_BY_HANDLE:
-            raise _Refused(_WRONG_GROUP)
-        code = self.symbols.write_handle(offset, data)
-        if code:
-            raise _Refused(code)
-
-
-def _known(handle: int | None) -> int:
-    if handle is None:
-        raise _Refused(Symbols.NOT_FOUND)
-    return handle
+            return _sized(struct.pack("<I", self.symbols.handle(name)))
+        raise Refused(_WRONG_GROUP)
 
 
 def _sized(data: bytes) -> bytes:
     return struct.pack("<I", len(data)) + data
 
 
-def _exactly(connection: socket.socket, size: int) -> bytes:
-    """So many bytes, however the network cuts them."""
+def receive_exactly(connection: socket.socket, size: int) -> bytes:
+    """Receive this many bytes, however the network splits them."""
     parts = bytearray()
     while len(parts) < size:
         part = connection.recv(size - len(parts))

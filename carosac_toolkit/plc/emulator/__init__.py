@@ -1,0 +1,1 @@
+"""The emulated PLC: AMS server, PLC program, winches and a simulated robot."""
