@@ -167,7 +167,7 @@ class Nameless:
          "link: got 'tests.plc.test_link:Deaf'; allowed: a link, which has build, connect, has, "
          "read, write, close, address, timeout; missing here: write"),
         ("tests.plc.test_link:Nameless", {}, "missing here: address, timeout"),
-        ("tests.plc.test_link:Nameless", {"port": 1}, "allowed: none: link .* has no Settings"),
+        ("tests.plc.test_link:Nameless", {"port": 1}, "allowed: nothing: Nameless has no Settings"),
         ("ads", {"port": 1}, r"link_settings.port: got 1; allowed: one of \['ip', 'timeout'\]"),
         ("ads", {"timeout": -1.0}, "hardware.ads.timeout: got -1.0 s"),
     ],
