@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import tomllib
@@ -63,7 +64,7 @@ def cells_of(start: int, row: str) -> list[list[int]]:
     numbers = [m.start() for m in PROSE_NUMBER.finditer(plain)]
     return [
         [start + n for n in numbers if left < n < right]
-        for left, right in zip(borders, borders[1:], strict=False)
+        for left, right in itertools.pairwise(borders)
     ]
 
 
@@ -83,14 +84,14 @@ def unsourced(text: str) -> list[str]:
     return missing
 
 
-def test_results_json_has_the_figures_of_results_md() -> None:
+def test_results_json_has_the_figures_of_results_md():
     values, missing = figures.read_values(RESULTS.read_text("utf-8"), CATALOGUE.read_text("utf-8"))
     assert missing == []
     assert json.loads(VALUES.read_text("utf-8")) == values, "python -m benchmarks.figures --write"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_numbers_in_the_prose_are_those_of_the_results(page) -> None:
+def test_numbers_in_the_prose_are_those_of_the_results(page):
     name = str(page.relative_to(ROOT))
     citations, faults = figures.read_page(page.read_text("utf-8"), name, figures.load_figures())
     wrong = [c for c in citations if c.shown != c.expected]
@@ -98,25 +99,25 @@ def test_numbers_in_the_prose_are_those_of_the_results(page) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_every_number_in_a_table_of_results_has_a_source(page) -> None:
+def test_every_number_in_a_table_of_results_has_a_source(page):
     assert unsourced(page.read_text("utf-8")) == []
 
 
-def test_every_group_of_the_catalogue_is_cited() -> None:
+def test_every_group_of_the_catalogue_is_cited():
     text = "".join(page.read_text("utf-8") for page in PAGES)
     cited = {word for marker in MARKER.finditer(text) for word in marker["text"].split()}
     groups = tomllib.loads(CATALOGUE.read_text("utf-8"))
     assert [g for g in groups if not any(c.lstrip("~<").startswith(g) for c in cited)] == []
 
 
-def test_readme_says_which_learning_figure_it_means() -> None:
+def test_readme_says_which_learning_figure_it_means():
     text = (ROOT / "README.md").read_text("utf-8")
     ratio = re.search(r"(\S+) -->\s+of the\s+error of catenary inverse kinematics", text)
     assert ratio is not None
     assert ratio[1] == "policies.realtime.ratio.policy"
 
 
-def test_a_table_without_sources_is_noticed() -> None:
+def test_a_table_without_sources_is_noticed():
     bare = "| model | error |\n|---|---|\n| ours | 3 mm |\n"
     assert unsourced(bare) == ["| model | error |"]
     row = "| ours | 34 mm <!-- figure: statics.fk.carosac --> |\n"
@@ -140,7 +141,7 @@ def test_a_table_without_sources_is_noticed() -> None:
         ("some 12 000 <!-- figure: speed.fk*1000 -->", ["34 400"]),
     ],
 )
-def test_a_number_is_corrected_to_the_digits_that_it_shows(text, shown) -> None:
+def test_a_number_is_corrected_to_the_digits_that_it_shows(text, shown):
     citations, faults = figures.read_page(text, "page", FIGURES)
     assert faults == []
     assert [citation.expected for citation in citations] == shown
@@ -157,13 +158,13 @@ def test_a_number_is_corrected_to_the_digits_that_it_shows(text, shown) -> None:
         ("3 <!-- source: tests/test_figures.py::test_x -->", "no test 'tests/test_figures.py"),
     ],
 )
-def test_a_comment_that_leads_nowhere_is_a_fault(text, fault) -> None:
+def test_a_comment_that_leads_nowhere_is_a_fault(text, fault):
     _, faults = figures.read_page(text, "page", FIGURES)
     assert len(faults) == 1
     assert fault in faults[0]
 
 
-def test_a_section_is_written_with_its_figures(tmp_path, monkeypatch) -> None:
+def test_a_section_is_written_with_its_figures(tmp_path, monkeypatch):
     catalogue = '["swing"]\nsection = "sway"\nprotocol = "A push."\ncolumn = "error [mm]"\n'
     (tmp_path / "figures.toml").write_text(catalogue + 'rows = { ours = "a | 1", other = "b" }\n')
     monkeypatch.setattr(figures, "CATALOGUE", tmp_path / "figures.toml")
