@@ -1,6 +1,8 @@
 """Learned control: how fast it learns, how well, against whom, and on a real recording.
 
-Run by hand, from the project's root, each part a section of ``benchmarks/RESULTS.md``:
+Run from the project's root, each part a section of ``benchmarks/RESULTS.md``; ``make learning``
+trains policies and runs `curves`, `bars`, `drive`, `inference` and `low` on them, the rest is run
+by hand:
 
 ``python -m benchmarks.learning --parts throughput``: part of ``make bench``.
 ``python -m benchmarks.learning --parts gpu``: environments on a GPU beside one core.

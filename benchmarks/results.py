@@ -1,4 +1,4 @@
-"""Write measured tables into RESULTS.md, each with its machine and date."""
+"""Write measured tables into RESULTS.md, each with its machine and date, and figures beside it."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 
-RESULTS = Path(__file__).parent / "RESULTS.md"
+from benchmarks import figures
+from benchmarks.figures import RESULTS
 
 
 def machine() -> str:
-    """Processor, cores in use, Python and Warp, in one line."""
+    """Return processor, cores in use, Python and Warp, in one line."""
     model = platform.processor() or platform.machine()
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.is_file():
@@ -26,15 +27,18 @@ def machine() -> str:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
+    """Return a Markdown table."""
     lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
 
 
 def write_section(key: str, title: str, command: str, body: str) -> None:
-    """Replace the section between its two markers, or append it."""
+    """Write a section of RESULTS.md, in place of an older one, and its figures to results.json.
+
+    Figures of the catalogue that the section lacks, as after a run of one robot only, are printed.
+    """
     begin, end = f"<!-- {key} -->", f"<!-- end {key} -->"
-    text = RESULTS.read_text() if RESULTS.is_file() else "# Results\n"
+    text = RESULTS.read_text(encoding="utf-8") if RESULTS.is_file() else "# Results\n"
     stamp = f"`{command}`, {date.today().isoformat()}, {machine()}."
     section = f"{begin}\n## {title}\n\n{stamp}\n\n{body}\n{end}"
     if begin in text:
@@ -43,5 +47,7 @@ def write_section(key: str, title: str, command: str, body: str) -> None:
     else:
         text = text.rstrip() + "\n\n" + section + "\n"
     temporary = RESULTS.with_suffix(".tmp")
-    temporary.write_text(text)
+    temporary.write_text(text, encoding="utf-8")
     temporary.replace(RESULTS)
+    for line in figures.refresh_values():
+        print(line)

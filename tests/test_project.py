@@ -31,11 +31,15 @@ def test_one_version_everywhere():
     assert len(versions) == 1
 
 
-def test_changelog_has_unreleased_on_top_with_entries():
+def test_changelog_has_unreleased_on_top_and_then_this_version_with_entries():
     text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    sections = re.split(r"^## ", text, flags=re.MULTILINE)[1:]
-    assert sections[0].startswith("[Unreleased]")
-    assert re.search(r"^- \S", sections[0], re.MULTILINE)
+    unreleased, release, *_ = re.split(r"^## ", text, flags=re.MULTILINE)[1:]
+    assert unreleased.startswith("[Unreleased]")
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert release.startswith(f"[{citation['version']}] - {citation['date-released']}\n")
+    assert re.search(r"^- \S", release, re.MULTILINE)
+    kinds = re.findall(r"^### (.*)", text, re.MULTILINE)
+    assert set(kinds) <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
 
 
 def test_mypy_leaves_out_exactly_the_kernels():
