@@ -35,7 +35,7 @@ def test_changelog_has_unreleased_on_top_and_then_this_version_with_entries():
     text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     unreleased, release, *_ = re.split(r"^## ", text, flags=re.MULTILINE)[1:]
     assert unreleased.startswith("[Unreleased]")
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    citation = load_yaml((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert release.startswith(f"[{citation['version']}] - {citation['date-released']}\n")
     assert re.search(r"^- \S", release, re.MULTILINE)
     kinds = re.findall(r"^### (.*)", text, re.MULTILINE)
