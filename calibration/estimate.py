@@ -14,7 +14,7 @@ from carosac_toolkit.robot.parameters import unit_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Estimate:
+class ParameterEstimate:
     """k parameters; units are those of `carosac_toolkit.robot.parameters.unit_of`.
 
     Attributes:
@@ -79,10 +79,10 @@ class Estimate:
             raise InvalidField("parameter", repr(name), f"one of {list(self.names)}")
         return self.names.index(name)
 
-    def select(self, names: Sequence[str]) -> Estimate:
+    def select(self, names: Sequence[str]) -> ParameterEstimate:
         """Some of the parameters, in the order of `names`."""
         rows = [self.index(name) for name in names]
-        return Estimate(
+        return ParameterEstimate(
             names=tuple(names),
             value=self.value[rows],
             covariance=self.covariance[np.ix_(rows, rows)],

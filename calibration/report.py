@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.estimate import Estimate
+from calibration.estimate import ParameterEstimate
 from calibration.observability import Observability
 from carosac_toolkit.reports.page import (
     bullets,
@@ -26,18 +26,20 @@ PARAMETER_HEADER = (
     "parameter", "unit", "before", "known to", "after", "1 sigma", "moved by", "in sigmas before",
 )  # fmt: skip
 PARAMETER_GROUPS = (2, 2, 2, 2)
-_SHOWN = {"m": ("mm", 1e3), "s": ("ms", 1e3), "rad": ("mrad", 1e3)}  # of what is small
-_LARGE = ("exit_points", "anchor_points", "drum_radius", "center_of_mass", "run_length")
+_UNITS_SHOWN = {"m": ("mm", 1e3), "s": ("ms", 1e3), "rad": ("mrad", 1e3)}  # of what is small
+_SHOWN_IN_MM = ("exit_points", "anchor_points", "drum_radius", "center_of_mass", "run_length")
 
 
-def parameter_rows(estimate: Estimate) -> Rows:
+def parameter_rows(estimate: ParameterEstimate) -> Rows:
     """One row for each parameter, with as many digits as its sigma carries."""
     rows: Rows = []
     for name, unit, start, prior, value, sigma in zip(
         estimate.names, estimate.units, estimate.start, estimate.prior_sigma, estimate.value,
         estimate.sigma, strict=True,
     ):  # fmt: skip
-        word, factor = ("mm", 1e3) if name.startswith(_LARGE) else _SHOWN.get(unit, (unit, 1.0))
+        word, factor = (
+            ("mm", 1e3) if name.startswith(_SHOWN_IN_MM) else _UNITS_SHOWN.get(unit, (unit, 1.0))
+        )
         digits = _digits(sigma * factor)
         moved = value - start
         rows.append(
@@ -62,7 +64,7 @@ def _digits(sigma: float) -> int:
     return int(np.clip(1 - np.floor(np.log10(sigma)), 0, 9))
 
 
-def print_parameters(estimate: Estimate) -> None:
+def print_parameters(estimate: ParameterEstimate) -> None:
     """Print the table of parameters within the width of the terminal."""
     print(fit(PARAMETER_HEADER, parameter_rows(estimate), PARAMETER_GROUPS, terminal_width()))
 
@@ -73,7 +75,7 @@ def print_sentences(lines: Sequence[str], start: str = "* ") -> None:
         print(wrapped(line, terminal_width(), start))
 
 
-def parameters_html(estimate: Estimate) -> str:
+def parameters_html(estimate: ParameterEstimate) -> str:
     """The table of parameters."""
     return (
         "<h2>Parameters</h2><p>Known to: one standard deviation before the calibration. 1 sigma: "

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.estimate import Estimate
+from calibration.estimate import ParameterEstimate
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.output_files import check_writable, replacing
@@ -47,7 +47,7 @@ def prior_covariance(robot: Robot, names: tuple[str, ...], sigma: Array) -> Arra
     return covariance
 
 
-def updated(robot: Robot, estimate: Estimate) -> Robot:
+def updated(robot: Robot, estimate: ParameterEstimate) -> Robot:
     """The robot with estimated parameters and all that is known of them.
 
     What an earlier calibration knew of other parameters stays, as independent of the new ones.
@@ -95,7 +95,12 @@ def check_output(option: str, output: Path | None, robot: str) -> None:
 
 
 def write_robot(
-    source: str, estimate: Estimate, output: Path, *, provenance: str, name: str | None = None
+    source: str,
+    estimate: ParameterEstimate,
+    output: Path,
+    *,
+    provenance: str,
+    name: str | None = None,
 ) -> Robot:
     """Write a robot file with estimated parameters and covariances; comments of the old one stay.
 

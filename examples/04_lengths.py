@@ -16,12 +16,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import carosac_toolkit as ct
-from calibration.lengths import calibrate, suggest_poses
+from calibration.lengths import calibrate_lengths, suggest_poses
 from calibration.lengths.synthetic import draw_scene
 
 robot = ct.load_robot("cogiro")
 scene = draw_scene(robot, np.random.default_rng(4))
-found = calibrate(scene.recording, robot)
+found = calibrate_lengths(scene.recording, robot)
 further = suggest_poses(found, 8, rng=np.random.default_rng(4))
 
 truth = np.array([[scene.truth[f"exit_points[{c}].{a}"] for a in "xyz"] for c in robot.cable_names])

@@ -32,7 +32,7 @@ from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.robot import Robot
 
 Range = tuple[int, int]
-_SHARE = 2.0 / 3.0  # of the samples that are fitted, where nothing else is asked for
+_TRAIN_SHARE_DEFAULT = 2.0 / 3.0  # of the samples that are fitted, where nothing else is asked for
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +116,7 @@ def _print(result: Identification) -> None:
 def _ranges(options: Options, recording: Recording) -> tuple[Range, Range | None]:
     """The samples that are fitted, and those that are scored."""
     count = len(recording.time)
-    train = (0, round(_SHARE * count))
+    train = (0, round(_TRAIN_SHARE_DEFAULT * count))
     if options.train is not None:
         train = _range("train", options.train, count)
     if options.test is not None:

@@ -20,12 +20,12 @@ import tyro
 
 from calibration.lengths import (
     LengthCalibration,
-    Settings,
+    LengthSettings,
     SuggestedPoses,
-    calibrate,
+    calibrate_lengths,
     suggest_poses,
 )
-from calibration.lengths.planning import COUNT_MAX
+from calibration.lengths.planning import SUGGESTED_POSES_MAX
 from calibration.lengths.report import (
     CABLE_GROUPS,
     CABLE_HEADER,
@@ -49,8 +49,15 @@ from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.text_tables import fit, terminal_width
 
-WITHOUT_POSES = ("recording", "robot", "output", "report", "json", "seed")  # options that count
-SENTENCES = 8  # on what is hardly known, on the screen; the report has all
+MOTOR_ANGLE_OPTIONS = (
+    "recording",
+    "robot",
+    "output",
+    "report",
+    "json",
+    "seed",
+)  # options that count
+WEAK_SENTENCES_MAX = 8  # on what is hardly known, on the screen; the report has all
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,24 +82,24 @@ class Options(CommonOptions):
     """How many further poses to suggest, those that would teach most about the exit points."""
     length_noise: float | None = None
     """Standard deviation of a reading [m]; by default estimated from what the fit leaves."""
-    position_noise: float = Settings.position_noise
+    position_noise: float = LengthSettings.position_noise
     """Standard deviation of a measured position, per axis [m]."""
-    rotation_noise: float = Settings.rotation_noise
+    rotation_noise: float = LengthSettings.rotation_noise
     """Standard deviation of a measured orientation, per axis [rad]."""
-    exit_prior: float = Settings.exit_prior
+    exit_prior: float = LengthSettings.exit_prior
     """How well the exit points are known before, per axis [m]; covariances in the robot file
     come first. This and the other priors: one standard deviation, 0 holds the value."""
-    anchor_prior: float = Settings.anchor_prior
+    anchor_prior: float = LengthSettings.anchor_prior
     """How well the anchor points are known before, per axis [m]."""
-    offset_prior: float = Settings.offset_prior
+    offset_prior: float = LengthSettings.offset_prior
     """How well the zeros of the readings are known before [m]; nothing where they are relative."""
-    scale_prior: float = Settings.scale_prior
+    scale_prior: float = LengthSettings.scale_prior
     """How well the scales of the readings are known before."""
-    delay_prior: float = Settings.delay_prior
+    delay_prior: float = LengthSettings.delay_prior
     """How well the delay between readings and poses is known before [s]."""
-    tilt_prior: float = Settings.tilt_prior
+    tilt_prior: float = LengthSettings.tilt_prior
     """How level the frame of the poses is [rad]."""
-    center_prior: float = Settings.center_prior
+    center_prior: float = LengthSettings.center_prior
     """How well the centre of mass is known before, per axis [m]; fewer than 6 cables only."""
 
 
@@ -104,8 +111,8 @@ def run(options: Options) -> CommandResult:
 
         _check_without_poses(options)
         return run_motor_angles(options, path)
-    if not 0 <= options.suggest_poses <= COUNT_MAX:
-        raise InvalidField("--suggest-poses", options.suggest_poses, f"0 to {COUNT_MAX}")
+    if not 0 <= options.suggest_poses <= SUGGESTED_POSES_MAX:
+        raise InvalidField("--suggest-poses", options.suggest_poses, f"0 to {SUGGESTED_POSES_MAX}")
     settings = _settings(options)
     recording = load_recording(path)
     found = find_robot(recording, path, options.robot)
@@ -113,7 +120,7 @@ def run(options: Options) -> CommandResult:
     if options.report is not None:
         check_folder("--report", options.report)
     try:
-        result = calibrate(
+        result = calibrate_lengths(
             recording, found.robot, settings=settings, start=options.start, stop=options.stop
         )
     except Unobservable:
@@ -138,14 +145,14 @@ def _check_without_poses(options: Options) -> None:
     """Refuse options that a file of motor angles leaves without effect."""
     for name, default in vars(Options(recording="")).items():
         value = getattr(options, name)
-        if name not in WITHOUT_POSES and value != default:
+        if name not in MOTOR_ANGLE_OPTIONS and value != default:
             allowed = "not with a file of motor angles, where it has no effect"
             raise InvalidField(f"--{name.replace('_', '-')}", value, allowed)
 
 
-def _settings(options: Options) -> Settings:
+def _settings(options: Options) -> LengthSettings:
     """Noise and priors of the options."""
-    return Settings(
+    return LengthSettings(
         length_noise=options.length_noise,
         position_noise=options.position_noise,
         rotation_noise=options.rotation_noise,
@@ -160,7 +167,7 @@ def _settings(options: Options) -> Settings:
 
 
 def _suggested(
-    options: Options, settings: Settings, result: LengthCalibration | Robot
+    options: Options, settings: LengthSettings, result: LengthCalibration | Robot
 ) -> SuggestedPoses | None:
     """Further poses, if they were asked for."""
     if options.suggest_poses == 0:
@@ -177,9 +184,11 @@ def _print(result: LengthCalibration, suggested: SuggestedPoses | None) -> None:
     print("\n" + fit(CABLE_HEADER, cable_rows(result), CABLE_GROUPS, width), end="\n\n")
     print_sentences(sentences(result))
     weak = [*result.observability.sentences(), *result.sentences]
-    print_sentences(weak[:SENTENCES])
-    if len(weak) > SENTENCES:
-        print_sentences([f"and {len(weak) - SENTENCES} more such sentences, in the report"])
+    print_sentences(weak[:WEAK_SENTENCES_MAX])
+    if len(weak) > WEAK_SENTENCES_MAX:
+        print_sentences(
+            [f"and {len(weak) - WEAK_SENTENCES_MAX} more such sentences, in the report"]
+        )
     print()
     print_parameters(result.estimate)
     _print_suggested(suggested)

@@ -18,7 +18,7 @@ import tyro
 
 from calibration.report import print_sentences
 from calibration.robot_update import check_output, write_robot
-from calibration.tachymeter import TachymeterResult, calibrate
+from calibration.tachymeter import TachymeterResult, calibrate_tachymeter
 from calibration.tachymeter.report import write_survey_report
 from calibration.tachymeter.survey_files import read_survey
 from calibration.tachymeter.tables import (
@@ -72,7 +72,7 @@ def run(options: Options) -> CommandResult:
         check_folder("--report", options.report)
     robot = load_robot(options.robot)
     survey = read_survey(options.files, options.targets, robot)
-    result = calibrate(
+    result = calibrate_tachymeter(
         robot,
         survey,
         frame_tilt=float(np.deg2rad(options.frame_tilt_deg)),

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identification.fit import Fit, Fitter, Report
+from calibration.identification.fit import CoordinateFit, Fitter, ProgressCallback
 from calibration.identification.measured import MeasuredPoses, poses_of
 from calibration.identification.open_loop import simulate
-from calibration.identification.result import Identification, Part, RestErrors
+from calibration.identification.result import Identification, RestErrors, ScoredRange
 from calibration.identification.settings import IdentificationSettings
-from calibration.identification.unknowns import Unknowns, choose_unknowns
+from calibration.identification.unknowns import Coordinates, choose_coordinates
 from calibration.observability import Observability, Unobservable, judge
 from calibration.robot_update import updated
 from carosac_toolkit.base.arrays import Array
@@ -26,9 +26,9 @@ from carosac_toolkit.validation.plausibility import find_mix_ups
 from carosac_toolkit.validation.scores import PoseScores, score_poses
 
 Range = tuple[int, int]
-FEWEST = 5.0  # seconds of motion, below which no dynamics are identified
-ELSEWHERE = 0.5  # [m]
-STILL = 0.01  # [m]: a platform that moves by less does not show its dynamics
+MOTION_MIN_S = 5.0  # seconds of motion, below which no dynamics are identified
+START_DISTANCE_MAX_M = 0.5  # [m]
+MOTION_MIN_M = 0.01  # [m]: a platform that moves by less does not show its dynamics
 
 
 def identify(
@@ -38,7 +38,7 @@ def identify(
     *,
     train: Range,
     test: Range | None = None,
-    report: Report = lambda poses, position, rotation: None,
+    report: ProgressCallback = lambda poses, position, rotation: None,
 ) -> Identification:
     """Fit the simulator, open loop through recorded lengths, to measured poses.
 
@@ -62,7 +62,7 @@ def identify(
     chosen = settings or IdentificationSettings()
     poses = _check(recording, robot, train, test)
     fitted = poses.within(*train).thinned(chosen.rate)
-    unknowns = choose_unknowns(robot, chosen)
+    unknowns = choose_coordinates(robot, chosen)
     path = LengthPath(recording)
     before = _motion(robot, path, poses, chosen)
     _check_start(before)
@@ -108,11 +108,11 @@ def _check(recording: Recording, robot: Robot, train: Range, test: Range | None)
     fitted = poses.within(*train)
     _check_order(robot, material, poses)
     duration = float(fitted.time[-1] - fitted.time[0])
-    if duration < FEWEST:
-        allowed = f"at least {FEWEST:g} s with measured poses"
+    if duration < MOTION_MIN_S:
+        allowed = f"at least {MOTION_MIN_S:g} s with measured poses"
         raise InvalidField("train", f"{duration:.3g} s", allowed)
     reach = float(np.ptp(fitted.position, axis=0).max())
-    if reach < STILL:
+    if reach < MOTION_MIN_M:
         raise Unobservable(
             f"identification: the platform moves by only {reach * 1e3:.2g} mm in samples "
             f"{train[0]}:{train[1]}; a platform at rest does not show its dynamics"
@@ -145,11 +145,12 @@ def _check_order(robot: Robot, material: Recording, poses: MeasuredPoses) -> Non
 def _check_start(errors: Array) -> None:
     """Refuse a robot that hangs somewhere else than where it was measured."""
     away = float(np.linalg.norm(errors[0, :3]))
-    if away > ELSEWHERE:
+    if away > START_DISTANCE_MAX_M:
         got = f"lengths that hang the robot {away:.2f} m from the first measured pose"
         allowed = (
-            f"lengths and poses of this robot, which rests at sample 0, within {ELSEWHERE:g} m; "
-            "'carosac calibrate lengths' finds offsets, swapped cables and wrong units"
+            "lengths and poses of this robot, which rests at sample 0, within "
+            f"{START_DISTANCE_MAX_M:g} m; 'carosac calibrate lengths' finds offsets, swapped cables "
+            "and wrong units"
         )
         raise InvalidField("recording", got, allowed)
 
@@ -163,10 +164,10 @@ def _first_speed(poses: MeasuredPoses) -> float:
     return float(np.linalg.norm(reach) / (poses.time[rows][-1] - poses.time[rows][0]))
 
 
-def _part(poses: MeasuredPoses, before: Array, after: Array, span: Range) -> Part:
+def _part(poses: MeasuredPoses, before: Array, after: Array, span: Range) -> ScoredRange:
     """Scores of a range of samples."""
     rows = (poses.index >= span[0]) & (poses.index < span[1])
-    return Part(
+    return ScoredRange(
         start=span[0], stop=span[1], before=_scores(before[rows]), after=_scores(after[rows])
     )
 
@@ -175,7 +176,7 @@ def _scores(errors: Array) -> PoseScores:
     return score_poses(errors[:, :3], np.linalg.norm(errors[:, 3:], axis=1))
 
 
-def _observability(unknowns: Unknowns, fit: Fit) -> Observability:
+def _observability(unknowns: Coordinates, fit: CoordinateFit) -> Observability:
     return judge(unknowns.names, fit.information, np.sqrt(np.diag(unknowns.prior)))
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.identification.pictures import draw_motion, draw_rests
-from calibration.identification.result import Identification, Part
+from calibration.identification.result import Identification, ScoredRange
 from calibration.pictures import draw_learnt
 from calibration.report import observability_html, parameters_html, write_report
 from carosac_toolkit.recordings.recording import Recording
@@ -23,7 +23,10 @@ SCORE_HEADER = (
 def score_rows(result: Identification) -> Rows:
     """RMS errors before and after, of both ranges."""
     rows: Rows = []
-    parts: list[tuple[str, Part | None]] = [("fitted", result.train), ("kept back", result.test)]
+    parts: list[tuple[str, ScoredRange | None]] = [
+        ("fitted", result.train),
+        ("kept back", result.test),
+    ]
     for word, part in parts:
         if part is None:
             continue

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.estimate import Estimate
+from calibration.estimate import ParameterEstimate
 from calibration.identification.measured import MeasuredPoses
 from calibration.observability import Observability
 from carosac_toolkit.base.arrays import Array
@@ -15,13 +15,13 @@ from carosac_toolkit.robot.parameters import field_of
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.scores import PoseScores
 
-AGAINST_PRIOR = 2.0  # sigmas: a parameter that moved further contradicts what was known
-RESTING = 0.05  # [m/s]: a platform that is faster does not rest
-TAUGHT = 0.7  # of its prior sigma: a parameter that keeps more was hardly learnt
+CONTRADICTION_SIGMAS = 2.0  # sigmas: a parameter that moved further contradicts what was known
+REST_SPEED_MAX_M_S = 0.05  # [m/s]: a platform that is faster does not rest
+LEARNT_SIGMA_SHARE = 0.7  # of its prior sigma: a parameter that keeps more was hardly learnt
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Part:
+class ScoredRange:
     """A range of samples, before and after.
 
     Attributes:
@@ -91,10 +91,10 @@ class Identification:
     """
 
     robot: Robot
-    estimate: Estimate
+    estimate: ParameterEstimate
     observability: Observability
-    train: Part
-    test: Part | None
+    train: ScoredRange
+    test: ScoredRange | None
     rests: RestErrors
     measured: MeasuredPoses
     before: Array
@@ -145,7 +145,7 @@ class Identification:
         found = []
         if not self.converged:
             found.append(f"the search had not settled after {self.iterations} steps")
-        if self.first_speed > RESTING:
+        if self.first_speed > REST_SPEED_MAX_M_S:
             found.append(
                 f"the platform moves at the first sample, by {self.first_speed:.2g} m/s, where the "
                 "simulation begins at rest: cut the recording so that it begins in a rest"
@@ -155,7 +155,7 @@ class Identification:
             found.append("the identified robot is worse than before on the samples kept back")
         return found
 
-    def _scores(self, word: str, part: Part) -> str:
+    def _scores(self, word: str, part: ScoredRange) -> str:
         x, y, z, norm = part.after.rmse * 1e3
         return (
             f"samples {part.start}:{part.stop} ({word}), open loop: {norm:.1f} mm RMS in norm "
@@ -176,7 +176,7 @@ class Identification:
         words = []
         for field in dict.fromkeys(fields):
             rows = [k for k, other in enumerate(fields) if other == field]
-            known = int((kept[rows] > TAUGHT).sum())
+            known = int((kept[rows] > LEARNT_SIGMA_SHARE).sum())
             if known:
                 words.append(field if len(rows) == 1 else f"{field} ({known} of {len(rows)})")
         if not words:
@@ -188,7 +188,7 @@ class Identification:
         far = [
             f"{name} ({share:.1f} sigmas)"
             for name, share in zip(self.estimate.names, self.estimate.moved, strict=True)
-            if share > AGAINST_PRIOR
+            if share > CONTRADICTION_SIGMAS
         ]
         if not far:
             return []

@@ -19,9 +19,9 @@ from carosac_toolkit.trajectories.draws import draw_points
 from carosac_toolkit.trajectories.moves import waypoints
 from sim_warp.driver import SimDriverSettings, SimPlant
 
-PERIOD = 0.01  # [s] of the commands
-SETTLE = 20.0  # [s] before the recording begins, at rest but for the wind
-INNER = 0.4  # of the way to the edges of the workspace, where platforms tilt far
+COMMAND_PERIOD_S = 0.01  # [s] of the commands
+SETTLING_TIME_S = 20.0  # [s] before the recording begins, at rest but for the wind
+WORKSPACE_SHARE = 0.4  # of the way to the edges of the workspace, where platforms tilt far
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,19 +86,19 @@ def simulate_run(robot: Robot, seed: int, settings: RunSettings | None = None) -
     )
     world = SimPlant(plant, options, seed=seed)
     world.reset(start[None])
-    world.advance(command[:1], SETTLE)
-    stride = round(1.0 / (chosen.rate * PERIOD))
+    world.advance(command[:1], SETTLING_TIME_S)
+    stride = round(1.0 / (chosen.rate * COMMAND_PERIOD_S))
     lengths, positions, rotations = [], [], []
     for k, asked in enumerate(command):
         if k > 0:
-            world.advance(asked[None], PERIOD)
+            world.advance(asked[None], COMMAND_PERIOD_S)
         if k % stride == 0:
             truth = world.truth()
             assert truth.unstrained_length is not None
             lengths.append(truth.unstrained_length[0])
             positions.append(truth.position[0])
             rotations.append(truth.rotation[0])
-    time: Array = PERIOD * stride * np.arange(len(lengths), dtype=np.float64)
+    time: Array = COMMAND_PERIOD_S * stride * np.arange(len(lengths), dtype=np.float64)
     return _record(
         chosen, plant, rng, time, np.array(lengths), np.array(positions), np.array(rotations)
     )
@@ -107,12 +107,12 @@ def simulate_run(robot: Robot, seed: int, settings: RunSettings | None = None) -
 def _commands(robot: Robot, settings: RunSettings, rng: np.random.Generator) -> tuple[Array, Array]:
     """Where a path of moves and rests begins, (3,), and lengths along it, shape (K, n)."""
     middle = 0.5 * (robot.workspace_min + robot.workspace_max)
-    points = middle + INNER * (draw_points(robot, rng, count=settings.moves) - middle)
+    points = middle + WORKSPACE_SHARE * (draw_points(robot, rng, count=settings.moves) - middle)
     path = waypoints(
         points, speed_max=settings.speed, acceleration_max=settings.acceleration,
         rest=settings.rest,
     )  # fmt: skip
-    time = np.arange(0.0, path.duration + settings.rest, PERIOD)
+    time = np.arange(0.0, path.duration + settings.rest, COMMAND_PERIOD_S)
     position = path.sample(np.minimum(time, path.duration)).position
     rest = statics.inverse_kinematics(robot, position)
     assert rest.converged.all(), "the workspace of the robot holds the path"

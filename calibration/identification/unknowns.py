@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.estimate import Estimate
+from calibration.estimate import ParameterEstimate
 from calibration.identification.settings import IdentificationSettings
 from calibration.robot_update import prior_covariance
 from carosac_toolkit.base.arrays import Array
@@ -20,14 +20,21 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.parameters import field_of, point_names, values_of, with_values
 from carosac_toolkit.robot.robot import Robot
 
-STEP = 1e-6  # of the coordinates, for the derivatives of parameters
-_SPREADS = ("inertia.xx", "inertia.yy", "inertia.zz")
-_FACTORS = ("mass", "linear_density", "axial_stiffness", "axial_damping", "drag", "angular_drag")
-_PER_CABLE = ("linear_density", "axial_stiffness", "axial_damping", "run_length")
+PARAMETER_DERIVATIVE_STEP = 1e-6  # of the coordinates, for the derivatives of parameters
+_INERTIA_NAMES = ("inertia.xx", "inertia.yy", "inertia.zz")
+_FACTOR_FIELDS = (
+    "mass",
+    "linear_density",
+    "axial_stiffness",
+    "axial_damping",
+    "drag",
+    "angular_drag",
+)
+_PER_CABLE_FIELDS = ("linear_density", "axial_stiffness", "axial_damping", "run_length")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Unknowns:
+class Coordinates:
     """k coordinates about a robot.
 
     Attributes:
@@ -61,12 +68,12 @@ class Unknowns:
         for i, name in enumerate(self.names):
             if field_of(name) == "axial_stiffness":
                 values[i] *= self._lengthening(name, values)
-        plain = [i for i, name in enumerate(self.names) if name not in _SPREADS]
+        plain = [i for i, name in enumerate(self.names) if name not in _INERTIA_NAMES]
         changed = with_values(robot, [self.names[i] for i in plain], values[plain])
         if len(plain) == len(self.names):
             return changed
         stretch = np.ones(3)
-        for i, name in enumerate(_SPREADS):
+        for i, name in enumerate(_INERTIA_NAMES):
             stretch[i] = np.exp(0.5 * shares[self.names.index(name)])
         spread = 0.5 * np.trace(robot.inertia) * np.eye(3) - robot.inertia
         spread = spread * np.outer(stretch, stretch)
@@ -81,7 +88,7 @@ class Unknowns:
         before = float(values_of(self.robot, (run,))[0])
         return float((self.reach + values[row]) / (self.reach + before))
 
-    def estimate(self, coordinates: Array, covariance: Array) -> Estimate:
+    def estimate(self, coordinates: Array, covariance: Array) -> ParameterEstimate:
         """What is known of the parameters themselves.
 
         Args:
@@ -93,14 +100,16 @@ class Unknowns:
             return values_of(self.robot_at(at), self.names)
 
         def derivative(at: Array) -> Array:
-            steps = STEP * np.eye(len(at))
+            steps = PARAMETER_DERIVATIVE_STEP * np.eye(len(at))
             here = values(at)
-            columns = [(values(at + step) - here) / STEP for step in steps]  # bounds lie below
+            columns = [
+                (values(at + step) - here) / PARAMETER_DERIVATIVE_STEP for step in steps
+            ]  # bounds lie below
             found: Array = np.stack(columns, axis=1)
             return found
 
         slope, first = derivative(coordinates), derivative(np.zeros(len(coordinates)))
-        return Estimate(
+        return ParameterEstimate(
             names=self.names,
             value=values(coordinates),
             covariance=slope @ covariance @ slope.T,
@@ -109,7 +118,7 @@ class Unknowns:
         )
 
 
-def choose_unknowns(robot: Robot, settings: IdentificationSettings) -> Unknowns:
+def choose_coordinates(robot: Robot, settings: IdentificationSettings) -> Coordinates:
     """Coordinates for all that is not held, with what the robot file knows as their prior.
 
     Args:
@@ -120,7 +129,9 @@ def choose_unknowns(robot: Robot, settings: IdentificationSettings) -> Unknowns:
         InvalidField: Everything is held, or a number that would be a factor is 0.
     """
     names, scale = _names(robot, settings)
-    factor = np.array([name in _SPREADS or field_of(name) in _FACTORS for name in names])
+    factor = np.array(
+        [name in _INERTIA_NAMES or field_of(name) in _FACTOR_FIELDS for name in names]
+    )
     start = values_of(robot, names) if names else np.zeros(0)
     for name, value, is_factor in zip(names, start, factor, strict=True):
         if is_factor and value <= 0.0:
@@ -135,7 +146,7 @@ def choose_unknowns(robot: Robot, settings: IdentificationSettings) -> Unknowns:
     for i, name in enumerate(names):
         if field_of(name) == "run_length":
             lower[i] = -start[i] / scale[i]
-    return Unknowns(
+    return Coordinates(
         robot=robot,
         names=names,
         scale=scale,
@@ -160,13 +171,13 @@ def _names(robot: Robot, settings: IdentificationSettings) -> tuple[tuple[str, .
         "length_scale": [f"length_scale[{c}]" for c in cables],
         "anchor_points": point_names("anchor_points", cables),
         "center_of_mass": [f"center_of_mass.{a}" for a in "xyz"],
-        "inertia": list(_SPREADS),
+        "inertia": list(_INERTIA_NAMES),
         "mass": ["mass"],
         "drag": ["drag"],
         "angular_drag": ["angular_drag"],
         "length_delay": ["length_delay"],
     }
-    for field in _PER_CABLE:
+    for field in _PER_CABLE_FIELDS:
         same = np.ptp(getattr(robot, field)) == 0.0
         groups[field] = [field] if same else [f"{field}[{c}]" for c in cables]
     names: list[str] = []

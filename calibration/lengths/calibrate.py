@@ -7,13 +7,13 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.estimate import Estimate
+from calibration.estimate import ParameterEstimate
 from calibration.lengths.checks import check_observable, check_order, radial_sentences
-from calibration.lengths.fit import ROUNDS_MAX, Linear, Problem, State, fit
+from calibration.lengths.fit import ROUNDS_MAX, LengthProblem, LinearReadings, Reweighting, fit
 from calibration.lengths.result import Gravity, LengthCalibration
 from calibration.lengths.samples import PosePath
-from calibration.lengths.settings import TYPICAL_NOISE, TYPICAL_SWAY, Settings
-from calibration.lengths.unknowns import LOOSE, Unknowns, find_unknowns
+from calibration.lengths.settings import TYPICAL_LENGTH_NOISE_M, TYPICAL_SWAY_RAD, LengthSettings
+from calibration.lengths.unknowns import LOOSE_OFFSET_SIGMA_M, LengthUnknowns, find_unknowns
 from calibration.observability import Unobservable, judge
 from calibration.robot_update import updated
 from carosac_toolkit.base.arrays import Array
@@ -24,15 +24,17 @@ from carosac_toolkit.robot.parameters import field_of
 from carosac_toolkit.robot.robot import Robot
 
 SAMPLES_MAX = 2000  # used, evenly spread: more of the same run tell hardly more
-TILTED = 3e-3  # [rad]: a frame that is more level than that needs no mention
-FAR = 4.0  # prior standard deviations: a parameter that moved farther contradicts its prior
+TILT_MENTIONED_RAD = 3e-3  # [rad]: a frame that is more level than that needs no mention
+PRIOR_SIGMAS_MAX = (
+    4.0  # prior standard deviations: a parameter that moved farther contradicts its prior
+)
 
 
-def calibrate(
+def calibrate_lengths(
     recording: Recording,
     robot: Robot,
     *,
-    settings: Settings | None = None,
+    settings: LengthSettings | None = None,
     start: int = 0,
     stop: int | None = None,
 ) -> LengthCalibration:
@@ -53,7 +55,7 @@ def calibrate(
         MixUp: Readings and poses do not belong together as they are.
         Unobservable: The recording cannot tell the exit points.
     """
-    known = settings or Settings()
+    known = settings or LengthSettings()
     recording.require_cables(robot)
     end = len(recording.time) if stop is None else stop
     if not 0 <= start < end <= len(recording.time):
@@ -64,7 +66,7 @@ def calibrate(
     if not unknowns.names:
         raise InvalidField("settings", "priors of 0 for everything", "something to calibrate")
     chosen = start + _spread(end - start)
-    problem = Problem(
+    problem = LengthProblem(
         unknowns, known, PosePath(recording), recording.time[chosen],
         recording.unstrained_length[chosen],
     )  # fmt: skip
@@ -87,7 +89,7 @@ def _spread(count: int) -> NDArray[np.int64]:
     return np.linspace(0, count - 1, kept).round().astype(np.int64)
 
 
-def _check_samples(problem: Problem, robot: Robot) -> None:
+def _check_samples(problem: LengthProblem, robot: Robot) -> None:
     """Refuse a recording of which nothing can be used."""
     if problem.usable.any():
         return
@@ -99,7 +101,7 @@ def _check_samples(problem: Problem, robot: Robot) -> None:
     )
 
 
-def _check_left(state: State, robot: Robot) -> None:
+def _check_left(state: Reweighting, robot: Robot) -> None:
     """Refuse a cable of which nothing is left."""
     gone = (state.weight[:, : robot.n] == 0.0).all(axis=0)
     if gone.any():
@@ -110,20 +112,20 @@ def _check_left(state: State, robot: Robot) -> None:
         )
 
 
-def _typical(problem: Problem) -> Array:
+def _typical(problem: LengthProblem) -> Array:
     """Information of the readings alone, with typical noise, shape (k, k)."""
     linear = problem.linear(problem.unknowns.start)
-    noise = problem.settings.length_noise or TYPICAL_NOISE
-    state = State(
+    noise = problem.settings.length_noise or TYPICAL_LENGTH_NOISE_M
+    state = Reweighting(
         value=problem.unknowns.start,
         weight=np.ones(linear.residual.shape),
         length_noise=noise,
-        plumb_noise=TYPICAL_SWAY,
+        plumb_noise=TYPICAL_SWAY_RAD,
     )
     return information(problem, state, linear)
 
 
-def information(problem: Problem, state: State, linear: Linear) -> Array:
+def information(problem: LengthProblem, state: Reweighting, linear: LinearReadings) -> Array:
     """Fisher information of the weighted samples, without priors, shape (k, k)."""
     white = problem.whitening(linear.by_pose, state) @ linear.jacobian
     flat = white.reshape(-1, white.shape[2])
@@ -131,7 +133,7 @@ def information(problem: Problem, state: State, linear: Linear) -> Array:
 
 
 def _result(
-    problem: Problem, state: State, covariance: Array, linear: Linear,
+    problem: LengthProblem, state: Reweighting, covariance: Array, linear: LinearReadings,
     chosen: NDArray[np.int64], seconds: float, relative: bool,
 ) -> LengthCalibration:  # fmt: skip
     """Put together what was found."""
@@ -179,7 +181,7 @@ def _result(
     )
 
 
-def _plausible(unknowns: Unknowns) -> Array:
+def _plausible(unknowns: LengthUnknowns) -> Array:
     """By how much each parameter may plausibly be off, shape (k,)."""
     prior = np.sqrt(np.diag(unknowns.covariance))
     most = {"length_offset": 0.05, "length_delay": 0.02}
@@ -187,7 +189,7 @@ def _plausible(unknowns: Unknowns) -> Array:
     return np.asarray(np.minimum(prior, limits))
 
 
-def _estimate(unknowns: Unknowns, value: Array, covariance: Array) -> Estimate:
+def _estimate(unknowns: LengthUnknowns, value: Array, covariance: Array) -> ParameterEstimate:
     """The parameters that go into the robot: a tilt of gravity alone does not."""
     into = [
         k
@@ -195,16 +197,16 @@ def _estimate(unknowns: Unknowns, value: Array, covariance: Array) -> Estimate:
         if unknowns.anchored or not name.startswith("pose_tilt")
     ]
     prior = np.sqrt(np.diag(unknowns.covariance))
-    return Estimate(
+    return ParameterEstimate(
         names=tuple(unknowns.names[k] for k in into),
         value=value[into],
         covariance=covariance[np.ix_(into, into)],
         start=unknowns.start[into],
-        prior_sigma=np.where(prior >= LOOSE, np.inf, prior)[into],
+        prior_sigma=np.where(prior >= LOOSE_OFFSET_SIGMA_M, np.inf, prior)[into],
     )
 
 
-def _gravity(unknowns: Unknowns, value: Array, covariance: Array) -> Gravity | None:
+def _gravity(unknowns: LengthUnknowns, value: Array, covariance: Array) -> Gravity | None:
     """Direction of gravity in the frame of the poses."""
     rows = unknowns.index("pose_tilt")
     if len(rows) != 2:
@@ -214,12 +216,12 @@ def _gravity(unknowns: Unknowns, value: Array, covariance: Array) -> Gravity | N
     )
 
 
-def _tilted(unknowns: Unknowns, gravity: Gravity | None) -> list[str]:
+def _tilted(unknowns: LengthUnknowns, gravity: Gravity | None) -> list[str]:
     """Say of a robot that its z is not up."""
     if unknowns.anchored or gravity is None:
         return []
     tilt, sigma = float(np.hypot(*gravity.tilt)), float(gravity.sigma.max())
-    if tilt < max(TILTED, 3.0 * sigma):
+    if tilt < max(TILT_MENTIONED_RAD, 3.0 * sigma):
         return []
     return [
         f"The frame of the poses, in which the exit points now are, is tilted by {tilt * 1e3:.1f} "
@@ -228,7 +230,7 @@ def _tilted(unknowns: Unknowns, gravity: Gravity | None) -> list[str]:
     ]
 
 
-def _before(problem: Problem, n: int, relative: bool) -> Array:
+def _before(problem: LengthProblem, n: int, relative: bool) -> Array:
     """Residuals of the robot as it was, at the same samples and the delay found, (S, n)."""
     start = problem.unknowns.start.copy()
     delay = problem.unknowns.index("length_delay")
@@ -238,7 +240,7 @@ def _before(problem: Problem, n: int, relative: bool) -> Array:
 
 
 def _warnings(
-    unknowns: Unknowns, estimate: Estimate, state: State,
+    unknowns: LengthUnknowns, estimate: ParameterEstimate, state: Reweighting,
     outlier: NDArray[np.bool_],
 ) -> list[str]:  # fmt: skip
     """What must not be overlooked."""
@@ -249,13 +251,14 @@ def _warnings(
             "known before, such as surveyed exit points, contradicts these lengths and poses."
         )
     moved = estimate.moved
-    far = np.flatnonzero(moved > FAR)
+    far = np.flatnonzero(moved > PRIOR_SIGMAS_MAX)
     if len(far):
         worst = far[np.argsort(-moved[far])][:4]
         names = ", ".join(f"{estimate.names[k]} ({moved[k]:.0f})" for k in worst)
         said.append(
-            f"{len(far)} parameters moved by more than {FAR:g} of their prior standard deviations, "
-            f"such as {names}: their priors are too tight, or something is not modelled."
+            f"{len(far)} parameters moved by more than {PRIOR_SIGMAS_MAX:g} of their prior "
+            f"standard deviations, such as {names}: their priors are too tight, or the model lacks "
+            "an effect."
         )
     share = outlier.mean(axis=0)
     for name, part in zip(unknowns.robot.cable_names, share, strict=True):

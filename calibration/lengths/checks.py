@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.lengths.unknowns import Unknowns
+from calibration.lengths.unknowns import LengthUnknowns
 from calibration.observability import Unobservable
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
@@ -13,12 +13,16 @@ from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.plausibility import find_mix_ups
 
-CLEAR = 0.5  # a mix-up is named where putting it right leaves less than this of the misfit
-MOVED = 0.1  # [m]: cables that move less tell no order
-UNITS_OFF = 3.0  # times as much change as the distances have: other units
-LEARNT = 0.7  # of the prior sigma of an exit point: more than that left is nothing learnt
-UNKNOWN = 0.02  # [m]: exit points that are known better than this need not be learnt
-THIN = 0.02  # of the size of the frame: extent of the poses that counts as none
+SWAP_MISFIT_SHARE = (
+    0.5  # a mix-up is named where putting it right leaves less than this of the misfit
+)
+LENGTH_CHANGE_MIN_M = 0.1  # [m]: cables that move less tell no order
+UNIT_FACTOR_MIN = 3.0  # times as much change as the distances have: other units
+LEARNT_SIGMA_SHARE = (
+    0.7  # of the prior sigma of an exit point: more than that left is nothing learnt
+)
+EXIT_SIGMA_MAX_M = 0.02  # [m]: exit points that are known better than this need not be learnt
+POSE_EXTENT_SHARE = 0.02  # of the size of the frame: extent of the poses that counts as none
 
 
 class MixUp(CarosacError):
@@ -54,10 +58,10 @@ def _changes(robot: Robot, reading: Array, pose: Pose) -> list[str]:
     read = reading[good] - np.median(reading[good], axis=0)
     far = cables.length[good] - np.median(cables.length[good], axis=0)
     spread = np.median(np.abs(far), axis=0)
-    if len(far) < 3 or spread.min() < MOVED:
+    if len(far) < 3 or spread.min() < LENGTH_CHANGE_MIN_M:
         return []
     times = float(np.median(np.median(np.abs(read), axis=0) / spread))
-    if times > UNITS_OFF or times < 1.0 / UNITS_OFF:
+    if times > UNIT_FACTOR_MIN or times < 1.0 / UNIT_FACTOR_MIN:
         change = f"Readings change {times:.3g} times as much as the distances at the poses"
         units = {1000.0: "mm", 100.0: "cm"}
         near = [word for factor, word in units.items() if 0.8 < times / factor < 1.25]
@@ -65,14 +69,16 @@ def _changes(robot: Robot, reading: Array, pose: Pose) -> list[str]:
     misfit = np.median(np.abs(read[:, :, None] - far[:, None, :]), axis=0)  # (n, n)
     order = linear_sum_assignment(misfit)[1]
     same = np.arange(robot.n)
-    if (order == same).all() or misfit[same, order].sum() > CLEAR * misfit[same, same].sum():
+    if (order == same).all() or misfit[same, order].sum() > SWAP_MISFIT_SHARE * misfit[
+        same, same
+    ].sum():
         return []
     names = robot.cable_names
     swaps = [f"reading {i + 1} moves as cable '{names[j]}'" for i, j in enumerate(order) if i != j]
     return [f"Cables seem swapped: {', '.join(swaps)}."]
 
 
-def check_observable(unknowns: Unknowns, data: Array, position: Array) -> None:
+def check_observable(unknowns: LengthUnknowns, data: Array, position: Array) -> None:
     """Refuse a set-up that leaves exit points as unknown as they were.
 
     Args:
@@ -91,7 +97,7 @@ def check_observable(unknowns: Unknowns, data: Array, position: Array) -> None:
     for cable, rows in zip(unknowns.robot.cable_names, exits.reshape(-1, 3), strict=True):
         values, vectors = np.linalg.eigh(after[np.ix_(rows, rows)])
         sigma, before = float(np.sqrt(values[-1])), unknowns.covariance[rows[0], rows[0]] ** 0.5
-        if sigma > max(LEARNT * before, UNKNOWN):
+        if sigma > max(LEARNT_SIGMA_SHARE * before, EXIT_SIGMA_MAX_M):
             along = np.array2string(np.abs(vectors[:, -1]), precision=2, separator=", ")
             said.append(
                 f"exit point '{cable}' would stay unknown by {sigma * 1e3:.0f} mm along {along} "
@@ -112,7 +118,7 @@ def _spread(robot: Robot, position: Array) -> str:
     if count > 1:
         values = np.linalg.svd(position - position.mean(axis=0), compute_uv=False)
         extent[: len(values)] = 3.5 * values / np.sqrt(count)  # the length of a uniform line
-    thin = THIN * float(np.ptp(robot.exit_points, axis=0).max())
+    thin = POSE_EXTENT_SHARE * float(np.ptp(robot.exit_points, axis=0).max())
     wide = int((extent > thin).sum())
     size = f"its {count} poses are" if count != 1 else "its only pose is"
     shape = ("in one point", "on one line", "in one plane", "too few, or too close together")[wide]
@@ -120,7 +126,7 @@ def _spread(robot: Robot, position: Array) -> str:
     return f"the recording cannot calibrate the exit points: {size} {shape} ({spans} m)"
 
 
-def radial_sentences(unknowns: Unknowns, covariance: Array, direction: Array) -> list[str]:
+def radial_sentences(unknowns: LengthUnknowns, covariance: Array, direction: Array) -> list[str]:
     """Say where the exit point along its cable and the offset are almost one unknown.
 
     Args:

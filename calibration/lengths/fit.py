@@ -15,25 +15,25 @@ from numpy.typing import NDArray
 
 from calibration.lengths.model import correction, in_world, predict, tensions, upwards
 from calibration.lengths.samples import PosePath, PosesAt
-from calibration.lengths.settings import Settings
-from calibration.lengths.unknowns import Unknowns
+from calibration.lengths.settings import LengthSettings
+from calibration.lengths.unknowns import LengthUnknowns
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.robot.robot import Robot
 
 Mask = NDArray[np.bool_]
-CUT = 3.7  # standard deviations: farther readings are blunders
-CAUCHY = 2.385  # 95 % efficient on normal noise
+BLUNDER_SIGMAS = 3.7  # standard deviations: farther readings are blunders
+CAUCHY_SIGMAS = 2.385  # 95 % efficient on normal noise
 SOFT_ROUNDS = 4
 ROUNDS_MAX = 25
-SETTLED = 1e-2  # of a standard deviation
-PLUMB_NOISE = 1e-3  # [rad] at the start
+SETTLED_SIGMAS = 1e-2  # of a standard deviation
+BALANCE_NOISE_START_RAD = 1e-3  # [rad] at the start
 NOISE_MIN = 1e-4  # [m] and [rad]
-LAG_CLEAR = 3.0  # standard deviations of a correlation in time that counts
+LAG_CORRELATION_SIGMAS = 3.0  # standard deviations of a correlation in time that counts
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Linear:
+class LinearReadings:
     """All samples at some values of the parameters.
 
     Attributes:
@@ -48,7 +48,7 @@ class Linear:
 
 
 @dataclass(kw_only=True, eq=False)
-class State:
+class Reweighting:
     """What the reweighting knows.
 
     Attributes:
@@ -62,16 +62,21 @@ class State:
     value: Array
     weight: Array
     length_noise: float
-    plumb_noise: float = PLUMB_NOISE
+    plumb_noise: float = BALANCE_NOISE_START_RAD
     inflation: float = 1.0
     rounds: int = field(default=0)
 
 
-class Problem:
+class LengthProblem:
     """The readings of a recording as functions of the parameters."""
 
     def __init__(
-        self, unknowns: Unknowns, settings: Settings, path: PosePath, time: Array, reading: Array
+        self,
+        unknowns: LengthUnknowns,
+        settings: LengthSettings,
+        path: PosePath,
+        time: Array,
+        reading: Array,
     ) -> None:
         """Set up.
 
@@ -85,7 +90,7 @@ class Problem:
         self.unknowns, self.settings = unknowns, settings
         self.time, self.reading, self._path = time, reading, path
         self.plumb = unknowns.robot.n < 6
-        self._last: tuple[Array, Linear] | None = None
+        self._last: tuple[Array, LinearReadings] | None = None
         self._robot: tuple[Array, Robot] | None = None
         self.noise = np.diag([settings.position_noise**2] * 3 + [settings.rotation_noise**2] * 3)
 
@@ -128,13 +133,13 @@ class Problem:
         robot = self.robot_at(value)
         return straight_length(robot, poses.position, poses.rotation).direction
 
-    def linear(self, value: Array) -> Linear:
+    def linear(self, value: Array) -> LinearReadings:
         """Residuals and derivatives of the usable samples; the last answer is kept."""
         if self._last is None or not np.array_equal(self._last[0], value):
             self._last = (value.copy(), self._linear(value))
         return self._last[1]
 
-    def _linear(self, value: Array) -> Linear:
+    def _linear(self, value: Array) -> LinearReadings:
         robot = self.robot_at(value)
         used = self._used
         poses = self.placed(value)
@@ -145,13 +150,13 @@ class Problem:
         predicted = found.value + shift * (found.by_pose @ poses.twist[..., None])[..., 0]
         measured = np.zeros(predicted.shape)
         measured[:, : robot.n] = self.reading[used]
-        return Linear(
+        return LinearReadings(
             residual=measured - predicted,
             jacobian=found.by_all[:, :, self.unknowns.columns],
             by_pose=found.by_pose,
         )
 
-    def covariance(self, by_pose: Array, state: State) -> Array:
+    def covariance(self, by_pose: Array, state: Reweighting) -> Array:
         """Covariance of each sample as measured, blunders apart, shape (S, m, m)."""
         found = by_pose @ self.noise @ by_pose.swapaxes(1, 2)
         n, own = self.unknowns.robot.n, np.arange(by_pose.shape[1])
@@ -159,7 +164,7 @@ class Problem:
         found[:, own[:n], own[:n]] += self._vague[self._used]
         return np.asarray(found)
 
-    def whitening(self, by_pose: Array, state: State) -> Array:
+    def whitening(self, by_pose: Array, state: Reweighting) -> Array:
         """Square roots of the inverse covariances of the weighted samples, shape (S, m, m).
 
         A weight w makes the variance of a reading of its own, without that of the pose, 1 / w
@@ -177,14 +182,16 @@ class Problem:
         return np.asarray(white / np.sqrt(state.inflation))
 
 
-def fit(problem: Problem, start: Array) -> tuple[State, Array, Linear]:
+def fit(problem: LengthProblem, start: Array) -> tuple[Reweighting, Array, LinearReadings]:
     """Fit the parameters.
 
     Returns:
         The last state, the joint covariance of the parameters (k, k), and the samples there.
     """
     settings = problem.settings
-    state = State(value=start.copy(), weight=np.ones(0), length_noise=settings.length_noise or 0.0)
+    state = Reweighting(
+        value=start.copy(), weight=np.ones(0), length_noise=settings.length_noise or 0.0
+    )
     problem.freeze(state.value)
     linear = _start(problem, state)
     covariance = np.zeros((0, 0))
@@ -198,12 +205,12 @@ def fit(problem: Problem, start: Array) -> tuple[State, Array, Linear]:
         _reweigh(problem, state, linear, soft=soft)
         same = weight.shape == state.weight.shape and ((weight > 0.0) == (state.weight > 0.0)).all()
         step = np.abs(state.value - before) / np.sqrt(np.diag(covariance))
-        if not soft and same and step.max() < SETTLED:
+        if not soft and same and step.max() < SETTLED_SIGMAS:
             break
     return state, covariance, linear
 
 
-def _start(problem: Problem, state: State) -> Linear:
+def _start(problem: LengthProblem, state: Reweighting) -> LinearReadings:
     """Offsets as the medians say, everything else as it was; noise as the spread says."""
     n = problem.unknowns.robot.n
     linear = problem.linear(state.value)
@@ -216,7 +223,9 @@ def _start(problem: Problem, state: State) -> Linear:
     return linear
 
 
-def _reweigh(problem: Problem, state: State, linear: Linear, *, soft: bool) -> None:
+def _reweigh(
+    problem: LengthProblem, state: Reweighting, linear: LinearReadings, *, soft: bool
+) -> None:
     """Weights and noise from the residuals: Cauchy's first, then in or out."""
     n = problem.unknowns.robot.n
     if state.weight.shape != linear.residual.shape:
@@ -231,13 +240,13 @@ def _reweigh(problem: Problem, state: State, linear: Linear, *, soft: bool) -> N
     if ratio.shape[1] > n:  # the balance of a sample counts as a whole
         ratio[:, n:] = np.linalg.norm(ratio[:, n:], axis=1, keepdims=True) / np.sqrt(6 - n)
     if soft:
-        state.weight = 1.0 / (1.0 + (ratio / CAUCHY) ** 2)
+        state.weight = 1.0 / (1.0 + (ratio / CAUCHY_SIGMAS) ** 2)
         return
-    state.weight = (ratio <= CUT).astype(float)
+    state.weight = (ratio <= BLUNDER_SIGMAS).astype(float)
     _estimate_noise(problem, state, linear)
 
 
-def _groups(problem: Problem) -> list[tuple[slice, str]]:
+def _groups(problem: LengthProblem) -> list[tuple[slice, str]]:
     """Columns with a noise of their own."""
     n = problem.unknowns.robot.n
     return [(slice(0, n), "length_noise")] + (
@@ -245,7 +254,7 @@ def _groups(problem: Problem) -> list[tuple[slice, str]]:
     )
 
 
-def _estimate_noise(problem: Problem, state: State, linear: Linear) -> None:
+def _estimate_noise(problem: LengthProblem, state: Reweighting, linear: LinearReadings) -> None:
     """Noise that makes the weighted residuals as large as they should be."""
     count = int((state.weight > 0.0).sum())
     share = count / max(count - len(state.value), 1)
@@ -266,7 +275,7 @@ def _estimate_noise(problem: Problem, state: State, linear: Linear) -> None:
     state.inflation = _inflation(problem, state, linear)
 
 
-def _inflation(problem: Problem, state: State, linear: Linear) -> float:
+def _inflation(problem: LengthProblem, state: Reweighting, linear: LinearReadings) -> float:
     """By how much the residuals' correlation in time spoils the information, >= 1."""
     n = problem.unknowns.robot.n
     kept = np.where(state.weight[:, :n] > 0.0, linear.residual[:, :n], np.nan)
@@ -277,13 +286,15 @@ def _inflation(problem: Problem, state: State, linear: Linear) -> float:
     if known.sum() < 20:
         return 1.0
     lag = float(np.nansum(pairs) / known.sum() / np.nanmean(kept**2))
-    if lag < LAG_CLEAR / np.sqrt(known.sum()):
+    if lag < LAG_CORRELATION_SIGMAS / np.sqrt(known.sum()):
         return 1.0
     lag = min(lag, 0.98)
     return (1.0 + lag) / (1.0 - lag)
 
 
-def _solve(problem: Problem, state: State, linear: Linear) -> tuple[Array, Array]:
+def _solve(
+    problem: LengthProblem, state: Reweighting, linear: LinearReadings
+) -> tuple[Array, Array]:
     """One weighted least-squares problem, by Levenberg-Marquardt; value and covariance."""
     import gtsam
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.lengths.samples import PosesAt
-from calibration.lengths.wrench import Balance, balance
+from calibration.lengths.wrench import PlatformBalance, balance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.cable.lengths import length_at_tension
 from carosac_toolkit.physics.cable.straight_line import StraightCables, straight_length
@@ -17,7 +17,7 @@ from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Prediction:
+class PredictedReadings:
     """Predicted readings of S samples; m = n, or 6 with the balance of a robot of n < 6 cables.
 
     Attributes:
@@ -67,7 +67,7 @@ def tensions(robot: Robot, poses: PosesAt, up: Array) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Correction:
+class SagCorrection:
     """What sag and stretch do to lengths; NaN where there is no such cable.
 
     Attributes:
@@ -79,7 +79,7 @@ class Correction:
     by_tension: Array
 
 
-def correction(robot: Robot, poses: PosesAt, tension: Array) -> Correction:
+def correction(robot: Robot, poses: PosesAt, tension: Array) -> SagCorrection:
     """Effect of sag and stretch at poses in W.
 
     Args:
@@ -90,12 +90,12 @@ def correction(robot: Robot, poses: PosesAt, tension: Array) -> Correction:
     cables = length_at_tension(robot, poses.position, poses.rotation, tension)
     straight = straight_length(robot, poses.position, poses.rotation)
     value = np.where(straight.valid, cables.unstrained_length - straight.length, np.nan)
-    return Correction(value=value, by_tension=-2.0 * cables.sag - cables.stretch)
+    return SagCorrection(value=value, by_tension=-2.0 * cables.sag - cables.stretch)
 
 
 def predict(
     robot: Robot, poses: PosesAt, correction: Array, *, plumb: bool, anchored: bool
-) -> Prediction:
+) -> PredictedReadings:
     """Readings at measured poses.
 
     Args:
@@ -127,7 +127,7 @@ def predict(
     by_tilt = _by_tilt(by_pose, poses) if anchored else -by_gravity
     blocks = [by_cable, by_pose @ poses.twist[..., None], by_tilt]
     blocks += [by_center] if n < 6 else []
-    return Prediction(value=value, by_all=np.concatenate(blocks, axis=2), by_pose=by_pose)
+    return PredictedReadings(value=value, by_all=np.concatenate(blocks, axis=2), by_pose=by_pose)
 
 
 def _by_geometry(cables: StraightCables, poses: PosesAt) -> Array:
@@ -140,7 +140,7 @@ def _by_geometry(cables: StraightCables, poses: PosesAt) -> Array:
     return found.reshape(size, n, 6 * n)
 
 
-def _balance_by_cable(held: Balance) -> Array:
+def _balance_by_cable(held: PlatformBalance) -> Array:
     """Balance by exit points, anchor points, offsets and scales, shape (S, 6 - n, 8 n)."""
     size, rows, n, _ = held.by_exit.shape
     flat = [block.reshape(size, rows, 3 * n) for block in (held.by_exit, held.by_anchor)]

@@ -8,7 +8,13 @@ import numpy as np
 
 from calibration.lengths.planning import SuggestedPoses
 from calibration.lengths.result import LengthCalibration
-from calibration.pictures import AFTER, OUTLIER, draw_exit_points, draw_learnt, draw_residuals
+from calibration.pictures import (
+    COLOR_AFTER,
+    COLOR_OUTLIER,
+    draw_exit_points,
+    draw_learnt,
+    draw_residuals,
+)
 from carosac_toolkit.pictures.drawing import COLORS, MEASURED, new_figure, put_legend, views
 from carosac_toolkit.reports.page import png
 
@@ -24,9 +30,11 @@ def draw_poses(result: LengthCalibration, suggested: SuggestedPoses | None) -> F
     for axes, (pair, title) in zip(panels, views(robot), strict=False):
         rows = list(pair)
         axes.plot(*result.position[:, rows].T, ".", color=MEASURED, ms=2.5, label="measured")
-        axes.plot(*robot.exit_points[:, rows].T, "s", color=AFTER, ms=6, label="exit points")
+        axes.plot(*robot.exit_points[:, rows].T, "s", color=COLOR_AFTER, ms=6, label="exit points")
         if suggested is not None:
-            axes.plot(*suggested.position[:, rows].T, "*", color=OUTLIER, ms=11, label="suggested")
+            axes.plot(
+                *suggested.position[:, rows].T, "*", color=COLOR_OUTLIER, ms=11, label="suggested"
+            )
         axes.set(xlabel=f"{'xyz'[pair[0]]} [m]", ylabel=f"{'xyz'[pair[1]]} [m]", aspect="equal")
         axes.set_title(title, fontsize=9)
         axes.grid(alpha=0.25)

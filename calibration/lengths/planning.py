@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 from calibration.lengths.model import predict
 from calibration.lengths.result import LengthCalibration
 from calibration.lengths.samples import PosesAt
-from calibration.lengths.settings import TYPICAL_NOISE, TYPICAL_SWAY, Settings
-from calibration.lengths.unknowns import Unknowns, find_unknowns
+from calibration.lengths.settings import TYPICAL_LENGTH_NOISE_M, TYPICAL_SWAY_RAD, LengthSettings
+from calibration.lengths.unknowns import LengthUnknowns, find_unknowns
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.rotations import from_matrix
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 
-CANDIDATES = 400
-COUNT_MAX = 40
-TURN = 0.2  # [rad]: largest rotation that is suggested, per axis
-EDGE = 0.5  # share of the candidates that lie on the edges of the workspace box
+CANDIDATE_POSES = 400
+SUGGESTED_POSES_MAX = 40
+SUGGESTED_TURN_MAX_RAD = 0.2  # [rad]: largest rotation that is suggested, per axis
+EDGE_CANDIDATES_SHARE = 0.5  # share of the candidates that lie on the edges of the workspace box
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,7 +57,7 @@ def suggest_poses(
     found: LengthCalibration | Robot,
     count: int,
     *,
-    settings: Settings | None = None,
+    settings: LengthSettings | None = None,
     rng: np.random.Generator,
 ) -> SuggestedPoses:
     """Choose poses of rest one after the other, each the best together with those before.
@@ -73,16 +73,16 @@ def suggest_poses(
     Raises:
         InvalidField: No number, or a robot that can rest nowhere in its workspace.
     """
-    if not 1 <= count <= COUNT_MAX:
-        raise InvalidField("--suggest-poses", count, f"1 to {COUNT_MAX}")
-    known = settings or Settings()
+    if not 1 <= count <= SUGGESTED_POSES_MAX:
+        raise InvalidField("--suggest-poses", count, f"1 to {SUGGESTED_POSES_MAX}")
+    known = settings or LengthSettings()
     if isinstance(found, Robot):
-        robot, noise = found, (known.length_noise or TYPICAL_NOISE, TYPICAL_SWAY)
+        robot, noise = found, (known.length_noise or TYPICAL_LENGTH_NOISE_M, TYPICAL_SWAY_RAD)
         unknowns = find_unknowns(robot, known, relative=False)
         now = unknowns.covariance
     else:
         robot, unknowns, now = found.robot, found.unknowns, found.covariance
-        noise = (found.length_noise, found.plumb_noise or TYPICAL_SWAY)
+        noise = (found.length_noise, found.plumb_noise or TYPICAL_SWAY_RAD)
     rest = _candidates(robot, rng)
     jacobian, spread = _gains(robot, unknowns, known, rest, noise)
     exits, chosen = unknowns.exits, list[int]()
@@ -103,17 +103,19 @@ def _candidates(robot: Robot, rng: np.random.Generator) -> PosesAt:
     """Poses of rest with tensions within the limits, half of them on the edges of the box."""
     from scipy.spatial.transform import Rotation
 
-    share = rng.uniform(-1.0, 1.0, (CANDIDATES, 3))
-    for row in share[: int(EDGE * CANDIDATES)]:
+    share = rng.uniform(-1.0, 1.0, (CANDIDATE_POSES, 3))
+    for row in share[: int(EDGE_CANDIDATES_SHARE * CANDIDATE_POSES)]:
         ends = rng.permutation(3)[:2]
         row[ends] = np.sign(row[ends])
     middle = 0.5 * (robot.workspace_min + robot.workspace_max)
     half = 0.5 * (robot.workspace_max - robot.workspace_min)
-    turn = Rotation.from_rotvec(rng.uniform(-TURN, TURN, (CANDIDATES, 3))).as_matrix()
+    turn = Rotation.from_rotvec(
+        rng.uniform(-SUGGESTED_TURN_MAX_RAD, SUGGESTED_TURN_MAX_RAD, (CANDIDATE_POSES, 3))
+    ).as_matrix()
     held = turn @ robot.home_rotation if robot.n >= 6 else None
     rest = statics.inverse_kinematics(robot, middle + half * share, held)
     good = rest.converged & rest.stable & ~rest.slack.any(axis=1) & rest.in_winch_range.all(axis=1)
-    if good.sum() < COUNT_MAX:
+    if good.sum() < SUGGESTED_POSES_MAX:
         allowed = "a robot that can rest in more than a tenth of its workspace box"
         raise InvalidField("robot", robot.name, allowed)
     count = int(good.sum())
@@ -126,7 +128,11 @@ def _candidates(robot: Robot, rng: np.random.Generator) -> PosesAt:
 
 
 def _gains(
-    robot: Robot, unknowns: Unknowns, known: Settings, rest: PosesAt, noise: tuple[float, float]
+    robot: Robot,
+    unknowns: LengthUnknowns,
+    known: LengthSettings,
+    rest: PosesAt,
+    noise: tuple[float, float],
 ) -> tuple[Array, Array]:
     """Derivatives (C, m, k) and covariances (C, m, m) of what a candidate would measure."""
     plumb = robot.n < 6

@@ -23,7 +23,7 @@ CABLE_GROUPS = (1, 2, 2, 2)
 BLUNDER_HEADER = ("cable", "sample", "time [s]", "residual [mm]", "sigmas")
 POSE_HEADER = ("pose", "x [m]", "y [m]", "z [m]", "exit points to, RMS [mm]", "worst [mm]")
 POSE_GROUPS = (1, 3, 2)
-SHOWN = 200  # blunders in the report
+BLUNDERS_SHOWN_MAX = 200  # blunders in the report
 
 
 def cable_rows(result: LengthCalibration) -> Rows:
@@ -122,9 +122,13 @@ def write_report(
             entry["cable"], str(entry["sample"]), f"{entry['time_s']:.3f}",
             f"{1e3 * entry['residual_m']:.1f}", f"{entry['sigmas']:.0f}",
         )
-        for entry in found[:SHOWN]
+        for entry in found[:BLUNDERS_SHOWN_MAX]
     ]  # fmt: skip
-    more = f"<p>The first {SHOWN} of {len(found)}.</p>" if len(found) > SHOWN else ""
+    more = (
+        f"<p>The first {BLUNDERS_SHOWN_MAX} of {len(found)}.</p>"
+        if len(found) > BLUNDERS_SHOWN_MAX
+        else ""
+    )
     parts = [
         "<h2>Cables</h2>" + table(CABLE_HEADER, cable_rows(result), left=1),
         observability_html(result.observability),

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.estimate import Estimate
-from calibration.lengths.unknowns import Unknowns
+from calibration.estimate import ParameterEstimate
+from calibration.lengths.unknowns import LengthUnknowns
 from calibration.observability import Observability
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.parameters import point_names
@@ -66,8 +66,8 @@ class LengthCalibration:
 
     robot: Robot
     start: Robot
-    unknowns: Unknowns
-    estimate: Estimate
+    unknowns: LengthUnknowns
+    estimate: ParameterEstimate
     gravity: Gravity | None
     anchored: bool
     sample: NDArray[np.int64]

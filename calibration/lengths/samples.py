@@ -13,9 +13,9 @@ from carosac_toolkit.base.rotations import to_matrix
 from carosac_toolkit.recordings.columns import POSES_WANTED
 from carosac_toolkit.recordings.recording import Recording
 
-GAP_MAX = 0.5  # [s]: across a longer one nothing is interpolated
-TOGETHER = 0.05  # [s]: a lone pose belongs to readings this near
-SPLINE_MIN = 4  # stamps: fewer in a row are lone poses
+POSE_GAP_MAX_S = 0.5  # [s]: across a longer one nothing is interpolated
+LONE_POSE_DISTANCE_MAX_S = 0.05  # [s]: a lone pose belongs to readings this near
+SPLINE_STAMPS_MIN = 4  # stamps: fewer in a row are lone poses
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,15 +58,18 @@ class PosePath:
         turns = np.sign((quaternion[1:] * quaternion[:-1]).sum(axis=1))
         signs = np.cumprod(np.concatenate([[1.0], np.where(turns < 0.0, -1.0, 1.0)]))
         self._value = np.hstack([poses.position, quaternion * signs[:, None]])
-        edges = np.flatnonzero(np.diff(self._time) > GAP_MAX) + 1
+        edges = np.flatnonzero(np.diff(self._time) > POSE_GAP_MAX_S) + 1
         starts, ends = [0, *edges.tolist()], [*edges.tolist(), len(self._time)]
         self._splines = [
             (self._time[a], self._time[b - 1], CubicSpline(self._time[a:b], self._value[a:b]))
             for a, b in zip(starts, ends, strict=True)
-            if b - a >= SPLINE_MIN
+            if b - a >= SPLINE_STAMPS_MIN
         ]
         lone = [
-            k for a, b in zip(starts, ends, strict=True) if b - a < SPLINE_MIN for k in range(a, b)
+            k
+            for a, b in zip(starts, ends, strict=True)
+            if b - a < SPLINE_STAMPS_MIN
+            for k in range(a, b)
         ]
         self._lone = np.array(lone, dtype=np.int64)
 
@@ -103,7 +106,7 @@ class PosePath:
         right = np.clip(np.searchsorted(stamps, time), 0, len(stamps) - 1)
         left = np.maximum(right - 1, 0)
         nearest = np.where(np.abs(stamps[left] - time) < np.abs(stamps[right] - time), left, right)
-        near = np.abs(stamps[nearest] - time) <= TOGETHER
+        near = np.abs(stamps[nearest] - time) <= LONE_POSE_DISTANCE_MAX_S
         value[near] = self._value[self._lone[nearest[near]]]
         valid |= near
 

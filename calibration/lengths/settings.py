@@ -8,12 +8,12 @@ import numpy as np
 
 from carosac_toolkit.base.errors import InvalidField
 
-TYPICAL_NOISE = 2e-3  # [m], of a reading, to judge a set-up before its noise is known
-TYPICAL_SWAY = 0.01  # [rad], of the balance of a platform
+TYPICAL_LENGTH_NOISE_M = 2e-3  # [m], of a reading, to judge a set-up before its noise is known
+TYPICAL_SWAY_RAD = 0.01  # [rad], of the balance of a platform
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class LengthSettings:
     """Noise of the measurements and priors of the parameters.
 
     A prior of 0 holds a parameter at its value in the robot file. Where the robot carries a

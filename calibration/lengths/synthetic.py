@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.lengths.settings import Settings
-from calibration.lengths.unknowns import Unknowns, find_unknowns
+from calibration.lengths.settings import LengthSettings
+from calibration.lengths.unknowns import LengthUnknowns, find_unknowns
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.physics.rest import statics
@@ -19,14 +19,14 @@ from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.parameters import with_values
 from carosac_toolkit.robot.robot import Robot
 
-MOVE = 4.0  # [s] from stop to stop
-CHECKS = 41  # poses of a move that have to be equilibria
-TRIES = 200
-PATHS = 20
+MOVE_TIME_S = 4.0  # [s] from stop to stop
+POSES_CHECKED_PER_MOVE = 41  # poses of a move that have to be equilibria
+STOP_TRIES_MAX = 200
+PATH_TRIES_MAX = 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scene:
+class LengthScene:
     """A recording and the truth behind it.
 
     Attributes:
@@ -76,9 +76,9 @@ def draw_scene(
     rng: np.random.Generator,
     *,
     settings: SceneSettings | None = None,
-    prior: Settings | None = None,
+    prior: LengthSettings | None = None,
     relative: bool = False,
-) -> Scene:
+) -> LengthScene:
     """Draw a plant from the priors, move it quasi-statically through its workspace, measure.
 
     Args:
@@ -88,7 +88,7 @@ def draw_scene(
         prior: How far the plant is from the description; offsets are drawn within 0.2 m.
         relative: Whether the readings are lengths up to an unknown constant.
     """
-    made, known = settings or SceneSettings(), prior or Settings()
+    made, known = settings or SceneSettings(), prior or LengthSettings()
     close = replace(known, offset_prior=min(known.offset_prior, 0.2))
     unknowns = find_unknowns(robot, close, relative=False)
     drawn = rng.multivariate_normal(unknowns.start, unknowns.covariance)
@@ -116,10 +116,10 @@ def draw_scene(
         description="synthetic: cable lengths and poses of a robot that differs from its file",
     )  # fmt: skip
     recording = Recording(time=time, unstrained_length=read, poses=poses, metadata=metadata)
-    return Scene(recording=recording, plant=plant, truth=truth, outlier=outlier)
+    return LengthScene(recording=recording, plant=plant, truth=truth, outlier=outlier)
 
 
-def _plant(unknowns: Unknowns, value: Array) -> Robot:
+def _plant(unknowns: LengthUnknowns, value: Array) -> Robot:
     """The robot in W, z up; exit points that are not anchored are drawn in the poses' frame."""
     plant = with_values(unknowns.robot, unknowns.names, value)
     if unknowns.anchored or plant.pose_rotation is None:
@@ -131,12 +131,12 @@ def _drive(
     plant: Robot, made: SceneSettings, time: Array, delay: float, rng: np.random.Generator
 ) -> tuple[statics.Equilibrium, statics.Equilibrium]:
     """Equilibria of a random path at some times and `delay` later."""
-    for _ in range(PATHS):
+    for _ in range(PATH_TRIES_MAX):
         path = _Path(plant, made, rng)
         there, later = path.at(time), path.at(time + delay)
         if there.converged.all() and later.converged.all():
             return there, later
-    raise CarosacError(f"robot {plant.name} finds no equilibria on any of {PATHS} paths")
+    raise CarosacError(f"robot {plant.name} finds no equilibria on any of {PATH_TRIES_MAX} paths")
 
 
 class _Path:
@@ -148,7 +148,7 @@ class _Path:
 
     def __init__(self, plant: Robot, made: SceneSettings, rng: np.random.Generator) -> None:
         self._plant, self._made = plant, made
-        moves = int(np.ceil((made.samples * made.period + 2.0) / MOVE)) + 1
+        moves = int(np.ceil((made.samples * made.period + 2.0) / MOVE_TIME_S)) + 1
         self._stops = [self._free_stop(rng)]
         for _ in range(moves):
             self._stops.append(self._next_stop(rng))
@@ -156,8 +156,8 @@ class _Path:
     def at(self, time: Array) -> statics.Equilibrium:
         """Equilibria at some times after the start [s]."""
         stops = np.array(self._stops)
-        number = np.clip((time / MOVE).astype(int), 0, len(stops) - 2)
-        return self._hold(_between(stops[number], stops[number + 1], time / MOVE - number))
+        number = np.clip((time / MOVE_TIME_S).astype(int), 0, len(stops) - 2)
+        return self._hold(_between(stops[number], stops[number + 1], time / MOVE_TIME_S - number))
 
     def _hold(self, stop: Array) -> statics.Equilibrium:
         """Equilibria at shares of the workspace box and of the largest turn, shape (B, 6)."""
@@ -181,8 +181,8 @@ class _Path:
 
     def _next_stop(self, rng: np.random.Generator) -> Array:
         """One that the platform can be driven to from the last stop."""
-        share = np.linspace(0.0, 1.0, CHECKS)
-        for _ in range(TRIES):
+        share = np.linspace(0.0, 1.0, POSES_CHECKED_PER_MOVE)
+        for _ in range(STOP_TRIES_MAX):
             stop = self._free_stop(rng)
             if self._hold(_between(self._stops[-1], stop, share)).converged.all():
                 return stop

@@ -8,17 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.lengths.settings import Settings
+from calibration.lengths.settings import LengthSettings
 from calibration.robot_update import prior_covariance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.parameters import field_of, point_names, values_of, with_values
 from carosac_toolkit.robot.robot import Robot
 
-LOOSE = 1e3  # [m]: prior of an offset that nothing is known of
+LOOSE_OFFSET_SIGMA_M = 1e3  # [m]: prior of an offset that nothing is known of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Unknowns:
+class LengthUnknowns:
     """k parameters of a robot.
 
     Attributes:
@@ -82,7 +82,7 @@ def all_names(cable_names: Sequence[str], *, center: bool) -> tuple[str, ...]:
     return (*names, *([f"center_of_mass.{axis}" for axis in "xyz"] if center else []))
 
 
-def find_unknowns(robot: Robot, settings: Settings, *, relative: bool) -> Unknowns:
+def find_unknowns(robot: Robot, settings: LengthSettings, *, relative: bool) -> LengthUnknowns:
     """Parameters with a prior that leaves them free.
 
     Args:
@@ -97,11 +97,11 @@ def find_unknowns(robot: Robot, settings: Settings, *, relative: bool) -> Unknow
     if not anchored and robot.n >= 6:  # nothing depends on it
         sigma[[names.index(f"pose_tilt.{axis}") for axis in "xy"]] = 0.0
     prior = prior_covariance(robot, names, sigma)
-    fresh = (sigma == 0.0) | (sigma == LOOSE)  # held, or of this recording alone
+    fresh = (sigma == 0.0) | (sigma == LOOSE_OFFSET_SIGMA_M)  # held, or of this recording alone
     prior[fresh] = prior[:, fresh] = 0.0
     prior[fresh, fresh] = sigma[fresh] ** 2
     free = np.flatnonzero(np.diag(prior) > 0.0)
-    return Unknowns(
+    return LengthUnknowns(
         robot=robot,
         names=tuple(names[k] for k in free),
         columns=free,
@@ -123,10 +123,10 @@ def is_anchored(robot: Robot) -> bool:
     return robot.pose_rotation is not None or (surveyed and not from_poses)
 
 
-def _sigma(name: str, settings: Settings, relative: bool) -> float:
+def _sigma(name: str, settings: LengthSettings, relative: bool) -> float:
     """Prior of one parameter."""
     if name.startswith("length_offset") and relative and settings.offset_prior > 0.0:
-        return LOOSE
+        return LOOSE_OFFSET_SIGMA_M
     return {
         "exit_points": settings.exit_prior,
         "anchor_points": settings.anchor_prior,

@@ -20,7 +20,7 @@ from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Balance:
+class PlatformBalance:
     """The balance of S poses of a robot with n < 6 cables.
 
     Attributes:
@@ -45,7 +45,7 @@ class Balance:
 
 def balance(
     robot: Robot, rotation: Array, cables: StraightCables, up: Array | None = None
-) -> Balance:
+) -> PlatformBalance:
     """Tensions and residual of the balance at measured poses.
 
     Args:
@@ -74,7 +74,7 @@ def balance(
     by_tip, by_exit, by_pose = _derivatives(
         cables.direction, tension / free_length, arm, tension, center, weight
     )
-    return Balance(
+    return PlatformBalance(
         tension=np.where(tension > 0.0, pull, tension),
         residual=np.einsum("sfi,si->sf", row, load),
         by_pose=row @ by_pose,

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from calibration.report import print_parameters, print_sentences
 from calibration.robot_update import check_output, write_robot
-from calibration.self_calibration.calibrate import calibrate
+from calibration.self_calibration.calibrate import calibrate_motor_angles
 from calibration.self_calibration.files import load_motor_angles
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.problem import check_drums
@@ -26,7 +26,7 @@ from carosac_toolkit.robot.file import list_robots, load_robot
 from carosac_toolkit.text_tables import fit, terminal_width
 
 
-class Options(Protocol):
+class MotorAngleOptions(Protocol):
     """What this needs of the options of the command."""
 
     @property
@@ -46,7 +46,7 @@ class Options(Protocol):
         """Not used: nothing is random."""
 
 
-def run_motor_angles(options: Options, path: Path) -> CommandResult:
+def run_motor_angles(options: MotorAngleOptions, path: Path) -> CommandResult:
     """Calibrate a robot from motor angles; print, and write what was asked for.
 
     Args:
@@ -63,7 +63,7 @@ def run_motor_angles(options: Options, path: Path) -> CommandResult:
         check_folder("--report", options.report)
     robot = load_robot(name)
     check_drums(robot)
-    result = calibrate(angles, robot)
+    result = calibrate_motor_angles(angles, robot)
     known = int(angles.is_known.sum())
     print(
         f"{path}: {len(angles.samples)} samples of {len(angles.cables)} motors, {known} known "
@@ -100,7 +100,7 @@ def _robot_of(angles: MotorAngles) -> str:
     raise InvalidField("--robot", "nothing", allowed)
 
 
-def _words(options: Options, path: Path, robot: str) -> list[str]:
+def _words(options: MotorAngleOptions, path: Path, robot: str) -> list[str]:
     """The command that repeats this."""
     words = ["carosac", "calibrate", "lengths", str(path), "--robot", robot]
     for option, value in (("--output", options.output), ("--report", options.report)):

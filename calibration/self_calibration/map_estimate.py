@@ -10,9 +10,9 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import S, X
 
-from calibration.self_calibration.noise import Settled
-from calibration.self_calibration.problem import Problem
-from calibration.self_calibration.solver import FAR
+from calibration.self_calibration.noise import SettledFit
+from calibration.self_calibration.problem import MotorAngleProblem
+from calibration.self_calibration.solver import POSITION_PRIOR_FACTOR
 from carosac_toolkit.base.arrays import Array
 
 
@@ -35,7 +35,7 @@ class MapEstimate:
     iterations: int
 
 
-def estimate(problem: Problem, settled: Settled) -> MapEstimate:
+def estimate(problem: MotorAngleProblem, settled: SettledFit) -> MapEstimate:
     """Optimise the graph of all believed data from where the robust fit ended.
 
     The graph has one vector of shared unknowns and one point for each sample. A sample that is
@@ -66,25 +66,25 @@ def estimate(problem: Problem, settled: Settled) -> MapEstimate:
     )
 
 
-def _scale(problem: Problem) -> Array:
+def _scale(problem: MotorAngleProblem) -> Array:
     """One standard deviation of each shared unknown before: its unit in the graph."""
     found: Array = np.sqrt(np.diag(np.linalg.inv(problem.prior)))
     return found
 
 
-def _unit(problem: Problem, shared: Array) -> Array:
+def _unit(problem: MotorAngleProblem, shared: Array) -> Array:
     """Shared unknowns in the units of the graph."""
     found: Array = (shared - problem.start) / _scale(problem)
     return found
 
 
-def _graph(problem: Problem, settled: Settled) -> Any:
+def _graph(problem: MotorAngleProblem, settled: SettledFit) -> Any:
     """Priors, known positions, and one factor of lengths for each sample."""
     graph = gtsam.NonlinearFactorGraph()
     scale, trust, angles = _scale(problem), settled.trust, problem.angles
     prior = gtsam.noiseModel.Gaussian.Information(problem.prior * np.outer(scale, scale))
     graph.addPriorVector(S(0), np.zeros(problem.size), prior)
-    reach = FAR * float(problem.start[problem.zeros].max())
+    reach = POSITION_PRIOR_FACTOR * float(problem.start[problem.zeros].max())
     wide = gtsam.noiseModel.Isotropic.Sigma(3, reach)
     noise = gtsam.noiseModel.Diagonal.Sigmas(trust.line_sigma / problem.advantage)
     for k in range(len(angles.samples)):
@@ -98,7 +98,7 @@ def _graph(problem: Problem, settled: Settled) -> Any:
 
 
 def _lengths(
-    problem: Problem, scale: Array, row: int
+    problem: MotorAngleProblem, scale: Array, row: int
 ) -> Callable[[Any, Any, list[Array] | None], Array]:
     """Residuals of one sample, with their Jacobians."""
 

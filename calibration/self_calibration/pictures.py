@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calibration.pictures import AFTER, BEFORE, OUTLIER, QUANTILE_95
+from calibration.pictures import COLOR_AFTER, COLOR_BEFORE, COLOR_OUTLIER, ELLIPSE_95_RADIUS
 from calibration.self_calibration.result import SelfCalibration
 from carosac_toolkit.pictures.drawing import COLORS, new_figure
 from carosac_toolkit.robot.parameters import point_names
@@ -14,7 +14,7 @@ from carosac_toolkit.robot.parameters import point_names
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-KNOWN = COLORS[0]
+COLOR_KNOWN = COLORS[0]
 
 
 def draw_layout(result: SelfCalibration) -> Figure:
@@ -45,8 +45,8 @@ def draw_ellipses(result: SelfCalibration) -> Figure:
         covariance = result.estimate.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
         for axes, plane in zip(grid[i], ((0, 1), (0, 2), (1, 2)), strict=True):
             root = np.linalg.cholesky(covariance[np.ix_(plane, plane)])
-            axes.plot(*(1e3 * QUANTILE_95 * root @ circle), color=AFTER)
-            axes.plot(0.0, 0.0, "^", color=AFTER, ms=6)
+            axes.plot(*(1e3 * ELLIPSE_95_RADIUS * root @ circle), color=COLOR_AFTER)
+            axes.plot(0.0, 0.0, "^", color=COLOR_AFTER, ms=6)
             axes.set(xlabel=f"{'xyz'[plane[0]]} [mm]", ylabel=f"{'xyz'[plane[1]]} [mm]")
             axes.set_aspect("equal", adjustable="datalim")
             axes.grid(alpha=0.25)
@@ -60,20 +60,25 @@ def _draw_plane(axes: Any, result: SelfCalibration, rows: list[int]) -> None:
     before = result.robot.exit_points
     after = _exit_points(result)
     for i, name in enumerate(result.robot.cable_names):
-        axes.plot(*np.array([before[i], after[i]])[:, rows].T, "-", color=BEFORE, lw=0.8)
+        axes.plot(*np.array([before[i], after[i]])[:, rows].T, "-", color=COLOR_BEFORE, lw=0.8)
         axes.annotate(name, after[i][rows], xytext=(5, 5), textcoords="offset points")
-    axes.plot(*before[:, rows].T, "^", color=BEFORE, ms=7, ls="", label="exit points before")
-    axes.plot(*after[:, rows].T, "^", color=AFTER, ms=7, ls="", label="exit points after")
+    axes.plot(*before[:, rows].T, "^", color=COLOR_BEFORE, ms=7, ls="", label="exit points before")
+    axes.plot(*after[:, rows].T, "^", color=COLOR_AFTER, ms=7, ls="", label="exit points after")
     used = result.used
     axes.plot(*result.position[used][:, rows].T, ".", color="#404850", ms=5, label="positions")
     known = result.is_known
     axes.plot(
-        *result.known_position[known][:, rows].T, "s", mfc="none", color=KNOWN, ms=7, ls="",
+        *result.known_position[known][:, rows].T, "s", mfc="none", color=COLOR_KNOWN, ms=7, ls="",
         label="known positions",
     )  # fmt: skip
     if not used.all():
         axes.plot(
-            *result.position[~used][:, rows].T, "x", color=OUTLIER, ms=7, ls="", label="blunders"
+            *result.position[~used][:, rows].T,
+            "x",
+            color=COLOR_OUTLIER,
+            ms=7,
+            ls="",
+            label="blunders",
         )
 
 

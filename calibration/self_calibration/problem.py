@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from calibration.robot_update import prior_covariance
 from calibration.self_calibration.motor_angles import MotorAngles
-from calibration.self_calibration.settings import Settings
+from calibration.self_calibration.settings import SelfCalibrationSettings
 from carosac_toolkit.base.arrays import Array, frozen_array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable.drum import drums_of
@@ -28,12 +28,12 @@ from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.robot.parameters import point_names
 from carosac_toolkit.robot.robot import Robot
 
-ALIKE = 2e-5  # [m] between the radii of drums that are of one make
+ALIKE_RADIUS_M = 2e-5  # [m] between the radii of drums that are of one make
 Rows = slice | NDArray[np.intp]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Linear:
+class LinearSamples:
     """Residuals of some samples and how they change.
 
     Attributes:
@@ -47,7 +47,7 @@ class Linear:
     by_position: Array
 
 
-class Problem:
+class MotorAngleProblem:
     """All samples; unknown are the positions and m numbers that they share.
 
     The shared unknowns are the exit points (3 n), one error of the drum radius and one build-up
@@ -66,7 +66,9 @@ class Problem:
         known_sigma: Of known positions [m], shape (N, 3).
     """
 
-    def __init__(self, robot: Robot, angles: MotorAngles, settings: Settings) -> None:
+    def __init__(
+        self, robot: Robot, angles: MotorAngles, settings: SelfCalibrationSettings
+    ) -> None:
         """Set up.
 
         Args:
@@ -102,7 +104,7 @@ class Problem:
         """Number of shared unknowns m."""
         return len(self.names)
 
-    def linearize(self, shared: Array, position: Array, rows: Rows = slice(None)) -> Linear:
+    def linearize(self, shared: Array, position: Array, rows: Rows = slice(None)) -> LinearSamples:
         """Residuals and their derivatives.
 
         Args:
@@ -119,7 +121,7 @@ class Problem:
             by_shared[:, i, self.radii[i]] = angle[:, i] / self.advantage[i]
             by_shared[:, i, self.buildups[i]] = -0.25 * angle[:, i] ** 2 / self.advantage[i]
             by_shared[:, i, self.zeros[i]] = 1.0
-        return Linear(
+        return LinearSamples(
             residual=self.wound(shared, rows) - straight,
             by_shared=by_shared,
             by_position=-direction,
@@ -186,7 +188,7 @@ class Problem:
         ]
         self.names = tuple(names + [f"length_at_zero[{cable}]" for cable in cables])
 
-    def _prior(self, settings: Settings) -> Array:
+    def _prior(self, settings: SelfCalibrationSettings) -> Array:
         """Information before."""
         exits = self.names[: self.exits.size]
         covariance = np.zeros((self.size, self.size))
@@ -208,7 +210,7 @@ def _alike(empty: Array, reference: Array, makes: Sequence[tuple[float, ...]]) -
     group: list[int] = []
     for i in range(len(makes)):
         for j in range(i):
-            same = min(abs(empty[i] - empty[j]), abs(reference[i] - reference[j])) < ALIKE
+            same = min(abs(empty[i] - empty[j]), abs(reference[i] - reference[j])) < ALIKE_RADIUS_M
             if makes[i] == makes[j] and same:
                 group.append(group[j])
                 break

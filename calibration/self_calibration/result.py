@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.estimate import Estimate
+from calibration.estimate import ParameterEstimate
 from calibration.observability import Observability
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
-class Blunder:
+class SampleBlunder:
     """A sample that does not fit the others and was left out.
 
     Attributes:
@@ -71,7 +71,7 @@ class SelfCalibration:
     """
 
     robot: Robot
-    estimate: Estimate
+    estimate: ParameterEstimate
     samples: tuple[str, ...]
     position: Array
     position_sigma: Array
@@ -84,7 +84,7 @@ class SelfCalibration:
     length_at_zero_sigma: Array
     line_sigma: float
     redundancy: float
-    blunders: tuple[Blunder, ...]
+    blunders: tuple[SampleBlunder, ...]
     left_out: tuple[LeftOut, ...]
     observability: Observability
     warnings: tuple[str, ...]

@@ -11,7 +11,7 @@ from carosac_toolkit.base.errors import InvalidField
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Settings:
+class SelfCalibrationSettings:
     """One standard deviation of what is known before, and what counts as a blunder.
 
     Attributes:

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.self_calibration.problem import Problem
+from calibration.self_calibration.problem import MotorAngleProblem
 from carosac_toolkit.base.arrays import Array
 
-SOFT = 3.0  # standard deviations from which on a robust fit lets go of a sample
-FAR = 20.0  # times the longest cable: one standard deviation of a position before any data
-SETTLED = 1e-8  # relative change of the cost that ends a fit
-GIVE_UP = 1e8  # damping with which no step is left
+CAUCHY_SIGMAS = 3.0  # standard deviations from which on a robust fit lets go of a sample
+POSITION_PRIOR_FACTOR = (
+    20.0  # times the longest cable: one standard deviation of a position before any data
+)
+COST_CHANGE_MIN = 1e-8  # relative change of the cost that ends a fit
+DAMPING_MAX = 1e8  # damping with which no step is left
 
 Mask = NDArray[np.bool_]
 
@@ -36,7 +38,7 @@ class Trust:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Fit:
+class SampleFit:
     """Where a fit ended.
 
     Attributes:
@@ -69,7 +71,9 @@ class Whitened:
     away: Array
 
 
-def whiten(problem: Problem, shared: Array, position: Array, line_sigma: float) -> Whitened:
+def whiten(
+    problem: MotorAngleProblem, shared: Array, position: Array, line_sigma: float
+) -> Whitened:
     """Evaluate all samples."""
     linear = problem.linearize(shared, position)
     scale = problem.advantage / line_sigma
@@ -95,7 +99,7 @@ class Equations:
         by_shared: Change of each best position by the shared unknowns, shape (N, 3, m).
         step: Of each position with the shared unknowns held, shape (N, 3).
         position_covariance: Of each position with the shared unknowns held, shape (N, 3, 3).
-        cost: As in `Fit`.
+        cost: As in `SampleFit`.
         lengths: Weight of the lengths of each sample, shape (N,).
         known: Weight of each known position, shape (N,).
     """
@@ -111,7 +115,7 @@ class Equations:
 
 
 def equations(
-    problem: Problem, shared: Array, position: Array, trust: Trust, damping: float = 0.0
+    problem: MotorAngleProblem, shared: Array, position: Array, trust: Trust, damping: float = 0.0
 ) -> Equations:
     """Linearise everything at some values.
 
@@ -126,7 +130,7 @@ def equations(
     weight, loss = _weights((white.residual**2).sum(axis=1), free_lengths(problem), trust.robust)
     hold, drift = _weights((white.away**2).sum(axis=1), 3, trust.robust)
     weight, hold = weight * trust.lengths, hold * trust.known
-    reach = FAR * float(problem.start[problem.zeros].max())
+    reach = POSITION_PRIOR_FACTOR * float(problem.start[problem.zeros].max())
     offset = position - problem.robot.home_position
     weighted = white.by_position * weight[:, None, None]
     own = weighted.swapaxes(1, 2) @ white.by_position
@@ -158,7 +162,9 @@ def equations(
     )
 
 
-def fit(problem: Problem, shared: Array, position: Array, trust: Trust, *, steps: int = 100) -> Fit:
+def fit(
+    problem: MotorAngleProblem, shared: Array, position: Array, trust: Trust, *, steps: int = 100
+) -> SampleFit:
     """Find the best values downhill of a start (Levenberg-Marquardt).
 
     Args:
@@ -170,7 +176,7 @@ def fit(problem: Problem, shared: Array, position: Array, trust: Trust, *, steps
     """
     damping, cost, converged = 1e-3, equations(problem, shared, position, trust).cost, False
     for _ in range(steps):
-        while damping < GIVE_UP:
+        while damping < DAMPING_MAX:
             system = equations(problem, shared, position, trust, damping)
             change = -_solve(system.information, system.gradient)
             moved = position + system.step + system.by_shared @ change
@@ -182,13 +188,13 @@ def fit(problem: Problem, shared: Array, position: Array, trust: Trust, *, steps
             break
         gain, damping = cost - new, max(damping / 10.0, 1e-12)
         shared, position, cost = shared + change, moved, new
-        converged = gain <= SETTLED * (cost + 1.0)
+        converged = gain <= COST_CHANGE_MIN * (cost + 1.0)
         if converged:
             break
-    return Fit(shared=shared, position=position, cost=cost, converged=converged)
+    return SampleFit(shared=shared, position=position, cost=cost, converged=converged)
 
 
-def free_lengths(problem: Problem) -> int:
+def free_lengths(problem: MotorAngleProblem) -> int:
     """Lengths of a sample beyond those that its position takes."""
     return max(problem.robot.n - 3, 1)
 
@@ -197,7 +203,7 @@ def _weights(square: Array, free: int, robust: bool) -> tuple[Array, Array]:
     """Weights and losses of squared whitened residuals, shapes (N,)."""
     if not robust:
         return np.ones(len(square)), square
-    wide = free * SOFT**2
+    wide = free * CAUCHY_SIGMAS**2
     return 1.0 / (1.0 + square / wide), wide * np.log1p(square / wide)
 
 

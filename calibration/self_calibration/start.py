@@ -11,19 +11,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.self_calibration.problem import Problem
-from calibration.self_calibration.solver import Fit, Trust, fit
+from calibration.self_calibration.problem import MotorAngleProblem
+from calibration.self_calibration.solver import SampleFit, Trust, fit
 from carosac_toolkit.base.arrays import Array
 
-DIRECTIONS = 24  # from which the places of one exit point are looked for
-ROUGH = 0.01  # [m] of a length, with drums as they are known before
-LINE = 5e-3  # [m] of line, before the residuals are known
-PLACES = 3  # of one exit point that are kept
-UNLIKELY = 200.0  # squared standard deviations worse than the best place: not kept
-COMBINED = 32  # combinations that are tried
-FINALISTS = 4
-NEAR = 0.02  # of the length of a cable: exit points that close are the same
-GRID = 6  # points along each side of the workspace
+GUESS_DIRECTIONS = 24  # from which the places of one exit point are looked for
+ROUGH_LENGTH_SIGMA_M = 0.01  # [m] of a length, with drums as they are known before
+LINE_SIGMA_START_M = 5e-3  # [m] of line, before the residuals are known
+PLACES_KEPT = 3  # of one exit point that are kept
+PLACE_COST_MAX = 200.0  # squared standard deviations worse than the best place: not kept
+COMBINATIONS_KEPT = 32  # combinations that are tried
+STARTS_KEPT = 4
+SAME_PLACE_SHARE = 0.02  # of the length of a cable: exit points that close are the same
+GRID_POINTS_PER_SIDE = 6  # points along each side of the workspace
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,23 +41,25 @@ class Place:
     cost: float
 
 
-def starts(problem: Problem) -> list[Fit]:
+def starts(problem: MotorAngleProblem) -> list[SampleFit]:
     """Fit from every plausible start; the best first.
 
     Args:
         problem: The samples.
 
     Returns:
-        Robust fits that ended at different places, `FINALISTS` at most.
+        Robust fits that ended at different places, `STARTS_KEPT` at most.
     """
     choices = [_places(problem, i) for i in range(problem.robot.n)]
     combined: list[tuple[Place, ...]] = [()]
     for places in choices:  # the cheapest of all combinations, cable by cable
         longer = [(*chosen, place) for chosen in combined for place in places]
-        combined = sorted(longer, key=lambda chosen: sum(p.cost for p in chosen))[:COMBINED]
+        combined = sorted(longer, key=lambda chosen: sum(p.cost for p in chosen))[
+            :COMBINATIONS_KEPT
+        ]
     angles = problem.angles
     trust = Trust(
-        line_sigma=LINE,
+        line_sigma=LINE_SIGMA_START_M,
         lengths=np.ones(len(angles.samples), dtype=np.bool_),
         known=angles.is_known,
         robust=True,
@@ -73,18 +75,18 @@ def starts(problem: Problem) -> list[Fit]:
     return _different(problem, last)
 
 
-def _different(problem: Problem, fits: list[Fit]) -> list[Fit]:
+def _different(problem: MotorAngleProblem, fits: list[SampleFit]) -> list[SampleFit]:
     """The best of those that are at the same place, the best first."""
-    kept: list[Fit] = []
-    near = NEAR * float(problem.start[problem.zeros].max())
+    kept: list[SampleFit] = []
+    near = SAME_PLACE_SHARE * float(problem.start[problem.zeros].max())
     for found in sorted(fits, key=lambda one: one.cost):
         here = found.shared[problem.exits]
         if all(np.abs(here - other.shared[problem.exits]).max() > near for other in kept):
             kept.append(found)
-    return kept[:FINALISTS]
+    return kept[:STARTS_KEPT]
 
 
-def _places(problem: Problem, cable: int) -> list[Place]:
+def _places(problem: MotorAngleProblem, cable: int) -> list[Place]:
     """Where one exit point may be, by its lengths to the known positions."""
     angles, robot = problem.angles, problem.robot
     known = angles.is_known
@@ -93,19 +95,19 @@ def _places(problem: Problem, cable: int) -> list[Place]:
     zero = float(problem.start[problem.zeros[cable]])
     change = problem.wound(problem.start)[known, cable] - zero  # since the reference [m]
     before = robot.exit_points[cable]
-    guesses = robot.home_position + anchor + zero * _sphere(DIRECTIONS)
-    unknown = np.column_stack([np.vstack([before, guesses]), np.full(DIRECTIONS + 1, zero)])
+    guesses = robot.home_position + anchor + zero * _sphere(GUESS_DIRECTIONS)
+    unknown = np.column_stack([np.vstack([before, guesses]), np.full(GUESS_DIRECTIONS + 1, zero)])
     rows = [*problem.exits[cable], problem.zeros[cable]]
     prior = np.linalg.inv(np.linalg.inv(problem.prior)[np.ix_(rows, rows)])
     found = [_trilaterated(u, points, change, np.array([*before, zero]), prior) for u in unknown]
     found.sort(key=lambda place: place.cost)
     kept: list[Place] = []
     for place in found:
-        near = NEAR * zero
+        near = SAME_PLACE_SHARE * zero
         new = all(np.linalg.norm(place.exit_point - k.exit_point) > near for k in kept)
-        if new and place.cost < found[0].cost + UNLIKELY:
+        if new and place.cost < found[0].cost + PLACE_COST_MAX:
             kept.append(place)
-    return kept[:PLACES]
+    return kept[:PLACES_KEPT]
 
 
 def _trilaterated(
@@ -118,7 +120,7 @@ def _trilaterated(
     for _ in range(60):
         ray = trial[:3] - points
         distance = np.maximum(np.linalg.norm(ray, axis=1), 1e-9)
-        miss = (distance - trial[3] - change) / ROUGH
+        miss = (distance - trial[3] - change) / ROUGH_LENGTH_SIGMA_M
         away = trial - before
         new = float(9.0 * np.log1p(miss**2 / 9.0).sum() + away @ prior @ away)
         if new < cost:
@@ -126,7 +128,10 @@ def _trilaterated(
             unknown, cost, damping = trial, new, max(damping / 5.0, 1e-9)
             if settled:
                 break
-            slope = np.column_stack([ray / distance[:, None], -np.ones(len(points))]) / ROUGH
+            slope = (
+                np.column_stack([ray / distance[:, None], -np.ones(len(points))])
+                / ROUGH_LENGTH_SIGMA_M
+            )
             weight = 1.0 / (1.0 + miss**2 / 9.0)
             matrix = (slope.T * weight) @ slope + prior
             vector = (slope.T * weight) @ miss + prior @ away
@@ -138,11 +143,11 @@ def _trilaterated(
     return Place(exit_point=unknown[:3], zero=float(unknown[3]), cost=cost)
 
 
-def _positions(problem: Problem, shared: Array) -> Array:
+def _positions(problem: MotorAngleProblem, shared: Array) -> Array:
     """Known positions as they are, the others from a grid in the workspace, shape (N, 3)."""
     robot, angles = problem.robot, problem.angles
     corners = np.stack([robot.workspace_min, robot.workspace_max])
-    sides = [np.linspace(low, high, GRID) for low, high in corners.T]
+    sides = [np.linspace(low, high, GRID_POINTS_PER_SIDE) for low, high in corners.T]
     grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
     straight, _ = problem.straight(shared, grid)
     best = ((problem.wound(shared)[:, None] - straight) ** 2).sum(axis=2).argmin(axis=1)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.self_calibration.motor_angles import MotorAngles
-from calibration.self_calibration.problem import Problem
-from calibration.self_calibration.settings import Settings
+from calibration.self_calibration.problem import MotorAngleProblem
+from calibration.self_calibration.settings import SelfCalibrationSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable.drum import drums_of
@@ -18,7 +18,7 @@ from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Noise:
+class MeasurementNoise:
     """One standard deviation of what is measured.
 
     Attributes:
@@ -30,12 +30,12 @@ class Noise:
     known: float = 1e-3
 
 
-def draw_robot(robot: Robot, rng: np.random.Generator, settings: Settings) -> Robot:
+def draw_robot(robot: Robot, rng: np.random.Generator, settings: SelfCalibrationSettings) -> Robot:
     """A robot that the given one may be, as far as it is known before.
 
     Alike drums are wrong by the same; the lengths at the reference follow from the exit points.
     """
-    problem = Problem(robot, _nothing(robot), settings)
+    problem = MotorAngleProblem(robot, _nothing(robot), settings)
     drawn = rng.multivariate_normal(problem.start, np.linalg.inv(problem.prior), method="cholesky")
     drums = drums_of(robot)
     return replace(
@@ -56,7 +56,7 @@ def measure(
     robot: Robot,
     position: Array,
     known: Array,
-    noise: Noise,
+    noise: MeasurementNoise,
     rng: np.random.Generator,
     *,
     blunders: Mapping[tuple[int, int], float] | None = None,

@@ -2,21 +2,21 @@
 
 from calibration.tachymeter.observations import (
     Instrument,
-    Reference,
+    ReferencePoint,
     Shot,
     Sighting,
     Survey,
 )
-from calibration.tachymeter.result import Blunder, TachymeterResult
-from calibration.tachymeter.solve import calibrate
+from calibration.tachymeter.result import ReadingBlunder, TachymeterResult
+from calibration.tachymeter.solve import calibrate_tachymeter
 
 __all__ = [
-    "Blunder",
     "Instrument",
-    "Reference",
+    "ReadingBlunder",
+    "ReferencePoint",
     "Shot",
     "Sighting",
     "Survey",
     "TachymeterResult",
-    "calibrate",
+    "calibrate_tachymeter",
 ]

@@ -14,14 +14,20 @@ from collections.abc import Callable
 import numpy as np
 
 from calibration.tachymeter.observations import face_one, polar
-from calibration.tachymeter.records import MILLIMETRE, Record, few, plain_name, read_lines
+from calibration.tachymeter.records import (
+    MILLIMETRE_M,
+    Record,
+    plain_name,
+    read_lines,
+    shortened_faults,
+)
 from carosac_toolkit.base.errors import InvalidFile
 from carosac_toolkit.yaml_lines import did_you_mean
 
-ANGLES = {"gon": np.pi / 200.0, "deg": np.pi / 180.0, "rad": 1.0, "mil": np.pi / 3200.0}
-LENGTHS = {"m": 1.0, "mm": MILLIMETRE, "ft": 0.3048}
-_TEXTS = ("setup", "target", "sighted")
-_EXTRA = ("prism_constant_mm", "rim_deg")
+ANGLE_UNITS_RAD = {"gon": np.pi / 200.0, "deg": np.pi / 180.0, "rad": 1.0, "mil": np.pi / 3200.0}
+LENGTH_UNITS_M = {"m": 1.0, "mm": MILLIMETRE_M, "ft": 0.3048}
+_TEXT_COLUMNS = ("setup", "target", "sighted")
+_OPTIONAL_COLUMNS = ("prism_constant_mm", "rim_deg")
 _ANGLE_COLUMNS, _SPACE_COLUMNS = ("hz", "v"), ("x", "y", "z")
 
 
@@ -55,7 +61,7 @@ def read_csv(path: str) -> list[Record]:
         except ValueError as error:
             faults.append(f"line {number}: {error}")
     if faults:
-        raise InvalidFile(path, few(faults))
+        raise InvalidFile(path, shortened_faults(faults))
     if not records:
         raise InvalidFile(path, ["a header, but no observations"])
     return records
@@ -63,9 +69,9 @@ def read_csv(path: str) -> list[Record]:
 
 def _header_faults(header: list[str]) -> list[str]:
     """What is wrong with the columns."""
-    known = [*_TEXTS, *_EXTRA]
-    known += [f"{name}_{unit}" for name in _ANGLE_COLUMNS for unit in ANGLES]
-    known += [f"{name}_{unit}" for name in ("slope", *_SPACE_COLUMNS) for unit in LENGTHS]
+    known = [*_TEXT_COLUMNS, *_OPTIONAL_COLUMNS]
+    known += [f"{name}_{unit}" for name in _ANGLE_COLUMNS for unit in ANGLE_UNITS_RAD]
+    known += [f"{name}_{unit}" for name in ("slope", *_SPACE_COLUMNS) for unit in LENGTH_UNITS_M]
     faults = [
         f"column '{name}' is unknown" + did_you_mean(name, known)
         for name in header if name not in known
@@ -112,7 +118,7 @@ def _record(
     constant = _optional(row, "prism_constant_mm")
     return Record(
         setup=row["setup"], point=plain_name(row["target"]), hz=hz, v=v, distance=distance,
-        prism_constant=None if constant is None else constant * MILLIMETRE,
+        prism_constant=None if constant is None else constant * MILLIMETRE_M,
         sighted=row.get("sighted") or None, rim_deg=_optional(row, "rim_deg"),
         path=path, line=number,
     )  # fmt: skip
@@ -120,8 +126,8 @@ def _record(
 
 def _polar_row(row: dict[str, str]) -> tuple[float, float, float]:
     """Hz, V, slope distance in face I."""
-    hz, v = (_scaled(row, name, ANGLES) for name in _ANGLE_COLUMNS)
-    slope = _scaled(row, "slope", LENGTHS)
+    hz, v = (_scaled(row, name, ANGLE_UNITS_RAD) for name in _ANGLE_COLUMNS)
+    slope = _scaled(row, "slope", LENGTH_UNITS_M)
     if slope <= 0.0:
         raise ValueError(f"slope distance {slope:g} m; allowed: > 0")
     if not 0.0 < v < 2.0 * np.pi:
@@ -131,7 +137,7 @@ def _polar_row(row: dict[str, str]) -> tuple[float, float, float]:
 
 def _space_row(row: dict[str, str]) -> tuple[float, float, float]:
     """Coordinates in the set-up's frame, as Hz, V, distance."""
-    place = np.array([_scaled(row, name, LENGTHS) for name in _SPACE_COLUMNS])
+    place = np.array([_scaled(row, name, LENGTH_UNITS_M) for name in _SPACE_COLUMNS])
     if np.linalg.norm(place) < 0.1:
         raise ValueError("a point less than 0.1 m from the instrument, the origin of its frame")
     hz, v, distance = polar(place[None])[0]

@@ -20,11 +20,11 @@ from calibration.tachymeter.observations import polar
 from carosac_toolkit.base.arrays import Array
 
 STATION_SIZE = 6  # position, heading, tilt about x, tilt about y
-_SMALLEST = 1e-9  # [m] from the vertical axis, where Hz has no derivative
+_AXIS_DISTANCE_MIN_M = 1e-9  # [m] from the vertical axis, where Hz has no derivative
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Prediction:
+class PredictedShots:
     """Predicted readings of one set-up, B of them.
 
     Attributes:
@@ -38,7 +38,7 @@ class Prediction:
     by_point: Array
 
 
-def predict(station: Array, points: Array) -> Prediction:
+def predict(station: Array, points: Array) -> PredictedShots:
     """Predict the readings of a set-up.
 
     Args:
@@ -60,7 +60,7 @@ def predict(station: Array, points: Array) -> Prediction:
     by_heading = np.einsum("bij,bj->bi", by_local, turning @ level.T)
     by_tilt = (by_local @ _cross_matrix(flat))[:, :, :2]
     by_station = np.concatenate([-by_point, by_heading[:, :, None], by_tilt], axis=2)
-    return Prediction(reading=polar(local), by_station=by_station, by_point=by_point)
+    return PredictedShots(reading=polar(local), by_station=by_station, by_point=by_point)
 
 
 def difference(reading: Array, predicted: Array) -> Array:
@@ -73,7 +73,7 @@ def difference(reading: Array, predicted: Array) -> Array:
 def _polar_slope(local: Array) -> Array:
     """Derivative of Hz, V, distance with respect to a point of the set-up's frame, (B, 3, 3)."""
     x, y, z = local.T
-    rho = np.maximum(np.hypot(x, y), _SMALLEST)
+    rho = np.maximum(np.hypot(x, y), _AXIS_DISTANCE_MIN_M)
     distance = np.hypot(rho, z)
     square = distance**2
     hz = np.stack([y / rho**2, -x / rho**2, np.zeros_like(x)], axis=1)

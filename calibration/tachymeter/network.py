@@ -19,12 +19,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calibration.tachymeter.model import STATION_SIZE, difference, predict
-from calibration.tachymeter.observations import Reference, Shot, Survey
-from calibration.tachymeter.sightings import Pulley, SightedPoint, sighted_point
+from calibration.tachymeter.observations import ReferencePoint, Shot, Survey
+from calibration.tachymeter.sightings import SightedPoint, SightedPulley, sighted_point
 from carosac_toolkit.base.arrays import Array
 
 Blocks = dict[int, Array]  # Jacobian blocks by key
-_SIZES = {"s": STATION_SIZE, "p": 3, "w": 1, "t": 2}  # of the unknowns, by the letter of their keys
+_UNKNOWN_SIZES = {
+    "s": STATION_SIZE,
+    "p": 3,
+    "w": 1,
+    "t": 2,
+}  # of the unknowns, by the letter of their keys
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,7 +47,7 @@ class Network:
 
     survey: Survey
     sides: tuple[float, ...]
-    pulleys: Mapping[str, Pulley] = field(default_factory=dict)
+    pulleys: Mapping[str, SightedPulley] = field(default_factory=dict)
     exit_prior: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     frame_tilt: float = 0.0
 
@@ -204,7 +209,7 @@ class Network:
             return 0.0
         return float(values.atVector(self.keys[f"swivel {shot.target}"])[0])
 
-    def _reference_factor(self, reference: Reference, scale: Array) -> Any:
+    def _reference_factor(self, reference: ReferencePoint, scale: Array) -> Any:
         """Coordinates of a known point, in a frame that may be tilted."""
         known = np.asarray(reference.position)
         keys = [self.keys[f"point {reference.name}"]]
@@ -275,7 +280,7 @@ def _key(letter: str, index: int) -> int:
 
 def _size(key: int) -> int:
     """Dimension of an unknown."""
-    return _SIZES[chr(gtsam.symbolChr(key))]
+    return _UNKNOWN_SIZES[chr(gtsam.symbolChr(key))]
 
 
 def _of(shots: tuple[Shot, ...], setup: str) -> NDArray[np.intp]:

@@ -14,9 +14,9 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array, set_frozen
 from carosac_toolkit.base.errors import InvalidField
 
-SIGHTINGS = ("centre", "axle", "rim", "tangent")
-READINGS = ("Hz", "V", "distance")
-ARCSEC = np.pi / 648000.0
+SIGHTING_KINDS = ("centre", "axle", "rim", "tangent")
+READING_NAMES = ("Hz", "V", "distance")
+ARCSEC_RAD = np.pi / 648000.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,7 @@ class Instrument:
         compensator: Of the levelling, about each of two horizontal axes [rad].
     """
 
-    angle: float = 3.0 * ARCSEC
+    angle: float = 3.0 * ARCSEC_RAD
     distance: float = 1e-3
     distance_ppm: float = 1.5
     pointing: float = 0.3e-3
@@ -87,8 +87,8 @@ class Sighting:
 
     def __post_init__(self) -> None:
         """Refuse combinations that mean nothing."""
-        if self.kind not in SIGHTINGS:
-            raise InvalidField("sighted", repr(self.kind), f"one of {', '.join(SIGHTINGS)}")
+        if self.kind not in SIGHTING_KINDS:
+            raise InvalidField("sighted", repr(self.kind), f"one of {', '.join(SIGHTING_KINDS)}")
         if (self.rim_angle is None) != (self.kind != "rim"):
             got = f"sighted: {self.kind} {'without' if self.kind == 'rim' else 'with'} a rim angle"
             raise InvalidField("rim angle", got, "given with sighted: rim, and only there")
@@ -141,7 +141,7 @@ class Shot:
 
 
 @dataclass(frozen=True, eq=False)
-class Reference:
+class ReferencePoint:
     """A point other than an exit point that set-ups have in common.
 
     Attributes:
@@ -179,7 +179,7 @@ class Survey:
     """
 
     shots: tuple[Shot, ...]
-    references: Mapping[str, Reference]
+    references: Mapping[str, ReferencePoint]
     instrument: Instrument = field(default_factory=Instrument)
     towards: Mapping[str, Array] = field(default_factory=dict)
     swivel_sigma: float = np.deg2rad(2.0)
@@ -207,7 +207,7 @@ class Survey:
         return np.array([[shot.hz, shot.v, shot.distance] for shot in self.shots])
 
     @property
-    def known(self) -> tuple[Reference, ...]:
+    def known(self) -> tuple[ReferencePoint, ...]:
         """Sighted references with known coordinates."""
         seen = set(self.targets)
         return tuple(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from carosac_toolkit.base.errors import InvalidFile, MissingFile
 
-MILLIMETRE = 1e-3
+MILLIMETRE_M = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +71,7 @@ def read_lines(path: str) -> list[str]:
     return text.splitlines()
 
 
-def few(faults: list[str], most: int = 12) -> list[str]:
+def shortened_faults(faults: list[str], most: int = 12) -> list[str]:
     """The first faults, and how many more there are."""
     more = len(faults) - most
     return faults if more <= 0 else [*faults[:most], f"and {more} more"]

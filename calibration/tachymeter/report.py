@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.pictures import draw_exit_points
 from calibration.report import blunders_html, observability_html, parameters_html, write_report
-from calibration.tachymeter.pictures import MAGNIFIED, draw_shots, draw_site
+from calibration.tachymeter.pictures import SIGMA_MAGNIFICATION, draw_shots, draw_site
 from calibration.tachymeter.result import TachymeterResult
 from calibration.tachymeter.tables import (
     BLUNDER_HEADER,
@@ -56,7 +56,8 @@ def write_survey_report(
     images = {
         "site": (
             png(draw_site(result)),
-            f"Lines of sight; ellipses: 1 sigma of the exit points, {MAGNIFIED:.0f} times larger.",
+            "Lines of sight; ellipses: 1 sigma of the exit points, "
+            f"{SIGMA_MAGNIFICATION:.0f} times larger.",
         ),
         "exit_points": (
             png(draw_exit_points(result.cables, *_before(result), *_after(result))),

@@ -10,20 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_law
 
-from calibration.estimate import Estimate
+from calibration.estimate import ParameterEstimate
 from calibration.observability import Observability
-from calibration.tachymeter.observations import ARCSEC, READINGS, Survey
+from calibration.tachymeter.observations import ARCSEC_RAD, READING_NAMES, Survey
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-PROBABILITY = 0.99  # of the band in which chi2 falls if all noise is as stated
-MANY = 0.1  # share of readings left out above which they are no blunders: the accuracy is wrong
-FAR = 0.5  # [m] from the robot file's exit point, beyond which something else was sighted
-_MEDIAN = 0.6745  # of the size of a standard normal number
+CHI2_PROBABILITY = 0.99  # of the band in which chi2 falls if all noise is as stated
+BLUNDER_SHARE_MAX = (
+    0.1  # share of readings left out above which they are no blunders: the accuracy is wrong
+)
+EXIT_SHIFT_MAX_M = (
+    0.5  # [m] from the robot file's exit point, beyond which something else was sighted
+)
+_NORMAL_MEDIAN = 0.6745  # of the size of a standard normal number
 
 
 @dataclass(frozen=True, kw_only=True)
-class Blunder:
+class ReadingBlunder:
     """A reading that does not fit and was left out.
 
     Attributes:
@@ -50,7 +54,7 @@ class Blunder:
     def size(self) -> str:
         """The error in a unit for people."""
         if self.reading in ("Hz", "V"):
-            return f"{self.error / ARCSEC:+.0f} arcsec"
+            return f"{self.error / ARCSEC_RAD:+.0f} arcsec"
         return f"{self.error * 1e3:+.1f} mm"
 
     def sentence(self) -> str:
@@ -127,11 +131,11 @@ class TachymeterResult:
     robot: Robot
     survey: Survey
     cables: tuple[str, ...]
-    estimate: Estimate
+    estimate: ParameterEstimate
     points: Mapping[str, Array]
     stations: Mapping[str, Station]
     swivels: Mapping[str, float]
-    blunders: tuple[Blunder, ...]
+    blunders: tuple[ReadingBlunder, ...]
     unchecked: tuple[str, ...]
     residuals: Residuals
     observability: Observability
@@ -147,12 +151,12 @@ class TachymeterResult:
         }
         for name, point in zip(self.cables, self.exit_points, strict=True):
             away = float(np.linalg.norm(point - before[name]))
-            if away <= FAR:
+            if away <= EXIT_SHIFT_MAX_M:
                 continue
             others = {o: float(np.linalg.norm(point - p)) for o, p in before.items() if o != name}
             near = min(others, key=lambda other: others[other], default=name)
             hint = "is it the right robot, and the right known points?"
-            if others.get(near, np.inf) <= FAR:
+            if others.get(near, np.inf) <= EXIT_SHIFT_MAX_M:
                 hint = f"that is where the file has {near}: are these targets swapped?"
             lines.append(f"{name} is {away:.2f} m from where the robot file has it; {hint}")
         return lines
@@ -181,8 +185,8 @@ class TachymeterResult:
 
     @property
     def chi2_band(self) -> tuple[float, float]:
-        """Where chi2 lies with probability `PROBABILITY` if all noise is as stated."""
-        low, high = chi2_law.interval(PROBABILITY, max(self.freedom, 1))
+        """Where chi2 lies with probability `CHI2_PROBABILITY` if all noise is as stated."""
+        low, high = chi2_law.interval(CHI2_PROBABILITY, max(self.freedom, 1))
         return float(low), float(high)
 
     @property
@@ -194,12 +198,16 @@ class TachymeterResult:
     def spread(self) -> float:
         """Residuals over what the stated accuracy explains, by the median of all readings."""
         checked = self.residuals.test[self.residuals.test != 0.0]
-        return float(np.median(np.abs(checked)) / _MEDIAN) if len(checked) else 0.0
+        return float(np.median(np.abs(checked)) / _NORMAL_MEDIAN) if len(checked) else 0.0
 
     @property
     def fits(self) -> bool:
         """Whether the residuals are no larger than the stated accuracy explains."""
-        return self.freedom > 0 and self.chi2 <= self.chi2_band[1] and self.left_out <= MANY
+        return (
+            self.freedom > 0
+            and self.chi2 <= self.chi2_band[1]
+            and self.left_out <= BLUNDER_SHARE_MAX
+        )
 
     def data(self) -> dict[str, Any]:
         """Everything for JSON."""
@@ -232,7 +240,7 @@ class TachymeterResult:
             "unchecked": list(self.unchecked),
             "residual_rms": {
                 f"{name}_{unit}": value
-                for name, unit, value in zip(READINGS, ("rad", "rad", "m"), rms, strict=True)
+                for name, unit, value in zip(READING_NAMES, ("rad", "rad", "m"), rms, strict=True)
             },
             "chi2": self.chi2,
             "degrees_of_freedom": self.freedom,

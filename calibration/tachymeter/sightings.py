@@ -25,7 +25,7 @@ from carosac_toolkit.base.errors import InvalidField
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Pulley:
+class SightedPulley:
     """A pulley as it stood while it was sighted.
 
     Attributes:
@@ -57,7 +57,7 @@ class SightedPoint:
 
 
 def sighted_point(
-    exit_point: Array, sighting: Sighting, pulley: Pulley, swivel: float, side: float
+    exit_point: Array, sighting: Sighting, pulley: SightedPulley, swivel: float, side: float
 ) -> SightedPoint:
     """Find a sighted point of a pulley.
 
@@ -91,7 +91,7 @@ def sighted_point(
     return SightedPoint(point=point, by_exit=by_exit, by_swivel=turn)
 
 
-def elevation(exit_point: Array, pulley: Pulley, station: Array) -> float:
+def elevation(exit_point: Array, pulley: SightedPulley, station: Array) -> float:
     """Angle at which an instrument sees the wheel, from its middle plane [rad]; 0 is edge-on."""
     plain, _, _ = _plane(exit_point, pulley)
     sight = station - exit_point
@@ -99,7 +99,7 @@ def elevation(exit_point: Array, pulley: Pulley, station: Array) -> float:
     return float(np.arcsin(across / np.linalg.norm(sight)))
 
 
-def _plane(exit_point: Array, pulley: Pulley) -> tuple[Array, float, float]:
+def _plane(exit_point: Array, pulley: SightedPulley) -> tuple[Array, float, float]:
     """Direction from the swivel axis to the anchor, distance from it, and distance along it."""
     relative = pulley.towards - exit_point
     along = float(relative @ pulley.axis)
@@ -112,7 +112,7 @@ def _plane(exit_point: Array, pulley: Pulley) -> tuple[Array, float, float]:
 
 
 def _in_plane(
-    sighting: Sighting, pulley: Pulley, rho: float, along: float
+    sighting: Sighting, pulley: SightedPulley, rho: float, along: float
 ) -> tuple[float, float, tuple[float, float], tuple[float, float]]:
     """Offset from the datum along u and k [m], and its derivatives by rho and `along`."""
     r = pulley.radius

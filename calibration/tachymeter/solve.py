@@ -8,24 +8,26 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from calibration.estimate import Estimate
+from calibration.estimate import ParameterEstimate
 from calibration.observability import Observability, judge
 from calibration.tachymeter.network import Network
-from calibration.tachymeter.observations import READINGS, Survey
-from calibration.tachymeter.result import Blunder, Residuals, Station, TachymeterResult
-from calibration.tachymeter.robust import CHECKED, Fit, fit
-from calibration.tachymeter.sightings import Pulley, elevation
+from calibration.tachymeter.observations import READING_NAMES, Survey
+from calibration.tachymeter.result import ReadingBlunder, Residuals, Station, TachymeterResult
+from calibration.tachymeter.robust import CHECKED_REDUNDANCY, SurveyFit, fit
+from calibration.tachymeter.sightings import SightedPulley, elevation
 from calibration.tachymeter.start import first_values
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.parameters import point_names, values_of
 from carosac_toolkit.robot.robot import Robot
 
-PLAUSIBLE = 0.05  # [m] by which an exit point may be off before it is surveyed: a scale, no prior
-EDGE_ON = 0.03  # [rad], beside what the swivel may be off, within which a wheel shows no side
+EXIT_SCALE_M = (
+    0.05  # [m] by which an exit point may be off before it is surveyed: a scale, no prior
+)
+EDGE_ON_RAD = 0.03  # [rad], beside what the swivel may be off, within which a wheel shows no side
 
 
-def calibrate(
+def calibrate_tachymeter(
     robot: Robot, survey: Survey, *, frame_tilt: float = 0.0, use_prior: bool = False
 ) -> TachymeterResult:
     """Estimate the exit points of a robot from a survey.
@@ -90,13 +92,13 @@ def check_targets(robot: Robot, survey: Survey) -> None:
         raise InvalidField("shots", "none to a cable", "at least one shot to an exit point")
 
 
-def _pulleys(robot: Robot, survey: Survey) -> dict[str, Pulley]:
+def _pulleys(robot: Robot, survey: Survey) -> dict[str, SightedPulley]:
     """Pulleys of which something off the datum was sighted."""
     names = dict.fromkeys(shot.target for shot in survey.shots if shot.sighting.on_pulley)
     found = {}
     for name in names:
         i = robot.cable_names.index(name)
-        found[name] = Pulley(
+        found[name] = SightedPulley(
             cable=name,
             radius=float(robot.pulley_radius[i]),
             axis=robot.swivel_axis[i],
@@ -107,7 +109,7 @@ def _pulleys(robot: Robot, survey: Survey) -> dict[str, Pulley]:
 
 def _sides(
     survey: Survey,
-    pulleys: Mapping[str, Pulley],
+    pulleys: Mapping[str, SightedPulley],
     stations: Mapping[str, Array],
     points: Mapping[str, Array],
 ) -> tuple[float, ...]:
@@ -118,7 +120,7 @@ def _sides(
         if shot.sighting.side != 0.0:
             station = stations[shot.setup][:3]
             angle = elevation(points[shot.target], pulleys[shot.target], station)
-            least = EDGE_ON + 3.0 * survey.swivel_sigma
+            least = EDGE_ON_RAD + 3.0 * survey.swivel_sigma
             if abs(angle) < least:
                 allowed = (
                     f"0: from {shot.setup} the pulley is seen edge-on (within "
@@ -163,7 +165,7 @@ def _start(network: Network, stations: Mapping[str, Array], points: Mapping[str,
     return values
 
 
-def _result(robot: Robot, network: Network, found: Fit) -> TachymeterResult:
+def _result(robot: Robot, network: Network, found: SurveyFit) -> TachymeterResult:
     """Read the result out of the fit."""
     survey = network.survey
     cables = tuple(name for name in robot.cable_names if name in survey.targets)
@@ -200,7 +202,9 @@ def _result(robot: Robot, network: Network, found: Fit) -> TachymeterResult:
     )
 
 
-def _estimate(robot: Robot, network: Network, found: Fit, cables: Sequence[str]) -> Estimate:
+def _estimate(
+    robot: Robot, network: Network, found: SurveyFit, cables: Sequence[str]
+) -> ParameterEstimate:
     """Exit points, and the tilt of the references' frame where it was estimated."""
     keys = [network.keys[f"point {name}"] for name in cables]
     names = point_names("exit_points", cables)
@@ -216,7 +220,7 @@ def _estimate(robot: Robot, network: Network, found: Fit, cables: Sequence[str])
         start.append(values_of(robot, names[-2:]))
         prior.append(np.full(2, network.frame_tilt))
     columns = _columns_of(network, keys)
-    return Estimate(
+    return ParameterEstimate(
         names=tuple(names),
         value=np.concatenate([found.values.atVector(key) for key in keys]),
         covariance=found.covariance[np.ix_(columns, columns)],
@@ -231,7 +235,9 @@ def _columns_of(network: Network, keys: Sequence[int]) -> list[int]:
     return [i for key in keys for i in range(by_key[key].start, by_key[key].stop)]
 
 
-def _observability(network: Network, estimate: Estimate, cables: Sequence[str]) -> Observability:
+def _observability(
+    network: Network, estimate: ParameterEstimate, cables: Sequence[str]
+) -> Observability:
     """How well the survey alone determines the exit points."""
     names = [name for name in estimate.names if name.startswith("exit_points")]
     information = np.asarray(np.linalg.inv(estimate.select(names).covariance), dtype=np.float64)
@@ -239,14 +245,14 @@ def _observability(network: Network, estimate: Estimate, cables: Sequence[str]) 
         if cable in network.exit_prior:
             block = slice(3 * i, 3 * i + 3)
             information[block, block] -= np.linalg.inv(network.exit_prior[cable][1])
-    return judge(names, information, np.full(len(names), PLAUSIBLE))
+    return judge(names, information, np.full(len(names), EXIT_SCALE_M))
 
 
-def _blunders(network: Network, found: Fit) -> tuple[Blunder, ...]:
+def _blunders(network: Network, found: SurveyFit) -> tuple[ReadingBlunder, ...]:
     """Rows left out, the worst first."""
     rows = np.flatnonzero(~found.used)
     blunders = [
-        Blunder(
+        ReadingBlunder(
             **_place(network, int(row)),
             # measured minus model: by how much the reading is too large
             error=float(-found.residual[row] * network.sigma[row]),
@@ -265,7 +271,7 @@ def _place(network: Network, row: int) -> dict[str, Any]:
         shot = shots[row // 3]
         return {
             "shot": row // 3 + 1, "setup": shot.setup, "target": shot.target,
-            "reading": READINGS[row % 3], "source": shot.source,
+            "reading": READING_NAMES[row % 3], "source": shot.source,
         }  # fmt: skip
     index = row - 3 * len(shots)
     name = network.survey.known[index // 3].name
@@ -283,9 +289,9 @@ def _words(network: Network, row: int) -> str:
     return f"{place['reading']} of shot {place['shot']}"
 
 
-def _unchecked(network: Network, found: Fit) -> tuple[str, ...]:
+def _unchecked(network: Network, found: SurveyFit) -> tuple[str, ...]:
     """Readings in use that nothing checks: a blunder in them would pass unseen."""
-    rows = np.flatnonzero(found.used & (found.redundancy < CHECKED))
+    rows = np.flatnonzero(found.used & (found.redundancy < CHECKED_REDUNDANCY))
     places = [_place(network, int(row)) for row in rows]
     by_target: dict[str, list[str]] = {}
     for place in places:
@@ -294,7 +300,7 @@ def _unchecked(network: Network, found: Fit) -> tuple[str, ...]:
     return tuple(f"{target} ({', '.join(what)})" for target, what in by_target.items())
 
 
-def _residuals(network: Network, found: Fit) -> Residuals:
+def _residuals(network: Network, found: SurveyFit) -> Residuals:
     """Residuals of all shots."""
     count = 3 * len(network.survey.shots)
     sigma = network.sigma[:count].reshape(-1, 3)

@@ -9,9 +9,9 @@ import numpy as np
 
 from calibration.tachymeter.csv_file import read_csv
 from calibration.tachymeter.gsi import read_gsi
-from calibration.tachymeter.observations import SIGHTINGS, Shot, Sighting, Survey
-from calibration.tachymeter.records import Record, few
-from calibration.tachymeter.targets import Point, Targets, read_targets
+from calibration.tachymeter.observations import SIGHTING_KINDS, Shot, Sighting, Survey
+from calibration.tachymeter.records import Record, shortened_faults
+from calibration.tachymeter.targets import SurveyPoint, SurveyTargets, read_targets
 from carosac_toolkit.base.errors import InvalidField, InvalidFile
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.yaml_lines import did_you_mean
@@ -76,7 +76,7 @@ def _is_csv(path: str) -> bool:
     return Path(path).suffix.lower() == ".csv"
 
 
-def _shots(path: str, records: list[Record], targets: Targets, robot: Robot) -> list[Shot]:
+def _shots(path: str, records: list[Record], targets: SurveyTargets, robot: Robot) -> list[Shot]:
     """Look up the points of a file."""
     shots, faults = [], []
     for record in records:
@@ -94,7 +94,7 @@ def _shots(path: str, records: list[Record], targets: Targets, robot: Robot) -> 
         except (InvalidField, _Fault) as fault:
             faults.append(f"line {record.line}: {fault}")
     if faults:
-        raise InvalidFile(path, few(faults))
+        raise InvalidFile(path, shortened_faults(faults))
     return shots
 
 
@@ -102,7 +102,7 @@ class _Fault(Exception):
     """What is wrong with a line."""
 
 
-def _shot(record: Record, point: Point, targets: Targets, robot: Robot) -> Shot:
+def _shot(record: Record, point: SurveyPoint, targets: SurveyTargets, robot: Robot) -> Shot:
     """One observation with its target."""
     return Shot(
         setup=record.setup,
@@ -115,14 +115,14 @@ def _shot(record: Record, point: Point, targets: Targets, robot: Robot) -> Shot:
     )
 
 
-def _sighting(record: Record, point: Point, targets: Targets, robot: Robot) -> Sighting:
+def _sighting(record: Record, point: SurveyPoint, targets: SurveyTargets, robot: Robot) -> Sighting:
     """What was sighted; a pulley leaves no default."""
     kind = record.sighted or point.sighted
     pulley = point.cable and robot.pulley_radius[robot.cable_names.index(point.target)] > 0.0
     if kind is None and pulley:
         raise _Fault(
             f"cable {point.target} has a pulley: say what was sighted, one of "
-            f"{', '.join(SIGHTINGS)}, at points.{record.point} of {targets.path}"
+            f"{', '.join(SIGHTING_KINDS)}, at points.{record.point} of {targets.path}"
         )
     if kind not in (None, "centre") and not pulley:
         what = "has no pulley in the robot file" if point.cable else "is no cable"
@@ -141,7 +141,7 @@ def _sighting(record: Record, point: Point, targets: Targets, robot: Robot) -> S
     )
 
 
-def _prism(record: Record, point: Point, targets: Targets) -> float:
+def _prism(record: Record, point: SurveyPoint, targets: SurveyTargets) -> float:
     """What is still to be added to a slope distance [m]."""
     if record.prism_constant is not None and point.prism_constant is not None:
         raise _Fault(

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calibration.tachymeter.model import predict
-from calibration.tachymeter.observations import Instrument, Reference, Shot, Sighting, Survey
-from calibration.tachymeter.sightings import Pulley, elevation, sighted_point
+from calibration.tachymeter.observations import Instrument, ReferencePoint, Shot, Sighting, Survey
+from calibration.tachymeter.sightings import SightedPulley, elevation, sighted_point
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.robot import Robot
@@ -102,7 +102,7 @@ def draw_survey(
                 sighting = plan.sighting if robot.pulley_radius[i] > 0.0 else Sighting()
                 point = truth.exit_points[i]
                 if sighting.on_pulley:
-                    pulley = Pulley(
+                    pulley = SightedPulley(
                         cable=cable, radius=float(robot.pulley_radius[i]),
                         axis=robot.swivel_axis[i], towards=towards[i],
                     )  # fmt: skip
@@ -139,7 +139,7 @@ def _draw_station(
 
 def _draw_references(
     low: Array, high: Array, rng: np.random.Generator, plan: SurveyPlan
-) -> tuple[dict[str, Array], dict[str, Reference]]:
+) -> tuple[dict[str, Array], dict[str, ReferencePoint]]:
     """Places of the reference points, and what is known of them."""
     places, references = {}, {}
     around = 0.5 * (low + high)[:2]
@@ -152,7 +152,7 @@ def _draw_references(
         places[name] = place
         sigma = np.full(3, plan.reference_sigma)
         told = place + rng.normal(0.0, plan.reference_sigma, 3)
-        references[name] = Reference(name, told, sigma) if known else Reference(name)
+        references[name] = ReferencePoint(name, told, sigma) if known else ReferencePoint(name)
     return places, references
 
 

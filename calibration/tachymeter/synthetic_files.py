@@ -15,9 +15,9 @@ from geocompy.gsi.gsiformat import (
     GsiVerticalAngleWord,
 )
 
-from calibration.tachymeter.csv_file import ANGLES
-from calibration.tachymeter.observations import ARCSEC, Instrument, Reference, Shot, Survey
-from calibration.tachymeter.targets import SCHEMA
+from calibration.tachymeter.csv_file import ANGLE_UNITS_RAD
+from calibration.tachymeter.observations import ARCSEC_RAD, Instrument, ReferencePoint, Shot, Survey
+from calibration.tachymeter.targets import TARGETS_SCHEMA
 from carosac_toolkit.base.arrays import Array
 
 
@@ -80,7 +80,7 @@ def write_csv(path: Path, survey: Survey, unit: str = "gon") -> Path:
         f"setup,target,hz_{unit},v_{unit},slope_m,sighted",
     ]
     for shot in survey.shots:
-        hz, v = shot.hz / ANGLES[unit], shot.v / ANGLES[unit]
+        hz, v = shot.hz / ANGLE_UNITS_RAD[unit], shot.v / ANGLE_UNITS_RAD[unit]
         sighted = shot.sighting.kind if shot.sighting.on_pulley else ""
         lines.append(f"{shot.setup},{shot.target},{hz:.6f},{v:.6f},{shot.distance:.5f},{sighted}")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -95,7 +95,7 @@ def write_targets(path: Path, survey: Survey, *, platform_position: Array | None
         survey: Points, references and instrument.
         platform_position: Where the platform was in W [m], (3,), which pulleys need.
     """
-    lines = [f"schema: {SCHEMA}", *_instrument_lines(survey.instrument)]
+    lines = [f"schema: {TARGETS_SCHEMA}", *_instrument_lines(survey.instrument)]
     if platform_position is not None:
         lines.append(f"platform_position: {_list(platform_position)}")
         lines.append(f"swivel_sigma: {np.rad2deg(survey.swivel_sigma):.6g} deg")
@@ -114,15 +114,15 @@ def write_targets(path: Path, survey: Survey, *, platform_position: Array | None
 def _instrument_lines(instrument: Instrument) -> list[str]:
     return [
         "instrument:",
-        f"  angle_arcsec: {instrument.angle / ARCSEC:.6g}",
+        f"  angle_arcsec: {instrument.angle / ARCSEC_RAD:.6g}",
         f"  distance_mm: {instrument.distance * 1e3:.6g}",
         f"  distance_ppm: {instrument.distance_ppm:.6g}",
         f"  pointing_mm: {instrument.pointing * 1e3:.6g}",
-        f"  compensator_arcsec: {instrument.compensator / ARCSEC:.6g}",
+        f"  compensator_arcsec: {instrument.compensator / ARCSEC_RAD:.6g}",
     ]
 
 
-def _reference(reference: Reference) -> str:
+def _reference(reference: ReferencePoint) -> str:
     if reference.position is None or reference.sigma is None:
         return "{}"
     sigma = ", ".join(f"{1e3 * s:.6g} mm" for s in reference.sigma)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.tachymeter.observations import ARCSEC, READINGS
-from calibration.tachymeter.result import MANY, PROBABILITY, TachymeterResult
+from calibration.tachymeter.observations import ARCSEC_RAD, READING_NAMES
+from calibration.tachymeter.result import BLUNDER_SHARE_MAX, CHI2_PROBABILITY, TachymeterResult
 from carosac_toolkit.text_tables import Rows
 
 EXIT_HEADER = (
@@ -26,8 +26,8 @@ SHOT_HEADER = (
     "shot", "set-up", "target", "sighted", "Hz [arcsec]", "sigmas", "V [arcsec]", "sigmas",
     "distance [mm]", "sigmas", "line",
 )  # fmt: skip
-SHOWN = 10  # blunders that are named in sentences
-_SCALE = np.array([1.0 / ARCSEC, 1.0 / ARCSEC, 1e3])
+BLUNDERS_NAMED_MAX = 10  # blunders that are named in sentences
+_READING_SCALE = np.array([1.0 / ARCSEC_RAD, 1.0 / ARCSEC_RAD, 1e3])
 
 
 def exit_rows(result: TachymeterResult) -> Rows:
@@ -72,7 +72,7 @@ def setup_rows(result: TachymeterResult) -> Rows:
         mine = np.array([shot.setup == name for shot in result.survey.shots])
         used = residuals.used[mine]
         square = (residuals.value[mine] ** 2 * used).sum(axis=0)
-        rms = np.sqrt(square / np.maximum(used.sum(axis=0), 1)) * _SCALE
+        rms = np.sqrt(square / np.maximum(used.sum(axis=0), 1)) * _READING_SCALE
         heading = float(np.rad2deg(station.values[3]) % 360.0)
         rows.append(
             (
@@ -94,8 +94,8 @@ def shot_rows(result: TachymeterResult) -> Rows:
     residuals = result.residuals
     for i, shot in enumerate(result.survey.shots):
         cells = []
-        for k in range(len(READINGS)):
-            value = f"{residuals.value[i, k] * _SCALE[k]:+.{2 if k == 2 else 1}f}"
+        for k in range(len(READING_NAMES)):
+            value = f"{residuals.value[i, k] * _READING_SCALE[k]:+.{2 if k == 2 else 1}f}"
             test = f"{residuals.test[i, k]:+.1f}"
             cells += [value, test] if residuals.used[i, k] else [f"({value})", f"({test})"]
         rows.append(
@@ -108,14 +108,15 @@ def sentences(result: TachymeterResult) -> list[str]:
     """What was found, in words."""
     survey = result.survey
     known, ties = len(survey.known), len(survey.targets) - len(result.cables)
-    rms = result.residuals.rms() * _SCALE
+    rms = result.residuals.rms() * _READING_SCALE
     low, high = result.chi2_band
     lines = [
         f"{len(survey.shots)} shots from {len(survey.setups)} set-ups to {len(result.cables)} exit "
         f"points, {known} known points and {ties - known} tie points",
         f"residuals (RMS): Hz {rms[0]:.1f} arcsec, V {rms[1]:.1f} arcsec, distance {rms[2]:.2f} mm",
-        f"chi2 {result.chi2:.1f} with {result.freedom} degrees of freedom; {PROBABILITY:.0%} of "
-        f"surveys with the stated accuracy lie between {low:.1f} and {high:.1f}",
+        f"chi2 {result.chi2:.1f} with {result.freedom} degrees of freedom; "
+        f"{CHI2_PROBABILITY:.0%} of surveys with the stated accuracy lie between {low:.1f} and "
+        f"{high:.1f}",
         f"exit points known to {1e3 * result.exit_sigma.min():.2f} to "
         f"{1e3 * result.exit_sigma.max():.2f} mm per axis (one standard deviation)",
     ]
@@ -139,7 +140,7 @@ def cautions(result: TachymeterResult) -> list[str]:
         many = f", and {result.left_out:.0%} of the readings were left out"
         lines.append(
             f"the residuals are {size:.1f} times larger than the stated accuracy explains"
-            + (many if result.left_out > MANY else "")
+            + (many if result.left_out > BLUNDER_SHARE_MAX else "")
             + ": do not use these exit points before it is clear why. Is the instrument's accuracy "
             "right, was it level, did a set-up or a point move, is the frame of the known points "
             "level (--frame-tilt-deg)?"
@@ -148,9 +149,10 @@ def cautions(result: TachymeterResult) -> list[str]:
         lines.append(
             "the residuals are smaller than the stated accuracy explains: the sigmas are cautious"
         )
-    lines += [f"left out: {blunder.sentence()}" for blunder in result.blunders[:SHOWN]]
-    if len(result.blunders) > SHOWN:
-        lines.append(f"left out: {len(result.blunders) - SHOWN} more readings, in report and JSON")
+    lines += [f"left out: {blunder.sentence()}" for blunder in result.blunders[:BLUNDERS_NAMED_MAX]]
+    if len(result.blunders) > BLUNDERS_NAMED_MAX:
+        more = len(result.blunders) - BLUNDERS_NAMED_MAX
+        lines.append(f"left out: {more} more readings, in report and JSON")
     if result.unchecked:
         lines.append(
             "a blunder would pass unseen in: "

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.estimate import Estimate
+from calibration.estimate import ParameterEstimate
 from calibration.observability import judge
 from calibration.pictures import draw_exit_points, draw_learnt, draw_residuals
 from calibration.report import (
@@ -17,7 +17,7 @@ from calibration.report import (
     write_report,
 )
 
-ESTIMATE = Estimate(
+ESTIMATE = ParameterEstimate(
     names=("exit_points[a].x", "length_delay", "pose_tilt.x", "mass", "length_scale[a]", "drag"),
     value=[1.50123, 0.0331, 1e-3, 23.7, 1.0021, 0.3],
     covariance=np.diag(np.square([1.5e-4, 2e-4, 1e-4, 12.0, 3e-5, 0.0]) + 0.0),

@@ -9,14 +9,14 @@ import pytest
 
 import carosac_toolkit as ct
 from calibration.identification.settings import IdentificationSettings
-from calibration.identification.unknowns import choose_unknowns
+from calibration.identification.unknowns import choose_coordinates
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.parameters import values_of
 
 
 @pytest.fixture(scope="module")
 def unknowns():
-    return choose_unknowns(ct.load_robot("carosac"), IdentificationSettings())
+    return choose_coordinates(ct.load_robot("carosac"), IdentificationSettings())
 
 
 def test_coordinates_of_zero_are_the_robot_itself(unknowns):
@@ -38,7 +38,7 @@ def test_every_point_within_three_sigmas_is_a_body_that_can_be(unknowns, seed):
 def test_a_skew_inertia_stays_possible():
     robot = ct.load_robot("carosac")
     robot = replace(robot, inertia=robot.inertia + 0.1 * (1.0 - np.eye(3)))
-    unknowns = choose_unknowns(robot, IdentificationSettings())
+    unknowns = choose_coordinates(robot, IdentificationSettings())
     point = np.zeros(len(unknowns.names))
     for axis, share in zip("xyz", (3.0, -3.0, 2.0), strict=True):
         point[unknowns.names.index(f"inertia.{axis * 2}")] = share
@@ -59,7 +59,7 @@ def test_the_covariance_of_the_robot_file_is_the_prior():
     robot = ct.load_robot("carosac")
     block = np.array([[4e-6, 1e-6, 0.0], [1e-6, 9e-6, 0.0], [0.0, 0.0, 1e-6]])
     robot = replace(robot, exit_covariance=np.tile(block, (4, 1, 1)))
-    unknowns = choose_unknowns(robot, IdentificationSettings())
+    unknowns = choose_coordinates(robot, IdentificationSettings())
     none = np.zeros(len(unknowns.names))
     estimate = unknowns.estimate(none, unknowns.prior)
     assert estimate.covariance[:3, :3] == pytest.approx(block, rel=1e-6)
@@ -75,14 +75,14 @@ def test_sigmas_of_factors_are_shares_of_their_value(unknowns):
 
 def test_a_sigma_of_zero_holds_a_parameter():
     settings = IdentificationSettings(mass=0.0, anchor_points=0.0)
-    names = choose_unknowns(ct.load_robot("carosac"), settings).names
+    names = choose_coordinates(ct.load_robot("carosac"), settings).names
     assert not [name for name in names if name.startswith(("mass", "anchor"))]
 
 
 def test_a_factor_cannot_begin_at_zero():
     robot = replace(ct.load_robot("carosac"), drag=0.0)
     with pytest.raises(InvalidField, match=r"drag: got 0.0; allowed: > 0, or the setting drag = 0"):
-        choose_unknowns(robot, IdentificationSettings())
+        choose_coordinates(robot, IdentificationSettings())
 
 
 def test_settings_refuse_what_is_no_sigma():

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from calibration.self_calibration.problem import Problem
-from calibration.self_calibration.settings import Settings
-from calibration.self_calibration.synthetic import Noise, measure
+from calibration.self_calibration.problem import MotorAngleProblem
+from calibration.self_calibration.settings import SelfCalibrationSettings
+from calibration.self_calibration.synthetic import MeasurementNoise, measure
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable.drum import drums_of
 from tests.calibration.self_calibration.scenes import scene
 from tests.robots import eight_cable_robot, with_pulleys
 
-SILENT = Noise(line=0.0, known=0.0)
+SILENT = MeasurementNoise(line=0.0, known=0.0)
 
 
 def rotated_robot():
@@ -35,7 +35,7 @@ def rotated_problem():
     place = rng.uniform(robot.workspace_min, robot.workspace_max, (5, 3))
     place[0] = robot.home_position
     angles = measure(robot, place, np.arange(2), SILENT, rng)
-    return Problem(robot, angles, Settings()), place
+    return MotorAngleProblem(robot, angles, SelfCalibrationSettings()), place
 
 
 def test_residuals_of_the_truth_vanish_over_pulleys_and_at_a_rotation():
@@ -91,7 +91,7 @@ def test_the_radius_with_all_line_wound_in_has_the_derivative_it_says():
 
 def test_alike_drums_share_their_radius_error():
     before, _, _, angles = scene()
-    problem = Problem(before, angles, Settings())
+    problem = MotorAngleProblem(before, angles, SelfCalibrationSettings())
     assert [name for name in problem.names if name.startswith("drum_radius")] == [
         "drum_radius[a, b, c]", "drum_radius[d]",
     ]  # fmt: skip
@@ -99,7 +99,7 @@ def test_alike_drums_share_their_radius_error():
         "drum_buildup[a, b, c, d]"
     ]
     other = replace(before, drum_radius=before.drum_radius + np.array([0.0, 1e-3, 0.0, 0.0]))
-    names = Problem(other, angles, Settings()).names
+    names = MotorAngleProblem(other, angles, SelfCalibrationSettings()).names
     assert "drum_radius[a, c]" in names and "drum_radius[b]" in names
 
 
@@ -107,7 +107,7 @@ def test_a_robot_without_drums_is_refused():
     _, _, _, angles = scene()
     before = replace(ct.load_robot("carosac"), cable_names=("a", "b", "c", "d"))
     with pytest.raises(InvalidField, match="drum_radius: got unknown for robot 'carosac'"):
-        Problem(before, angles, Settings())
+        MotorAngleProblem(before, angles, SelfCalibrationSettings())
 
 
 @pytest.mark.parametrize(
@@ -120,4 +120,4 @@ def test_a_robot_without_drums_is_refused():
 )
 def test_settings_that_mean_nothing_are_refused(change, message):
     with pytest.raises(InvalidField, match=message):
-        Settings(**change)
+        SelfCalibrationSettings(**change)

@@ -8,7 +8,7 @@ from geocompy.gsi.gsiformat import GsiUnit
 
 from calibration.tachymeter.csv_file import read_csv
 from calibration.tachymeter.gsi import read_gsi
-from calibration.tachymeter.observations import Instrument, Reference, Sighting
+from calibration.tachymeter.observations import Instrument, ReferencePoint, Sighting
 from calibration.tachymeter.survey_files import read_survey
 from calibration.tachymeter.synthetic_files import write_csv, write_gsi, write_targets
 from calibration.tachymeter.targets import read_targets
@@ -326,6 +326,6 @@ def test_a_reference_needs_a_sigma():
     from carosac_toolkit.base.errors import InvalidField
 
     with pytest.raises(InvalidField, match="position and sigma"):
-        Reference("R1", np.zeros(3))
+        ReferencePoint("R1", np.zeros(3))
     with pytest.raises(InvalidField, match="sigma > 0"):
-        Reference("R1", np.zeros(3), np.zeros(3))
+        ReferencePoint("R1", np.zeros(3), np.zeros(3))
