@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
 from calibration.estimate import ParameterEstimate
 from calibration.observability import Observability
+from calibration.result import CalibrationResult
+from calibration.robot_update import write_robot
 from carosac_toolkit.reports.page import (
     bullets,
     definitions,
@@ -95,28 +98,37 @@ def blunders_html(header: tuple[str, ...], rows: Rows, *, left: int) -> str:
     return f"<h2>Measurements left out as blunders</h2>{found}"
 
 
+@dataclass(frozen=True, kw_only=True)
+class ReportContent:
+    """The part of a report that differs from calibration to calibration.
+
+    Attributes:
+        parts: HTML, in order.
+        images: PNG and caption by file name without suffix.
+    """
+
+    parts: Sequence[str]
+    images: Mapping[str, tuple[bytes, str]]
+
+
 def write_report(
     folder: Path,
     title: str,
-    parts: Sequence[str],
+    result: CalibrationResult,
+    content: ReportContent,
     *,
-    said: Sequence[str] = (),
-    warned: Sequence[str] = (),
-    images: Mapping[str, tuple[bytes, str]],
     provenance: Mapping[str, str],
-    words: Sequence[str],
+    command: Sequence[str],
 ) -> list[Path]:
     """Write report.html and its pictures into a folder; every file appears whole, or nothing does.
 
     Args:
         folder: Made if need be; files of an earlier report in it are replaced.
         title: Of the page.
-        parts: HTML, in order.
-        said: What was found, in sentences.
-        warned: What must not be overlooked.
-        images: PNG and caption by file name without suffix.
-        provenance: What went in.
-        words: The command that repeats this.
+        result: Its sentences and warnings stand on top.
+        content: Tables and pictures.
+        provenance: Inputs by name.
+        command: The command that repeats the calibration.
 
     Returns:
         The files, the report last.
@@ -124,14 +136,48 @@ def write_report(
     document = page(
         title,
         [
-            *warnings(warned),
-            bullets(said),
-            *parts,
-            *(picture(image, caption) for image, caption in images.values()),
+            *warnings(result.warnings),
+            bullets(result.sentences()),
+            *content.parts,
+            *(picture(image, caption) for image, caption in content.images.values()),
             "<h2>Provenance</h2>",
             definitions({**provenance, **made_with()}),
-            repeat(words),
+            repeat(command),
         ],
     )
-    files = {f"{name}.png": image for name, (image, _) in images.items()}
+    files = {f"{name}.png": image for name, (image, _) in content.images.items()}
     return write_files(folder, {**files, "report.html": document.encode()})
+
+
+def write_new_robot(
+    result: CalibrationResult, robot: str, output: Path | None, *, provenance: str,
+    name: str | None = None,
+) -> None:  # fmt: skip
+    """Write the calibrated robot's file, if one was asked for, and print where it is.
+
+    Args:
+        result: The calibration.
+        robot: Bundled name or path of the robot before.
+        output: The new file; None: nothing is written.
+        provenance: Source of the numbers, one line.
+        name: Of the new robot; None keeps the old one.
+    """
+    if output is not None:
+        write_robot(robot, result.estimate, output, provenance=provenance, name=name)
+        print(f"\nnew robot file: {output}")
+
+
+def option_words(options: object, skipped: Sequence[str]) -> list[str]:
+    """Return the words of a command line that set options to other than their defaults.
+
+    Args:
+        options: A dataclass of options.
+        skipped: Options that stand elsewhere in the command.
+    """
+    words: list[str] = []
+    for field in fields(options):  # type: ignore[arg-type]
+        value = getattr(options, field.name)
+        if field.name not in skipped and value != field.default:
+            words += [f"--{field.name.replace('_', '-')}"]
+            words += [] if value is True else [str(value)]
+    return words

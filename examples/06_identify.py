@@ -30,7 +30,8 @@ figure, (motion, learnt) = plt.subplots(
 )
 time, measured = found.measured.time, found.measured.position
 for label, position, color in (
-    ("nominal robot", found.before, "tab:gray"), ("identified robot", found.after, "tab:blue")
+    ("nominal robot", found.position_before, "tab:gray"),
+    ("identified robot", found.position_after, "tab:blue"),
 ):  # fmt: skip
     motion.plot(time, 1e3 * (position - measured)[:, 0], color=color, lw=1.2, label=label)
 motion.axvline(run.recording.time[cut], color="tab:red", lw=1.5)

@@ -20,9 +20,15 @@ from typing import Annotated
 import tyro
 
 from calibration.identification import Identification, identify
-from calibration.identification.report import write_identification
-from calibration.report import print_parameters, print_sentences
-from calibration.robot_update import check_output, write_robot
+from calibration.identification.report import report_content
+from calibration.report import (
+    option_words,
+    print_parameters,
+    print_sentences,
+    write_new_robot,
+    write_report,
+)
+from calibration.robot_update import check_output
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.recordings.bundled import find_recording
@@ -32,6 +38,7 @@ from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.robot import Robot
 
 Range = tuple[int, int]
+COMMAND_OPTIONS = ("recording", "robot", "train", "test", "report", "json", "seed")  # as resolved
 _TRAIN_SHARE_DEFAULT = 2.0 / 3.0  # of the samples that are fitted, where nothing else is asked for
 
 
@@ -67,24 +74,28 @@ def run(options: Options) -> CommandResult:
     result = identify(recording, found.robot, train=train, test=test, report=_Steps(found.robot))
     print()
     _print(result)
-    words = _words(options, found, train, test)
-    files = write_identification(
-        folder, result, recording, _provenance(options, recording, found), words
+    command = ["carosac", "identify", options.recording, "--robot", found.name]
+    command += ["--train", f"{train[0]}:{train[1]}"]
+    command += [] if test is None else ["--test", f"{test[0]}:{test[1]}"]
+    files = write_report(
+        folder,
+        f"Identification of {result.robot.name}",
+        result,
+        report_content(result, recording),
+        provenance=_provenance(options, recording, found),
+        command=command + option_words(options, COMMAND_OPTIONS),
     )
     print(f"\nreport: {files[-1]} and {len(files) - 1} pictures beside it")
-    if options.output is not None:
-        name = Path(options.recording).name
-        source = f"carosac identify, samples {train[0]}:{train[1]} of {name}"
-        write_robot(
-            found.name, result.estimate, options.output,
-            provenance=source, name=options.output.stem,
-        )  # fmt: skip
-        print(f"robot:  {options.output}")
+    name = Path(options.recording).name
+    write_new_robot(
+        result, found.name, options.output, name=options.output.stem if options.output else None,
+        provenance=f"carosac identify, samples {train[0]}:{train[1]} of {name}",
+    )  # fmt: skip
     sys.stdout.flush()
-    for line in result.warnings():
+    for line in result.warnings:
         print(f"carosac: warning: {line}", file=sys.stderr)
     data = {"recording": options.recording, "robot": found.name, **result.data()}
-    return CommandResult(data, status=1 if result.warnings() else 0)
+    return CommandResult(data, status=1 if result.warnings else 0)
 
 
 class _Steps:
@@ -149,11 +160,3 @@ def _provenance(options: Options, recording: Recording, found: FoundRobot) -> di
         "cite": metadata.citation,
         "robot before": f"{found.name}: {found.robot.description}",
     }
-
-
-def _words(options: Options, found: FoundRobot, train: Range, test: Range | None) -> list[str]:
-    """The command that repeats this."""
-    words = ["carosac", "identify", options.recording, "--robot", found.name]
-    words += ["--train", f"{train[0]}:{train[1]}"]
-    words += [] if test is None else ["--test", f"{test[0]}:{test[1]}"]
-    return words + ([] if options.output is None else ["--output", str(options.output)])

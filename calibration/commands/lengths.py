@@ -33,12 +33,17 @@ from calibration.lengths.report import (
     POSE_HEADER,
     cable_rows,
     pose_rows,
-    sentences,
-    write_report,
+    report_content,
 )
 from calibration.observability import Unobservable
-from calibration.report import print_parameters, print_sentences
-from calibration.robot_update import check_output, write_robot
+from calibration.report import (
+    option_words,
+    print_parameters,
+    print_sentences,
+    write_new_robot,
+    write_report,
+)
+from calibration.robot_update import check_output
 from calibration.self_calibration.files import holds_motor_angles
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, OutputFolder
@@ -152,18 +157,7 @@ def _check_without_poses(options: Options) -> None:
 
 def _settings(options: Options) -> LengthSettings:
     """Noise and priors of the options."""
-    return LengthSettings(
-        length_noise=options.length_noise,
-        position_noise=options.position_noise,
-        rotation_noise=options.rotation_noise,
-        exit_prior=options.exit_prior,
-        anchor_prior=options.anchor_prior,
-        offset_prior=options.offset_prior,
-        scale_prior=options.scale_prior,
-        delay_prior=options.delay_prior,
-        tilt_prior=options.tilt_prior,
-        center_prior=options.center_prior,
-    )
+    return LengthSettings(**{name: getattr(options, name) for name in vars(LengthSettings())})
 
 
 def _suggested(
@@ -182,8 +176,8 @@ def _print(result: LengthCalibration, suggested: SuggestedPoses | None) -> None:
     width = max(80, shutil.get_terminal_size().columns)
     print_sentences(result.warnings, "WARNING: ")
     print("\n" + fit(CABLE_HEADER, cable_rows(result), CABLE_GROUPS, width), end="\n\n")
-    print_sentences(sentences(result))
-    weak = [*result.observability.sentences(), *result.sentences]
+    print_sentences(result.sentences())
+    weak = [*result.observability.sentences(), *result.notes]
     print_sentences(weak[:WEAK_SENTENCES_MAX])
     if len(weak) > WEAK_SENTENCES_MAX:
         print_sentences(
@@ -205,33 +199,23 @@ def _write(
     options: Options, result: LengthCalibration, suggested: SuggestedPoses | None, robot: str
 ) -> None:
     """Write robot file and report."""
-    if options.output is not None:
-        write_robot(
-            robot, result.estimate, options.output, name=options.output.stem,
-            provenance=(
-                f"cable lengths and poses of {Path(options.recording).name} "
-                f"({len(result.sample)} samples, residual {1e3 * result.residual_rms:.2f} mm RMS)"
-            ),
-        )  # fmt: skip
-        print(f"\nnew robot file: {options.output}")
+    write_new_robot(
+        result, robot, options.output, name=options.output.stem if options.output else None,
+        provenance=(
+            f"cable lengths and poses of {Path(options.recording).name} "
+            f"({len(result.sample)} samples, residual {1e3 * result.residual_rms:.2f} mm RMS)"
+        ),
+    )  # fmt: skip
     if options.report is not None:
         write_report(
-            options.report, result, suggested,
-            title=f"Calibration of {result.robot.name} from {Path(options.recording).name}",
+            options.report,
+            f"Calibration of {result.robot.name} from {Path(options.recording).name}",
+            result,
+            report_content(result, suggested),
             provenance={"recording": options.recording, "robot": robot},
-            words=_words(options, robot),
+            command=[
+                "carosac", "calibrate", "lengths", options.recording, "--robot", robot,
+                *option_words(options, ("recording", "robot", "json")),
+            ],
         )  # fmt: skip
         print(f"report: {options.report / 'report.html'}")
-
-
-def _words(options: Options, robot: str) -> list[str]:
-    """The command that repeats this."""
-    words = ["carosac", "calibrate", "lengths", options.recording, "--robot", robot]
-    for name, default in vars(Options(recording="")).items():
-        value = getattr(options, name)
-        if name not in ("recording", "robot", "json", "output", "report") and value != default:
-            words += [f"--{name.replace('_', '-')}", str(value)]
-    for name in ("output", "report"):
-        value = getattr(options, name)
-        words += [f"--{name}", str(value)] if value is not None else []
-    return words

@@ -77,7 +77,7 @@ class Fitter:
         self._path = path
         self._poses = poses
         self._settings = settings
-        self._precision = np.linalg.inv(unknowns.prior)
+        self._precision = unknowns.prior.information
 
     def run(self, report: ProgressCallback) -> CoordinateFit:
         """Search.
@@ -89,7 +89,7 @@ class Fitter:
         Raises:
             CarosacError: The robot's simulation fails where the search stands.
         """
-        at = np.zeros(len(self._unknowns.names))
+        at = self._unknowns.prior.mean
         whole = self._poses
         for share in POSE_SHARES:
             self._poses = whole.rows(np.arange(round(share * len(whole.time))))
@@ -163,7 +163,7 @@ class Fitter:
         )
         if not good.all():
             row = int(np.argmin(good))
-            beside = f" with another {self._unknowns.names[row - 1]}" if row else ""
+            beside = f" with another {self._unknowns.prior.names[row - 1]}" if row else ""
             raise CarosacError(f"identification: no finite motion of the robot{beside}")
         errors = [
             self._poses.errors(motion.position[:, k], motion.rotation[:, k])
@@ -224,7 +224,7 @@ class Fitter:
         stiff = hessian + damping * np.diag(np.diag(hessian))
         step = np.zeros(len(at))
         step[free] = -np.linalg.solve(stiff[np.ix_(free, free)], gradient[free])
-        longest = float(np.abs(step / np.sqrt(np.diag(self._unknowns.prior))).max())
+        longest = float(np.abs(step / self._unknowns.prior.sigma).max())
         found: Array = np.maximum(at + step * min(1.0, STEP_MAX_SIGMAS / longest), lower)
         return found
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.robust import NORMAL_MEDIAN, pseudo_huber
 from carosac_toolkit.base.arrays import Array
 
 # Least sigma, positions [m] and rotations [rad]: noise of readings, what smoothing takes away, and
@@ -37,20 +38,18 @@ class PoseErrorNoise:
 
     def weights(self, errors: Array) -> Array:
         """Inverse variance of errors (K, 6), less where they are large; same shape."""
-        shares = 1.0 / np.sqrt(1.0 + (errors / (HEAVY_TAIL_SIGMAS * self.sigma)) ** 2)
-        found: Array = shares / (self.sigma**2 * self.repeats)
-        return found
+        shares, _ = pseudo_huber(errors, HEAVY_TAIL_SIGMAS * self.sigma)
+        return np.asarray(shares / (self.sigma**2 * self.repeats))
 
     def cost(self, errors: Array) -> float:
         """Whose derivative the weighted errors are, up to a factor 1/2."""
-        size = errors / (HEAVY_TAIL_SIGMAS * self.sigma)
-        heavy = 2.0 * HEAVY_TAIL_SIGMAS**2 * (np.sqrt(1.0 + size**2) - 1.0)
-        return float((heavy / self.repeats).sum())
+        _, loss = pseudo_huber(errors, HEAVY_TAIL_SIGMAS * self.sigma)
+        return float((HEAVY_TAIL_SIGMAS**2 * loss / self.repeats).sum())
 
 
 def estimate_noise(errors: Array) -> PoseErrorNoise:
     """Estimate the noise from errors, shape (K, 6)."""
-    typical = np.median(np.abs(errors), axis=0) / 0.6745  # of a normal variable
+    typical = np.median(np.abs(errors), axis=0) / NORMAL_MEDIAN
     rms = np.sqrt((errors**2).mean(axis=0))
     return PoseErrorNoise(
         sigma=np.maximum(SIGMA_MIN, np.minimum(rms, 1.5 * typical)),

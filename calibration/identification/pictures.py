@@ -27,7 +27,7 @@ def draw_motion(result: Identification, recording: Recording) -> Figure:
         for first, end in rests:
             axes.axvspan(recording.time[first], recording.time[end - 1], color=REST, lw=0)
         if i < 3:
-            before = (result.before - result.measured.position)[:, i] * 1e3
+            before = (result.position_before - result.measured.position)[:, i] * 1e3
             axes.plot(time, before, color=COLOR_BEFORE, lw=0.9, label="before")
             axes.plot(time, result.errors[:, i] * 1e3, color=COLOR_AFTER, lw=1.1, label="after")
             axes.set_ylabel(f"error in {'xyz'[i]} [mm]")

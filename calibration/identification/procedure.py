@@ -10,8 +10,8 @@ from calibration.identification.measured import MeasuredPoses, poses_of
 from calibration.identification.open_loop import simulate
 from calibration.identification.result import Identification, RestErrors, ScoredRange
 from calibration.identification.settings import IdentificationSettings
-from calibration.identification.unknowns import Coordinates, choose_coordinates
-from calibration.observability import Observability, Unobservable, judge
+from calibration.identification.unknowns import choose_coordinates
+from calibration.observability import Unobservable
 from calibration.robot_update import updated
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
@@ -26,6 +26,7 @@ from carosac_toolkit.validation.plausibility import find_mix_ups
 from carosac_toolkit.validation.scores import PoseScores, score_poses
 
 Range = tuple[int, int]
+REST_SPEED_MAX_M_S = 0.05  # a platform that is faster does not rest
 MOTION_MIN_S = 5.0  # seconds of motion, below which no dynamics are identified
 START_DISTANCE_MAX_M = 0.5  # [m]
 MOTION_MIN_M = 0.01  # [m]: a platform that moves by less does not show its dynamics
@@ -70,17 +71,19 @@ def identify(
     estimate = unknowns.estimate(fit.coordinates, fit.covariance)
     identified = updated(robot, estimate)
     after = _motion(identified, path, poses, chosen)
+    first_speed = _first_speed(poses)
+    scored = None if test is None else _part(poses, before, after, test)
     return Identification(
-        robot=identified,
-        first_speed=_first_speed(poses),
+        before=robot,
+        warnings=tuple(_warnings(fit, first_speed, scored)),
         estimate=estimate,
-        observability=_observability(unknowns, fit),
+        observability=unknowns.prior.judge(fit.information),
         train=_part(poses, before, after, train),
-        test=None if test is None else _part(poses, before, after, test),
+        test=scored,
         rests=_rests(recording, robot, identified, poses),
         measured=poses,
-        before=before[:, :3] + poses.position,
-        after=after[:, :3] + poses.position,
+        position_before=before[:, :3] + poses.position,
+        position_after=after[:, :3] + poses.position,
         errors=after,
         iterations=fit.iterations,
         converged=fit.converged,
@@ -149,8 +152,8 @@ def _check_start(errors: Array) -> None:
         got = f"lengths that hang the robot {away:.2f} m from the first measured pose"
         allowed = (
             "lengths and poses of this robot, which rests at sample 0, within "
-            f"{START_DISTANCE_MAX_M:g} m; 'carosac calibrate lengths' finds offsets, swapped cables "
-            "and wrong units"
+            f"{START_DISTANCE_MAX_M:g} m; 'carosac calibrate lengths' finds offsets, swapped "
+            "cables and wrong units"
         )
         raise InvalidField("recording", got, allowed)
 
@@ -176,8 +179,19 @@ def _scores(errors: Array) -> PoseScores:
     return score_poses(errors[:, :3], np.linalg.norm(errors[:, 3:], axis=1))
 
 
-def _observability(unknowns: Coordinates, fit: CoordinateFit) -> Observability:
-    return judge(unknowns.names, fit.information, np.sqrt(np.diag(unknowns.prior)))
+def _warnings(fit: CoordinateFit, first_speed: float, test: ScoredRange | None) -> list[str]:
+    """Return what must not be overlooked."""
+    lines = []
+    if not fit.converged:
+        lines.append(f"the search had not settled after {fit.iterations} steps")
+    if first_speed > REST_SPEED_MAX_M_S:
+        lines.append(
+            f"the platform moves at the first sample, by {first_speed:.2g} m/s, where the "
+            "simulation begins at rest: cut the recording so that it begins in a rest"
+        )
+    if test is not None and test.after.rmse[3] > test.before.rmse[3]:
+        lines.append("the identified robot is worse than before on the samples kept back")
+    return lines
 
 
 def _rests(

@@ -7,16 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from calibration.estimate import ParameterEstimate
 from calibration.identification.measured import MeasuredPoses
-from calibration.observability import Observability
+from calibration.result import CalibrationResult
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.parameters import field_of
-from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.scores import PoseScores
 
 CONTRADICTION_SIGMAS = 2.0  # sigmas: a parameter that moved further contradicts what was known
-REST_SPEED_MAX_M_S = 0.05  # [m/s]: a platform that is faster does not rest
 LEARNT_SIGMA_SHARE = 0.7  # of its prior sigma: a parameter that keeps more was hardly learnt
 
 
@@ -69,42 +66,34 @@ class RestErrors:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Identification:
+class Identification(CalibrationResult):
     """An identified robot and how well it moves as measured.
 
     Attributes:
-        robot: The identified one, with what is known of it.
-        estimate: Its parameters.
-        observability: What the data tell of the coordinates of the search.
         train: Samples that were fitted.
         test: Samples that were not; None where none were kept back.
         rests: Mean poses at rest.
         measured: All measured poses, K of them, in W.
-        before: Positions of the robot as it was known [m], shape (K, 3).
-        after: Positions of the identified robot [m], shape (K, 3).
+        position_before: Of the robot as it was known [m], shape (K, 3).
+        position_after: Of the identified robot [m], shape (K, 3).
         errors: Of the identified robot, shape (K, 6): [m] and [rad].
         iterations: Steps of the search.
         converged: Whether it ended by itself.
         excess: By how much the data count for less than independent innovations would.
         fitted_samples: Poses that were fitted.
-        first_speed: Of the platform where the simulation begins at rest [m/s].
     """
 
-    robot: Robot
-    estimate: ParameterEstimate
-    observability: Observability
     train: ScoredRange
     test: ScoredRange | None
     rests: RestErrors
     measured: MeasuredPoses
-    before: Array
-    after: Array
+    position_before: Array
+    position_after: Array
     errors: Array
     iterations: int
     converged: bool
     excess: float
     fitted_samples: int
-    first_speed: float
 
     def data(self) -> dict[str, Any]:
         """All numbers under names with units, ready for JSON."""
@@ -139,21 +128,6 @@ class Identification:
             f"last for many samples{self._excess()}"
         )
         return [*lines, *self._untaught(), *self._contradictions()]
-
-    def warnings(self) -> list[str]:
-        """What must not be overlooked."""
-        found = []
-        if not self.converged:
-            found.append(f"the search had not settled after {self.iterations} steps")
-        if self.first_speed > REST_SPEED_MAX_M_S:
-            found.append(
-                f"the platform moves at the first sample, by {self.first_speed:.2g} m/s, where the "
-                "simulation begins at rest: cut the recording so that it begins in a rest"
-            )
-        test = self.test
-        if test is not None and test.after.rmse[3] > test.before.rmse[3]:
-            found.append("the identified robot is worse than before on the samples kept back")
-        return found
 
     def _scores(self, word: str, part: ScoredRange) -> str:
         x, y, z, norm = part.after.rmse * 1e3

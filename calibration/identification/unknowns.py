@@ -14,6 +14,7 @@ import numpy as np
 
 from calibration.estimate import ParameterEstimate
 from calibration.identification.settings import IdentificationSettings
+from calibration.prior import Prior
 from calibration.robot_update import prior_covariance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
@@ -39,21 +40,19 @@ class Coordinates:
 
     Attributes:
         robot: Where all coordinates are 0.
-        names: Parameters in their order; the inertia's stand for the spread of mass along that
-            axis.
+        prior: Of the coordinates, under the names of the parameters that they change; the
+            inertia's stand for the spread of mass along that axis. The mean is 0.
         scale: What a coordinate of 1 changes a parameter by, or the logarithm of its factor, (k,).
         factor: Whether it is a factor, shape (k,).
         lower: Least coordinates, shape (k,).
-        prior: Joint covariance of the coordinates, shape (k, k).
         reach: Mean length of the cables at home, straight [m].
     """
 
     robot: Robot
-    names: tuple[str, ...]
+    prior: Prior
     scale: Array
     factor: Array
     lower: Array
-    prior: Array
     reach: float
 
     def robot_at(self, coordinates: Array) -> Robot:
@@ -62,19 +61,19 @@ class Coordinates:
         Raises:
             InvalidField: There is no such robot.
         """
-        robot, start = self.robot, values_of(self.robot, self.names)
+        robot, start = self.robot, values_of(self.robot, self.prior.names)
         shares = self.scale * coordinates
         values = np.where(self.factor > 0.0, start * np.exp(shares), start + shares)
-        for i, name in enumerate(self.names):
+        for i, name in enumerate(self.prior.names):
             if field_of(name) == "axial_stiffness":
                 values[i] *= self._lengthening(name, values)
-        plain = [i for i, name in enumerate(self.names) if name not in _INERTIA_NAMES]
-        changed = with_values(robot, [self.names[i] for i in plain], values[plain])
-        if len(plain) == len(self.names):
+        plain = [i for i, name in enumerate(self.prior.names) if name not in _INERTIA_NAMES]
+        changed = with_values(robot, [self.prior.names[i] for i in plain], values[plain])
+        if len(plain) == len(self.prior.names):
             return changed
         stretch = np.ones(3)
         for i, name in enumerate(_INERTIA_NAMES):
-            stretch[i] = np.exp(0.5 * shares[self.names.index(name)])
+            stretch[i] = np.exp(0.5 * shares[self.prior.names.index(name)])
         spread = 0.5 * np.trace(robot.inertia) * np.eye(3) - robot.inertia
         spread = spread * np.outer(stretch, stretch)
         return replace(changed, inertia=np.trace(spread) * np.eye(3) - spread)
@@ -82,9 +81,9 @@ class Coordinates:
     def _lengthening(self, name: str, values: Array) -> float:
         """By which factor the cable with its run becomes longer, for a parameter named as EA."""
         run = name.replace("axial_stiffness", "run_length")
-        if run not in self.names:
+        if run not in self.prior.names:
             return 1.0
-        row = self.names.index(run)
+        row = self.prior.names.index(run)
         before = float(values_of(self.robot, (run,))[0])
         return float((self.reach + values[row]) / (self.reach + before))
 
@@ -97,7 +96,7 @@ class Coordinates:
         """
 
         def values(at: Array) -> Array:
-            return values_of(self.robot_at(at), self.names)
+            return values_of(self.robot_at(at), self.prior.names)
 
         def derivative(at: Array) -> Array:
             steps = PARAMETER_DERIVATIVE_STEP * np.eye(len(at))
@@ -110,11 +109,11 @@ class Coordinates:
 
         slope, first = derivative(coordinates), derivative(np.zeros(len(coordinates)))
         return ParameterEstimate(
-            names=self.names,
+            names=self.prior.names,
             value=values(coordinates),
             covariance=slope @ covariance @ slope.T,
             start=values(np.zeros(len(coordinates))),
-            prior_sigma=np.sqrt(np.diag(first @ self.prior @ first.T)),
+            prior_sigma=np.sqrt(np.diag(first @ self.prior.covariance @ first.T)),
         )
 
 
@@ -141,18 +140,19 @@ def choose_coordinates(robot: Robot, settings: IdentificationSettings) -> Coordi
         raise InvalidField("settings", "all parameters are held", "at least one sigma > 0")
     natural = np.where(factor, start * scale, scale)  # one sigma of the parameters themselves
     known = prior_covariance(robot, names, natural)
-    prior = known / np.outer(natural, natural)
+    prior = Prior(
+        names=names, mean=np.zeros(len(names)), covariance=known / np.outer(natural, natural)
+    )
     lower = np.full(len(names), -np.inf)
     for i, name in enumerate(names):
         if field_of(name) == "run_length":
             lower[i] = -start[i] / scale[i]
     return Coordinates(
         robot=robot,
-        names=names,
+        prior=prior,
         scale=scale,
         factor=factor.astype(np.float64),
         lower=lower,
-        prior=prior,
         reach=_reach(robot),
     )
 

@@ -92,11 +92,14 @@ def check_observable(unknowns: LengthUnknowns, data: Array, position: Array) -> 
     exits = unknowns.exits
     if unknowns.anchored or not len(exits):
         return
-    after = np.linalg.inv(data + unknowns.information)
+    after = np.linalg.inv(data + unknowns.prior.information)
     said = []
     for cable, rows in zip(unknowns.robot.cable_names, exits.reshape(-1, 3), strict=True):
         values, vectors = np.linalg.eigh(after[np.ix_(rows, rows)])
-        sigma, before = float(np.sqrt(values[-1])), unknowns.covariance[rows[0], rows[0]] ** 0.5
+        sigma, before = (
+            float(np.sqrt(values[-1])),
+            unknowns.prior.covariance[rows[0], rows[0]] ** 0.5,
+        )
         if sigma > max(LEARNT_SIGMA_SHARE * before, EXIT_SIGMA_MAX_M):
             along = np.array2string(np.abs(vectors[:, -1]), precision=2, separator=", ")
             said.append(
@@ -134,7 +137,7 @@ def radial_sentences(unknowns: LengthUnknowns, covariance: Array, direction: Arr
         covariance: Of the estimate, shape (k, k).
         direction: Mean unit vector from exit to anchor points, shape (n, 3).
     """
-    offsets, said = unknowns.index("length_offset"), list[str]()
+    offsets, said = unknowns.prior.rows("length_offset"), list[str]()
     if len(offsets) != unknowns.robot.n or not len(unknowns.exits):
         return said
     for i, name in enumerate(unknowns.robot.cable_names):

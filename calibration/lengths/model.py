@@ -94,7 +94,7 @@ def correction(robot: Robot, poses: PosesAt, tension: Array) -> SagCorrection:
 
 
 def predict(
-    robot: Robot, poses: PosesAt, correction: Array, *, plumb: bool, anchored: bool
+    robot: Robot, poses: PosesAt, correction: Array, *, with_balance: bool, anchored: bool
 ) -> PredictedReadings:
     """Readings at measured poses.
 
@@ -102,7 +102,7 @@ def predict(
         robot: With the parameters to judge.
         poses: In W.
         correction: As of a robot nearby [m], shape (S, n).
-        plumb: Whether the balance of the platform is compared as well; n < 6.
+        with_balance: Whether the balance of the platform is compared as well; n < 6.
         anchored: Whether a tilt turns the poses, or gravity alone.
     """
     cables = straight_length(robot, poses.position, poses.rotation)
@@ -117,7 +117,7 @@ def predict(
         [_by_geometry(cables, poses) * scale[:, None], ones, length[:, :, None] * np.eye(n)], axis=2
     )
     by_center, by_gravity = np.zeros((size, n, 3)), np.zeros((size, n, 2))
-    if plumb:
+    if with_balance:
         held = balance(robot, poses.rotation, cables, upwards(robot, anchored=anchored))
         value = np.concatenate([value, held.residual], axis=1)
         by_pose = np.concatenate([by_pose, held.by_pose], axis=1)

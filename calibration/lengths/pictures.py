@@ -62,7 +62,7 @@ def images(
         found["exit_points"] = (
             png(
                 draw_exit_points(
-                    names, result.start.exit_points, result.prior_exit_covariance,
+                    names, result.before.exit_points, result.exit_covariance_before,
                     result.robot.exit_points, result.robot.exit_covariance,
                 )
             ),

@@ -79,10 +79,10 @@ def suggest_poses(
     if isinstance(found, Robot):
         robot, noise = found, (known.length_noise or TYPICAL_LENGTH_NOISE_M, TYPICAL_SWAY_RAD)
         unknowns = find_unknowns(robot, known, relative=False)
-        now = unknowns.covariance
+        now = unknowns.prior.covariance
     else:
         robot, unknowns, now = found.robot, found.unknowns, found.covariance
-        noise = (found.length_noise, found.plumb_noise or TYPICAL_SWAY_RAD)
+        noise = (found.length_noise, found.balance_noise or TYPICAL_SWAY_RAD)
     rest = _candidates(robot, rng)
     jacobian, spread = _gains(robot, unknowns, known, rest, noise)
     exits, chosen = unknowns.exits, list[int]()
@@ -135,13 +135,13 @@ def _gains(
     noise: tuple[float, float],
 ) -> tuple[Array, Array]:
     """Derivatives (C, m, k) and covariances (C, m, m) of what a candidate would measure."""
-    plumb = robot.n < 6
+    with_balance = robot.n < 6
     level = replace(robot, pose_rotation=None)
     found = predict(
         level,
         rest,
         np.zeros((len(rest.position), robot.n)),
-        plumb=plumb,
+        with_balance=with_balance,
         anchored=unknowns.anchored,
     )
     m = found.value.shape[1]

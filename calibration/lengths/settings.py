@@ -24,8 +24,6 @@ class LengthSettings:
         length_noise: Of one reading [m]; None: estimated from what the fit leaves.
         position_noise: Of a measured position, per axis [m].
         rotation_noise: Of a measured rotation, per axis [rad].
-        tension_share: Share of each tension that is not known, as from the mass; the part of sag
-            and stretch that depends on it counts as noise.
         exit_prior: Exit points per axis [m], for a robot without covariance.
         anchor_prior: Anchor points per axis [m].
         offset_prior: Length offsets [m]; readings of relative length have no prior.
@@ -39,7 +37,6 @@ class LengthSettings:
     length_noise: float | None = None
     position_noise: float = 1e-3
     rotation_noise: float = 0.5e-3
-    tension_share: float = 0.05
     exit_prior: float = 0.05
     anchor_prior: float = 2e-3
     offset_prior: float = 1.0

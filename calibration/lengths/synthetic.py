@@ -91,8 +91,8 @@ def draw_scene(
     made, known = settings or SceneSettings(), prior or LengthSettings()
     close = replace(known, offset_prior=min(known.offset_prior, 0.2))
     unknowns = find_unknowns(robot, close, relative=False)
-    drawn = rng.multivariate_normal(unknowns.start, unknowns.covariance)
-    truth = dict(zip(unknowns.names, drawn.tolist(), strict=True))
+    drawn = rng.multivariate_normal(unknowns.prior.mean, unknowns.prior.covariance)
+    truth = dict(zip(unknowns.prior.names, drawn.tolist(), strict=True))
     plant = _plant(unknowns, drawn)
     delay = truth.get("length_delay", 0.0)
     time = np.asarray(
@@ -121,7 +121,7 @@ def draw_scene(
 
 def _plant(unknowns: LengthUnknowns, value: Array) -> Robot:
     """The robot in W, z up; exit points that are not anchored are drawn in the poses' frame."""
-    plant = with_values(unknowns.robot, unknowns.names, value)
+    plant = with_values(unknowns.robot, unknowns.prior.names, value)
     if unknowns.anchored or plant.pose_rotation is None:
         return plant
     return replace(plant, exit_points=plant.exit_points @ plant.pose_rotation.T)

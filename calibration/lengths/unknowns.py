@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.lengths.settings import LengthSettings
+from calibration.prior import Prior
 from calibration.robot_update import prior_covariance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.parameters import field_of, point_names, values_of, with_values
@@ -23,46 +24,26 @@ class LengthUnknowns:
 
     Attributes:
         robot: The robot before the calibration.
-        names: Of the parameters, k of them.
+        prior: Names, values and covariance before, k of them.
         columns: Column of each in the Jacobians by all parameters, shape (k,).
-        start: Values before, shape (k,).
-        covariance: Prior, shape (k, k).
         anchored: Whether the exit points are known in a levelled frame of their own, as by a
             tachymeter. If not, W is the frame of the measured poses, and the tilt of that frame
             turns gravity alone.
     """
 
     robot: Robot
-    names: tuple[str, ...]
+    prior: Prior
     columns: NDArray[np.int64]
-    start: Array
-    covariance: Array
     anchored: bool
 
     @property
-    def information(self) -> Array:
-        """Inverse of the prior covariance, shape (k, k)."""
-        scale = np.sqrt(np.diag(self.covariance))
-        unit = self.covariance / np.outer(scale, scale)
-        found: Array = np.linalg.inv(unit) / np.outer(scale, scale)
-        return found
-
-    @property
     def exits(self) -> NDArray[np.int64]:
-        """Which of them are coordinates of exit points."""
-        return np.array(
-            [k for k, name in enumerate(self.names) if name.startswith("exit_")], np.int64
-        )
-
-    def index(self, prefix: str) -> NDArray[np.int64]:
-        """Which of them have names that begin so."""
-        return np.array(
-            [k for k, name in enumerate(self.names) if name.startswith(prefix)], np.int64
-        )
+        """Places of the exit points' coordinates among the parameters."""
+        return self.prior.rows("exit_points")
 
     def robot_at(self, value: Array) -> Robot:
         """The robot with these parameters, in W; pulleys swivel about what stands on the ground."""
-        robot = with_values(self.robot, self.names, value)
+        robot = with_values(self.robot, self.prior.names, value)
         if self.anchored or robot.pose_rotation is None:
             return robot
         return replace(robot, swivel_axis=robot.swivel_axis @ robot.pose_rotation)
@@ -103,10 +84,12 @@ def find_unknowns(robot: Robot, settings: LengthSettings, *, relative: bool) -> 
     free = np.flatnonzero(np.diag(prior) > 0.0)
     return LengthUnknowns(
         robot=robot,
-        names=tuple(names[k] for k in free),
+        prior=Prior(
+            names=tuple(names[k] for k in free),
+            mean=values_of(robot, [names[k] for k in free]),
+            covariance=prior[np.ix_(free, free)],
+        ),
         columns=free,
-        start=values_of(robot, [names[k] for k in free]),
-        covariance=prior[np.ix_(free, free)],
         anchored=anchored,
     )
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.vectors import cross_matrix
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.cable.straight_line import StraightCables
 from carosac_toolkit.robot.robot import Robot
@@ -80,15 +81,16 @@ def balance(
         by_pose=row @ by_pose,
         by_exit=(row[:, None] @ by_exit).swapaxes(1, 2),
         by_anchor=(row[:, None] @ by_tip @ rotation[:, None]).swapaxes(1, 2),
-        by_center=-row[:, :, 3:] @ _cross(weight) @ rotation,
-        by_gravity=(row[:, :, :3] + row[:, :, 3:] @ _cross(center)) @ -_cross(weight)[:, :2],
+        by_center=-row[:, :, 3:] @ cross_matrix(weight) @ rotation,
+        by_gravity=(row[:, :, :3] + row[:, :, 3:] @ cross_matrix(center))
+        @ -cross_matrix(weight)[:, :2],
     )
 
 
 def _tension(robot: Robot, rotation: Array, center: Array, matrix: Array, load: Array) -> Array:
     """Tensions of least acceleration, (S, n); `matrix` holds a wrench per cable, (S, n, 6)."""
     turning = rotation @ robot.inertia @ rotation.swapaxes(1, 2)
-    lever = _cross(center)
+    lever = cross_matrix(center)
     mass = np.zeros((len(rotation), 6, 6))
     mass[:, :3, :3] = robot.mass * np.eye(3)
     mass[:, :3, 3:] = -robot.mass * lever
@@ -111,20 +113,11 @@ def _derivatives(
     """
     across = np.eye(3) - direction[..., :, None] * direction[..., None, :]
     stiff = across * stiffness[..., None, None]  # (S, n, 3, 3) [N/m]
-    lever, pull = _cross(arm), _cross(-tension[..., None] * direction)
+    lever, pull = cross_matrix(arm), cross_matrix(-tension[..., None] * direction)
     by_exit = np.concatenate([stiff, lever @ stiff], axis=2)
     by_place = -by_exit
     by_tip = by_place.copy()
     by_tip[:, :, 3:] -= pull
     turned = (by_tip @ -lever).sum(1)
-    turned[:, 3:] += _cross(weight) @ _cross(center)
+    turned[:, 3:] += cross_matrix(weight) @ cross_matrix(center)
     return by_tip, by_exit, np.concatenate([by_place.sum(1), turned], axis=2)
-
-
-def _cross(vector: Array) -> Array:
-    """Matrices of the cross product with vectors (..., 3), shape (..., 3, 3)."""
-    matrix = np.zeros((*vector.shape, 3))
-    matrix[..., 0, 1], matrix[..., 0, 2] = -vector[..., 2], vector[..., 1]
-    matrix[..., 1, 0], matrix[..., 1, 2] = vector[..., 2], -vector[..., 0]
-    matrix[..., 2, 0], matrix[..., 2, 1] = -vector[..., 1], vector[..., 0]
-    return matrix

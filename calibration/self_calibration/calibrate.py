@@ -76,12 +76,13 @@ def _result(
 ) -> SelfCalibration:
     """Put everything together."""
     angles, trust = problem.angles, settled.trust
+    system = equations(problem, settled.fit.shared, settled.fit.position, trust)
     lost = ~trust.lengths & ~trust.known
     position = np.where(lost[:, None], settled.fit.position, best.position)
     spread = np.sqrt(np.diagonal(best.position_covariance, axis1=1, axis2=2))
     sigma = np.sqrt(np.diag(best.covariance))
     return SelfCalibration(
-        robot=problem.robot,
+        before=problem.robot,
         estimate=_parameters(problem, best),
         samples=angles.samples,
         position=position,
@@ -97,7 +98,7 @@ def _result(
         redundancy=settled.redundancy,
         blunders=_blunders(problem, settled),
         left_out=_left_out(problem, settled),
-        observability=_observability(problem, settled.fit, trust),
+        observability=problem.prior.judge(system.information - problem.prior.information),
         warnings=warnings,
     )
 
@@ -105,14 +106,14 @@ def _result(
 def _parameters(problem: MotorAngleProblem, best: MapEstimate) -> ParameterEstimate:
     """The numbers of the robot, each with its own drum, as the robot file has them."""
     robot = problem.robot
-    before, slope_before = problem.drum_radius(problem.start)
+    before, slope_before = problem.drum_radius(problem.prior.mean)
     radius, slope = problem.drum_radius(best.shared)
     exits = np.eye(problem.size)[problem.exits.ravel()]
     buildup = np.eye(problem.size)[problem.buildups]
     to_robot = np.vstack([exits, slope, buildup])
-    prior = np.linalg.inv(problem.prior)
+    prior = problem.prior.covariance
     from_before = np.vstack([exits, slope_before, buildup])
-    names = [*problem.names[: problem.exits.size]]
+    names = [*problem.prior.names[: problem.exits.size]]
     names += [f"drum_radius[{cable}]" for cable in robot.cable_names]
     names += [f"drum_buildup[{cable}]" for cable in robot.cable_names]
     covariance = to_robot @ best.covariance @ to_robot.T
@@ -123,17 +124,14 @@ def _parameters(problem: MotorAngleProblem, best: MapEstimate) -> ParameterEstim
         ),
         covariance=0.5 * (covariance + covariance.T),
         start=np.concatenate(
-            [problem.start[problem.exits].ravel(), before, problem.start[problem.buildups]]
+            [
+                problem.prior.mean[problem.exits].ravel(),
+                before,
+                problem.prior.mean[problem.buildups],
+            ]
         ),
         prior_sigma=np.sqrt(np.diag(from_before @ prior @ from_before.T)),
     )
-
-
-def _observability(problem: MotorAngleProblem, found: SampleFit, trust: Trust) -> Observability:
-    """What the data alone say of all that the samples share."""
-    system = equations(problem, found.shared, found.position, trust)
-    scale = np.sqrt(np.diag(np.linalg.inv(problem.prior)))
-    return judge(problem.names, system.information - problem.prior, scale)
 
 
 def _refuse(problem: MotorAngleProblem, found: SampleFit, trust: Trust) -> None:
@@ -144,17 +142,15 @@ def _refuse(problem: MotorAngleProblem, found: SampleFit, trust: Trust) -> None:
     system = equations(problem, found.shared, found.position, trust)
     rows = np.arange(problem.exits.size)
     rest = np.arange(len(rows), problem.size)
-    data = system.information - problem.prior
-    both = data + problem.prior
+    data = system.information - problem.prior.information
+    both = data + problem.prior.information
     tied = data[np.ix_(rows, rest)]
     alone = data[np.ix_(rows, rows)] - tied @ np.linalg.solve(both[np.ix_(rest, rest)], tied.T)
-    scale = np.sqrt(np.diag(np.linalg.inv(problem.prior)))[rows]
-    seen = judge(problem.names[: len(rows)], alone, scale)
+    scale = problem.prior.sigma[rows]
+    seen = judge(problem.prior.names[: len(rows)], alone, scale)
     left = np.linalg.inv(both)[np.ix_(rows, rows)]
     loose = float(np.sqrt(np.linalg.eigvalsh(left)[-1]))
-    if (seen.blind or seen.weak) and loose > LOOSE_EXIT_SHARE * float(
-        problem.start[problem.zeros].max()
-    ):
+    if (seen.blind or seen.weak) and loose > LOOSE_EXIT_SHARE * problem.longest:
         raise Unobservable(_reason(problem, trust, seen, loose))
 
 
@@ -188,9 +184,7 @@ def _warnings(
         other = fit(problem, rival.shared, rival.position, settled.trust, steps=RIVAL_STEPS_MAX)
         worse = other.cost - settled.fit.cost
         apart = np.abs(other.shared[problem.exits] - settled.fit.shared[problem.exits]).max()
-        if worse < RIVAL_COST_MAX and apart > LOOSE_EXIT_SHARE * float(
-            problem.start[problem.zeros].max()
-        ):
+        if worse < RIVAL_COST_MAX and apart > LOOSE_EXIT_SHARE * problem.longest:
             lines.append(
                 f"another solution fits almost as well ({worse:.1f} squared standard deviations "
                 f"worse), with exit points up to {apart:.2f} m elsewhere, such as a mirrored one; "
@@ -198,13 +192,12 @@ def _warnings(
             )
     misfits = _misfits(problem, settled.trust)
     lines += [misfits] if misfits else []
-    moved = settled.fit.shared - problem.start
-    far = np.abs(moved) / np.sqrt(np.diag(np.linalg.inv(problem.prior)))
+    far = problem.prior.deviation(settled.fit.shared)
     k = int(np.argmax(far))
     if far[k] > PRIOR_SIGMAS_MAX:
         lines.append(
-            f"{problem.names[k]} is {far[k]:.1f} standard deviations from where it was thought to "
-            "be: are cables swapped, or is the robot file wrong there?"
+            f"{problem.prior.names[k]} is {far[k]:.1f} prior standard deviations from its prior: "
+            "are cables swapped, or is the robot file wrong there?"
         )
     return tuple(lines)
 
@@ -214,7 +207,7 @@ def _misfits(problem: MotorAngleProblem, trust: Trust) -> str:
     out, count = int((~trust.lengths).sum()), len(trust.lengths)
     if out > BLUNDER_SHARE_MAX * count:
         what = f"the motor angles of {out} of {count} samples do not fit the others"
-    elif trust.line_sigma > LINE_NOISE_SHARE_MAX * float(problem.start[problem.zeros].max()):
+    elif trust.line_sigma > LINE_NOISE_SHARE_MAX * problem.longest:
         what = f"the motor angles of all samples fit only to {trust.line_sigma:.2g} m of line"
     else:
         return ""

@@ -5,8 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
-from calibration.report import print_parameters, print_sentences
-from calibration.robot_update import check_output, write_robot
+from calibration.report import (
+    option_words,
+    print_parameters,
+    print_sentences,
+    write_new_robot,
+    write_report,
+)
+from calibration.robot_update import check_output
 from calibration.self_calibration.calibrate import calibrate_motor_angles
 from calibration.self_calibration.files import load_motor_angles
 from calibration.self_calibration.motor_angles import MotorAngles
@@ -16,8 +22,7 @@ from calibration.self_calibration.report import (
     LEFT_OUT_HEADER,
     blunder_rows,
     left_out_rows,
-    sentences,
-    write_report,
+    report_content,
 )
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult
@@ -70,7 +75,7 @@ def run_motor_angles(options: MotorAngleOptions, path: Path) -> CommandResult:
         f"position{'' if known == 1 else 's'}; robot {robot.name}"
     )
     print_sentences(result.warnings, "WARNING: ")
-    print_sentences(sentences(result))
+    print_sentences(result.sentences())
     print_sentences(result.observability.sentences())
     print()
     print_parameters(result.estimate)
@@ -80,12 +85,24 @@ def run_motor_angles(options: MotorAngleOptions, path: Path) -> CommandResult:
     if result.blunders:
         print("\nleft out as blunders:")
         print(fit(BLUNDER_HEADER, blunder_rows(result), (2, 1), terminal_width()))
-    if options.output is not None:
-        provenance = f"self-calibration from the motor angles in {path.name}"
-        write_robot(name, result.estimate, options.output, provenance=provenance)
-        print(f"\nnew robot: {options.output}")
+    provenance = f"self-calibration from the motor angles in {path.name}"
+    write_new_robot(result, name, options.output, provenance=provenance)
     if options.report is not None:
-        files = write_report(options.report, result, path, _words(options, path, name))
+        files = write_report(
+            options.report,
+            f"Self-calibration of {robot.name} from {path.name}",
+            result,
+            report_content(result),
+            provenance={
+                "motor angles": str(path),
+                "robot": f"{robot.name}: {robot.description}",
+                "robot licence": robot.licence,
+            },
+            command=[
+                "carosac", "calibrate", "lengths", str(path), "--robot", name,
+                *option_words(options, ("recording", "robot", "json", "seed")),
+            ],
+        )  # fmt: skip
         print(f"\nreport: {files[-1]} and {len(files) - 1} pictures beside it")
     return CommandResult(result.data(), status=1 if result.warnings else 0)
 
@@ -98,11 +115,3 @@ def _robot_of(angles: MotorAngles) -> str:
             return name
     allowed = f"a robot file: no bundled robot with drums has cables {list(angles.cables)}"
     raise InvalidField("--robot", "nothing", allowed)
-
-
-def _words(options: MotorAngleOptions, path: Path, robot: str) -> list[str]:
-    """The command that repeats this."""
-    words = ["carosac", "calibrate", "lengths", str(path), "--robot", robot]
-    for option, value in (("--output", options.output), ("--report", options.report)):
-        words += [option, str(value)] if value is not None else []
-    return words

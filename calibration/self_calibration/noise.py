@@ -14,10 +14,10 @@ import numpy as np
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.solver import (
+    LinearSamples,
     Mask,
     SampleFit,
     Trust,
-    Whitened,
     equations,
     fit,
     whiten,
@@ -137,7 +137,7 @@ def test_samples(problem: MotorAngleProblem, found: SampleFit, trust: Trust) -> 
     shared = np.linalg.inv(system.information)
     where, white, own, gain = _by_lengths(problem, found, trust)
     sign = 1.0 - 2.0 * system.lengths[:, None, None]  # -1: the sample was used, 1: it was not
-    slope = white.by_position
+    slope = white.by_own
     n = slope.shape[1]
     rest = np.eye(n) - slope @ gain
     by_shared = rest @ white.by_shared
@@ -164,7 +164,7 @@ def test_samples(problem: MotorAngleProblem, found: SampleFit, trust: Trust) -> 
 
 def _by_lengths(
     problem: MotorAngleProblem, found: SampleFit, trust: Trust
-) -> tuple[Array, Whitened, Array, Array]:
+) -> tuple[Array, LinearSamples, Array, Array]:
     """Positions by the lengths alone, whatever is known of them.
 
     Returns:
@@ -174,7 +174,7 @@ def _by_lengths(
     where = found.position
     for step in range(POSITION_STEPS_MAX):
         white = whiten(problem, found.shared, where, trust.line_sigma)
-        slope = white.by_position
+        slope = white.by_own
         square = slope.swapaxes(1, 2) @ slope
         own: Array = np.asarray(np.linalg.pinv(square, rcond=1e-10, hermitian=True), np.float64)
         gain = own @ slope.swapaxes(1, 2)

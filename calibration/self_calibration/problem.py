@@ -13,11 +13,13 @@ arc where there is a pulley). The residual is :math:`L_i(\varphi) - \ell_i(p)`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.linear_samples import LinearSamples
+from calibration.prior import Prior
 from calibration.robot_update import prior_covariance
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.settings import SelfCalibrationSettings
@@ -32,21 +34,6 @@ ALIKE_RADIUS_M = 2e-5  # [m] between the radii of drums that are of one make
 Rows = slice | NDArray[np.intp]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LinearSamples:
-    """Residuals of some samples and how they change.
-
-    Attributes:
-        residual: Length by the drum less straight length [m], shape (N, n).
-        by_shared: Derivative by the m shared unknowns, shape (N, n, m).
-        by_position: Derivative by the position of the sample, shape (N, n, 3).
-    """
-
-    residual: Array
-    by_shared: Array
-    by_position: Array
-
-
 class MotorAngleProblem:
     """All samples; unknown are the positions and m numbers that they share.
 
@@ -54,9 +41,7 @@ class MotorAngleProblem:
     for each group of alike drums, and the lengths at the reference (n).
 
     Attributes:
-        names: Of the shared unknowns, m of them.
-        start: What is known of them before, shape (m,).
-        prior: Information on them before, shape (m, m).
+        prior: Of the shared unknowns, m of them.
         exits: Where the exit points stand among them, shape (n, 3).
         radii: Where the radius error of each cable stands, shape (n,).
         buildups: Where its build-up stands, shape (n,).
@@ -90,10 +75,8 @@ class MotorAngleProblem:
         self._drums = drums
         self._drum_angle = angles.motor_angle / drums.gear
         self._set_places(_alike(drums.radius, self.radius, self._makes()))
-        self.start = np.concatenate(
-            [robot.exit_points.ravel(), np.zeros(self._groups), np.array(self._buildups), length]
-        )
-        self.prior = self._prior(settings)
+        mean = [robot.exit_points.ravel(), np.zeros(self._groups), self._buildups, length]
+        self.prior = self._prior(np.concatenate(mean), settings)
         spread = angles.known_sigma
         self.known_sigma = np.tile(settings.known_sigma, (len(angles.samples), 1))
         if spread is not None:
@@ -102,7 +85,12 @@ class MotorAngleProblem:
     @property
     def size(self) -> int:
         """Number of shared unknowns m."""
-        return len(self.names)
+        return len(self.prior.names)
+
+    @property
+    def longest(self) -> float:
+        """Longest cable at the reference, as known before [m]."""
+        return float(self.prior.mean[self.zeros].max())
 
     def linearize(self, shared: Array, position: Array, rows: Rows = slice(None)) -> LinearSamples:
         """Residuals and their derivatives.
@@ -124,7 +112,7 @@ class MotorAngleProblem:
         return LinearSamples(
             residual=self.wound(shared, rows) - straight,
             by_shared=by_shared,
-            by_position=-direction,
+            by_own=-direction,
         )
 
     def drum_radius(self, shared: Array) -> tuple[Array, Array]:
@@ -186,23 +174,19 @@ class MotorAngleProblem:
         names += [
             f"drum_buildup[{_joined(cables, of_buildup, g)}]" for g in range(len(self._buildups))
         ]
-        self.names = tuple(names + [f"length_at_zero[{cable}]" for cable in cables])
+        self._names = tuple(names + [f"length_at_zero[{cable}]" for cable in cables])
 
-    def _prior(self, settings: SelfCalibrationSettings) -> Array:
-        """Information before."""
-        exits = self.names[: self.exits.size]
-        covariance = np.zeros((self.size, self.size))
-        block = slice(0, self.exits.size)
-        covariance[block, block] = prior_covariance(
-            self.robot, exits, np.full(len(exits), settings.exit_sigma)
-        )
-        sigma = np.full(self.size, settings.length_at_zero_sigma)
+    def _prior(self, mean: Array, settings: SelfCalibrationSettings) -> Prior:
+        """Return what the robot file and the settings say of the shared unknowns."""
+        exits = self._names[: self.exits.size]
+        sigma = np.full(len(mean), settings.length_at_zero_sigma)
+        sigma[: len(exits)] = settings.exit_sigma
         sigma[self.radii] = settings.drum_radius_sigma
-        thickness = np.maximum(self.start[self.buildups], 1e-9)
-        sigma[self.buildups] = settings.drum_buildup_sigma * thickness
-        rest = np.arange(self.exits.size, self.size)
-        covariance[rest, rest] = sigma[rest] ** 2
-        return np.asarray(np.linalg.inv(covariance))
+        sigma[self.buildups] = settings.drum_buildup_sigma * np.maximum(mean[self.buildups], 1e-9)
+        covariance = np.diag(sigma**2)
+        block = slice(0, len(exits))
+        covariance[block, block] = prior_covariance(self.robot, exits, sigma[block])
+        return Prior(names=self._names, mean=mean, covariance=covariance)
 
 
 def _alike(empty: Array, reference: Array, makes: Sequence[tuple[float, ...]]) -> list[int]:

@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.estimate import ParameterEstimate
-from calibration.observability import Observability
+from calibration.result import CalibrationResult
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,12 +43,10 @@ class LeftOut:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SelfCalibration:
+class SelfCalibration(CalibrationResult):
     """Parameters and positions from motor angles; N samples, n cables.
 
     Attributes:
-        robot: As it was known before.
-        estimate: Exit points, drum radii and build-ups.
         samples: Names.
         position: Platform origin in W [m], shape (N, 3).
         position_sigma: One standard deviation [m], shape (N, 3); infinite for a sample whose motor
@@ -66,12 +62,8 @@ class SelfCalibration:
         redundancy: Lengths beyond those that the unknowns take.
         blunders: Samples that were left out.
         left_out: Known positions predicted one at a time, where the others suffice.
-        observability: Of all that the samples share.
-        warnings: What must not be overlooked.
     """
 
-    robot: Robot
-    estimate: ParameterEstimate
     samples: tuple[str, ...]
     position: Array
     position_sigma: Array
@@ -86,8 +78,6 @@ class SelfCalibration:
     redundancy: float
     blunders: tuple[SampleBlunder, ...]
     left_out: tuple[LeftOut, ...]
-    observability: Observability
-    warnings: tuple[str, ...]
 
     @property
     def residual_rms(self) -> float:
@@ -104,7 +94,7 @@ class SelfCalibration:
         rows = zip(self.samples, self.position, self.position_sigma, self.residual, strict=True)
         each = [(name, place, sigma, miss) for name, place, sigma, miss in rows]
         return {
-            "robot": self.robot.name,
+            "robot": self.before.name,
             "positions_m": {name: place for name, place, _, _ in each},
             "positions_sigma_m": {name: sigma for name, _, sigma, _ in each},
             "residuals_m": {name: miss for name, _, _, miss in each},
@@ -114,7 +104,7 @@ class SelfCalibration:
             "redundancy": self.redundancy,
             "parameters": self.estimate.data(),
             "length_at_zero_m": dict(
-                zip(self.robot.cable_names, self.length_at_zero.tolist(), strict=True)
+                zip(self.before.cable_names, self.length_at_zero.tolist(), strict=True)
             ),
             "observability": self.observability.data(),
             "blunders": [
@@ -125,3 +115,32 @@ class SelfCalibration:
             },
             "warnings": list(self.warnings),
         }
+
+    def sentences(self) -> list[str]:
+        """Return what was found, in words."""
+        residual, line = 1e3 * self.residual_rms, 1e3 * self.line_residual_rms
+        sure = 1e3 * self.position_sigma[np.isfinite(self.position_sigma)]
+        lines = [
+            f"lengths of cable fit to {residual:.2f} mm RMS ({line:.2f} mm of line, which is the "
+            f"length times the drum's advantage) over {int(self.used.sum())} of "
+            f"{len(self.samples)} samples",
+            f"the line has {1e3 * self.line_sigma:.2f} mm of noise, told by "
+            f"{self.redundancy:.0f} lengths more than the unknowns take",
+            f"positions are known to {sure.min():.1f} to {sure.max():.1f} mm (1 sigma per axis)",
+        ]
+        if self.left_out:
+            error = [1e3 * float(np.linalg.norm(one.error)) for one in self.left_out]
+            worst = self.left_out[int(np.argmax(error))].sample
+            lines.append(
+                f"known positions, left out one at a time, are predicted within {max(error):.1f} "
+                f"mm (worst: sample {worst}), {np.sqrt(np.mean(np.square(error))):.1f} mm RMS"
+            )
+        else:
+            lines.append(
+                "no known position can be left out: the others do not suffice to predict it"
+            )
+        lines.append(
+            "cables were taken as straight and stiff, as no tensions are known; what a constant "
+            "tension stretches counts as drum radius"
+        )
+        return lines

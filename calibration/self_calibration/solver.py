@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.linear_samples import LinearSamples
+from calibration.robust import cauchy
 from calibration.self_calibration.problem import MotorAngleProblem
 from carosac_toolkit.base.arrays import Array
 
@@ -54,39 +56,11 @@ class SampleFit:
     converged: bool
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Whitened:
-    """The samples at some values, every number in its standard deviations.
-
-    Attributes:
-        residual: Of the lengths, shape (N, n).
-        by_shared: Shape (N, n, m).
-        by_position: Shape (N, n, 3).
-        away: From known positions, 0 where none, shape (N, 3).
-    """
-
-    residual: Array
-    by_shared: Array
-    by_position: Array
-    away: Array
-
-
 def whiten(
     problem: MotorAngleProblem, shared: Array, position: Array, line_sigma: float
-) -> Whitened:
-    """Evaluate all samples."""
-    linear = problem.linearize(shared, position)
-    scale = problem.advantage / line_sigma
-    angles = problem.angles
-    away = np.where(
-        angles.is_known[:, None], (position - angles.known_position) / problem.known_sigma, 0.0
-    )
-    return Whitened(
-        residual=linear.residual * scale,
-        by_shared=linear.by_shared * scale[:, None],
-        by_position=linear.by_position * scale[:, None],
-        away=away,
-    )
+) -> LinearSamples:
+    """Linearise all samples, with residuals in standard deviations of the line."""
+    return problem.linearize(shared, position).scaled(problem.advantage / line_sigma)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -127,27 +101,29 @@ def equations(
         damping: Relative growth of the diagonals (Levenberg-Marquardt).
     """
     white = whiten(problem, shared, position, trust.line_sigma)
+    known = problem.angles.is_known[:, None]
+    away = np.where(known, (position - problem.angles.known_position) / problem.known_sigma, 0.0)
     weight, loss = _weights((white.residual**2).sum(axis=1), free_lengths(problem), trust.robust)
-    hold, drift = _weights((white.away**2).sum(axis=1), 3, trust.robust)
+    hold, drift = _weights((away**2).sum(axis=1), 3, trust.robust)
     weight, hold = weight * trust.lengths, hold * trust.known
-    reach = POSITION_PRIOR_FACTOR * float(problem.start[problem.zeros].max())
+    reach = POSITION_PRIOR_FACTOR * problem.longest
     offset = position - problem.robot.home_position
-    weighted = white.by_position * weight[:, None, None]
-    own = weighted.swapaxes(1, 2) @ white.by_position
+    weighted = white.by_own * weight[:, None, None]
+    own = weighted.swapaxes(1, 2) @ white.by_own
     diagonal = np.arange(3)
     own[:, diagonal, diagonal] += hold[:, None] / problem.known_sigma**2 + reach**-2
     own[:, diagonal, diagonal] *= 1.0 + damping
     pull = np.einsum("kij,ki->kj", weighted, white.residual)
-    pull += hold[:, None] * white.away / problem.known_sigma + offset / reach**2
+    pull += hold[:, None] * away / problem.known_sigma + offset / reach**2
     cross = weighted.swapaxes(1, 2) @ white.by_shared
     covariance: Array = np.asarray(np.linalg.inv(own), dtype=np.float64)
     by_shared, step = -covariance @ cross, -np.einsum("kij,kj->ki", covariance, pull)
-    moved = shared - problem.start
+    moved = shared - problem.prior.mean
     flat = white.by_shared.reshape(-1, problem.size)
     heavy = np.repeat(weight, white.residual.shape[1])
-    information = (flat * heavy[:, None]).T @ flat + problem.prior
+    information = (flat * heavy[:, None]).T @ flat + problem.prior.information
     information[np.diag_indices(problem.size)] *= 1.0 + damping
-    gradient = flat.T @ (heavy * white.residual.ravel()) + problem.prior @ moved
+    gradient = flat.T @ (heavy * white.residual.ravel()) + problem.prior.information @ moved
     tied = cross.reshape(-1, problem.size)
     return Equations(
         information=information + tied.T @ by_shared.reshape(-1, problem.size),
@@ -155,7 +131,9 @@ def equations(
         by_shared=by_shared,
         step=step,
         position_covariance=covariance,
-        cost=float(loss @ trust.lengths + drift @ trust.known + moved @ problem.prior @ moved)
+        cost=float(
+            loss @ trust.lengths + drift @ trust.known + moved @ problem.prior.information @ moved
+        )
         + float((offset**2).sum()) / reach**2,
         lengths=weight,
         known=hold,
@@ -203,8 +181,7 @@ def _weights(square: Array, free: int, robust: bool) -> tuple[Array, Array]:
     """Weights and losses of squared whitened residuals, shapes (N,)."""
     if not robust:
         return np.ones(len(square)), square
-    wide = free * CAUCHY_SIGMAS**2
-    return 1.0 / (1.0 + square / wide), wide * np.log1p(square / wide)
+    return cauchy(square, free * CAUCHY_SIGMAS**2)
 
 
 def _solve(matrix: Array, vector: Array) -> Array:

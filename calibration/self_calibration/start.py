@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.robust import cauchy
 from calibration.self_calibration.problem import MotorAngleProblem
-from calibration.self_calibration.solver import SampleFit, Trust, fit
+from calibration.self_calibration.solver import CAUCHY_SIGMAS, SampleFit, Trust, fit
 from carosac_toolkit.base.arrays import Array
 
 GUESS_DIRECTIONS = 24  # from which the places of one exit point are looked for
@@ -66,7 +67,7 @@ def starts(problem: MotorAngleProblem) -> list[SampleFit]:
     )
     first = []
     for chosen in combined:
-        shared = problem.start.copy()
+        shared = problem.prior.mean.copy()
         for i, place in enumerate(chosen):
             shared[problem.exits[i]] = place.exit_point
             shared[problem.zeros[i]] = place.zero
@@ -78,7 +79,7 @@ def starts(problem: MotorAngleProblem) -> list[SampleFit]:
 def _different(problem: MotorAngleProblem, fits: list[SampleFit]) -> list[SampleFit]:
     """The best of those that are at the same place, the best first."""
     kept: list[SampleFit] = []
-    near = SAME_PLACE_SHARE * float(problem.start[problem.zeros].max())
+    near = SAME_PLACE_SHARE * problem.longest
     for found in sorted(fits, key=lambda one: one.cost):
         here = found.shared[problem.exits]
         if all(np.abs(here - other.shared[problem.exits]).max() > near for other in kept):
@@ -92,13 +93,13 @@ def _places(problem: MotorAngleProblem, cable: int) -> list[Place]:
     known = angles.is_known
     anchor = robot.home_rotation @ robot.anchor_points[cable]
     points = angles.known_position[known] + anchor
-    zero = float(problem.start[problem.zeros[cable]])
-    change = problem.wound(problem.start)[known, cable] - zero  # since the reference [m]
+    zero = float(problem.prior.mean[problem.zeros[cable]])
+    change = problem.wound(problem.prior.mean)[known, cable] - zero  # since the reference [m]
     before = robot.exit_points[cable]
     guesses = robot.home_position + anchor + zero * _sphere(GUESS_DIRECTIONS)
     unknown = np.column_stack([np.vstack([before, guesses]), np.full(GUESS_DIRECTIONS + 1, zero)])
     rows = [*problem.exits[cable], problem.zeros[cable]]
-    prior = np.linalg.inv(np.linalg.inv(problem.prior)[np.ix_(rows, rows)])
+    prior = np.linalg.inv(problem.prior.covariance[np.ix_(rows, rows)])
     found = [_trilaterated(u, points, change, np.array([*before, zero]), prior) for u in unknown]
     found.sort(key=lambda place: place.cost)
     kept: list[Place] = []
@@ -122,7 +123,8 @@ def _trilaterated(
         distance = np.maximum(np.linalg.norm(ray, axis=1), 1e-9)
         miss = (distance - trial[3] - change) / ROUGH_LENGTH_SIGMA_M
         away = trial - before
-        new = float(9.0 * np.log1p(miss**2 / 9.0).sum() + away @ prior @ away)
+        weight, loss = cauchy(miss**2, CAUCHY_SIGMAS**2)
+        new = float(loss.sum() + away @ prior @ away)
         if new < cost:
             settled = cost - new < 1e-6
             unknown, cost, damping = trial, new, max(damping / 5.0, 1e-9)
@@ -132,7 +134,6 @@ def _trilaterated(
                 np.column_stack([ray / distance[:, None], -np.ones(len(points))])
                 / ROUGH_LENGTH_SIGMA_M
             )
-            weight = 1.0 / (1.0 + miss**2 / 9.0)
             matrix = (slope.T * weight) @ slope + prior
             vector = (slope.T * weight) @ miss + prior @ away
         else:

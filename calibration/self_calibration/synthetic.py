@@ -36,7 +36,7 @@ def draw_robot(robot: Robot, rng: np.random.Generator, settings: SelfCalibration
     Alike drums are wrong by the same; the lengths at the reference follow from the exit points.
     """
     problem = MotorAngleProblem(robot, _nothing(robot), settings)
-    drawn = rng.multivariate_normal(problem.start, np.linalg.inv(problem.prior), method="cholesky")
+    drawn = rng.multivariate_normal(problem.prior.mean, problem.prior.covariance, method="cholesky")
     drums = drums_of(robot)
     return replace(
         robot,

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.tachymeter.observations import polar
+from calibration.vectors import cross_matrix
 from carosac_toolkit.base.arrays import Array
 
 STATION_SIZE = 6  # position, heading, tilt about x, tilt about y
@@ -51,14 +52,14 @@ def predict(station: Array, points: Array) -> PredictedShots:
     cosine, sine = np.cos(station[3]), np.sin(station[3])
     turn = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     tilt = np.array([station[4], station[5], 0.0])
-    level = np.eye(3) - _cross_matrix(tilt[None])[0]
+    level = np.eye(3) - cross_matrix(tilt)
     flat = (points - station[:3]) @ turn.T  # w, (B, 3)
     local = flat @ level.T  # q, (B, 3)
     by_local = _polar_slope(local)  # (B, 3, 3)
     by_point = by_local @ (level @ turn)
     turning = np.stack([flat[:, 1], -flat[:, 0], np.zeros(len(flat))], axis=1)  # dw/dh
     by_heading = np.einsum("bij,bj->bi", by_local, turning @ level.T)
-    by_tilt = (by_local @ _cross_matrix(flat))[:, :, :2]
+    by_tilt = (by_local @ cross_matrix(flat))[:, :, :2]
     by_station = np.concatenate([-by_point, by_heading[:, :, None], by_tilt], axis=2)
     return PredictedShots(reading=polar(local), by_station=by_station, by_point=by_point)
 
@@ -79,11 +80,3 @@ def _polar_slope(local: Array) -> Array:
     hz = np.stack([y / rho**2, -x / rho**2, np.zeros_like(x)], axis=1)
     v = np.stack([x * z / (rho * square), y * z / (rho * square), -rho / square], axis=1)
     return np.stack([hz, v, local / distance[:, None]], axis=1)
-
-
-def _cross_matrix(vector: Array) -> Array:
-    """Matrices that take the cross product with a vector from the left, shape (B, 3, 3)."""
-    x, y, z = vector.T
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.moveaxis(np.array(rows), 2, 0)

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from calibration.tachymeter.model import STATION_SIZE, difference, predict
 from calibration.tachymeter.observations import ReferencePoint, Shot, Survey
 from calibration.tachymeter.sightings import SightedPoint, SightedPulley, sighted_point
+from calibration.vectors import cross_matrix
 from carosac_toolkit.base.arrays import Array
 
 Blocks = dict[int, Array]  # Jacobian blocks by key
@@ -241,18 +242,13 @@ def tilted(point: Array, tilt: Array) -> tuple[Array, Array]:
     """
     vector = np.array([tilt[0], tilt[1], 0.0])
     angle = float(np.linalg.norm(vector))
-    cross = _cross(vector)
+    cross = cross_matrix(vector)
     first, second = 0.5, 1.0 / 6.0
     if angle > 1e-4:
         first, second = (1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
     left = np.eye(3) + first * cross + second * cross @ cross
     turned: Array = Rotation.from_rotvec(vector).as_matrix() @ point
-    return turned, (-_cross(turned) @ left)[:, :2]
-
-
-def _cross(vector: Array) -> Array:
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return turned, (-cross_matrix(turned) @ left)[:, :2]
 
 
 def _custom(keys: list[int], rows: int, error: Callable[..., Array]) -> Any:

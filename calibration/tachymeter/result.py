@@ -10,20 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_law
 
-from calibration.estimate import ParameterEstimate
-from calibration.observability import Observability
+from calibration.result import CalibrationResult
+from calibration.robust import NORMAL_MEDIAN
 from calibration.tachymeter.observations import ARCSEC_RAD, READING_NAMES, Survey
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.robot.robot import Robot
 
 CHI2_PROBABILITY = 0.99  # of the band in which chi2 falls if all noise is as stated
+READING_SCALE = np.array([1.0 / ARCSEC_RAD, 1.0 / ARCSEC_RAD, 1e3])  # to arcsec and mm
+BLUNDERS_NAMED_MAX = 10  # blunders that are named in sentences
 BLUNDER_SHARE_MAX = (
     0.1  # share of readings left out above which they are no blunders: the accuracy is wrong
 )
 EXIT_SHIFT_MAX_M = (
     0.5  # [m] from the robot file's exit point, beyond which something else was sighted
 )
-_NORMAL_MEDIAN = 0.6745  # of the size of a standard normal number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,47 +107,45 @@ class Residuals:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TachymeterResult:
+class TachymeterResult(CalibrationResult):
     """All that a survey gave.
 
     Attributes:
-        robot: Before the calibration.
         survey: What was measured.
         cables: Cables that were sighted, in the robot's order, c of them.
-        estimate: Their exit points, 3 c parameters with their joint covariance; and the tilt of
-            the references' frame where it was estimated.
         points: Every sighted point in W [m], by name, (3,).
         stations: Set-ups by name.
         swivels: Turn of each pulley beyond its cable's direction [rad], by cable.
         blunders: Readings left out, the worst first.
         unchecked: Targets with readings whose blunders nothing would show.
         residuals: Of all shots.
-        observability: How well the survey determines the exit points.
         chi2: Sum of squared whitened residuals.
         freedom: Its degrees of freedom.
         converged: Whether the choice of blunders came to rest.
     """
 
-    robot: Robot
     survey: Survey
     cables: tuple[str, ...]
-    estimate: ParameterEstimate
     points: Mapping[str, Array]
     stations: Mapping[str, Station]
     swivels: Mapping[str, float]
     blunders: tuple[ReadingBlunder, ...]
     unchecked: tuple[str, ...]
     residuals: Residuals
-    observability: Observability
     chi2: float
     freedom: int
     converged: bool
+
+    def __post_init__(self) -> None:
+        """Add the warnings, which follow from all else."""
+        object.__setattr__(self, "warnings", tuple(self._warnings()))
 
     def misplaced(self) -> list[str]:
         """Name exit points that are far from where the robot file has them."""
         lines = []
         before = {
-            name: self.robot.exit_points[self.robot.cable_names.index(name)] for name in self.cables
+            name: self.before.exit_points[self.before.cable_names.index(name)]
+            for name in self.cables
         }
         for name, point in zip(self.cables, self.exit_points, strict=True):
             away = float(np.linalg.norm(point - before[name]))
@@ -181,7 +179,7 @@ class TachymeterResult:
     @property
     def unmeasured(self) -> tuple[str, ...]:
         """Cables that nobody sighted; their exit points stay as they were."""
-        return tuple(name for name in self.robot.cable_names if name not in self.cables)
+        return tuple(name for name in self.before.cable_names if name not in self.cables)
 
     @property
     def chi2_band(self) -> tuple[float, float]:
@@ -198,7 +196,7 @@ class TachymeterResult:
     def spread(self) -> float:
         """Residuals over what the stated accuracy explains, by the median of all readings."""
         checked = self.residuals.test[self.residuals.test != 0.0]
-        return float(np.median(np.abs(checked)) / _NORMAL_MEDIAN) if len(checked) else 0.0
+        return float(np.median(np.abs(checked)) / NORMAL_MEDIAN) if len(checked) else 0.0
 
     @property
     def fits(self) -> bool:
@@ -248,3 +246,73 @@ class TachymeterResult:
             "fits": self.fits,
             "observability": self.observability.data(),
         }  # fmt: skip
+
+    def sentences(self) -> list[str]:
+        """Return what was found, in words."""
+        survey = self.survey
+        known, ties = len(survey.known), len(survey.targets) - len(self.cables)
+        rms = self.residuals.rms() * READING_SCALE
+        low, high = self.chi2_band
+        lines = [
+            f"{len(survey.shots)} shots from {len(survey.setups)} set-ups to {len(self.cables)} "
+            f"exit points, {known} known points and {ties - known} tie points",
+            f"residuals (RMS): Hz {rms[0]:.1f} arcsec, V {rms[1]:.1f} arcsec, "
+            f"distance {rms[2]:.2f} mm",
+            f"chi2 {self.chi2:.1f} with {self.freedom} degrees of freedom; "
+            f"{CHI2_PROBABILITY:.0%} of surveys with the stated accuracy lie between {low:.1f} and "
+            f"{high:.1f}",
+            f"exit points known to {1e3 * self.exit_sigma.min():.2f} to "
+            f"{1e3 * self.exit_sigma.max():.2f} mm per axis (one standard deviation)",
+        ]
+        if "pose_tilt.x" in self.estimate.names:
+            tilt = self.estimate.select(["pose_tilt.x", "pose_tilt.y"])
+            x, y = 1e3 * tilt.value
+            lines.append(
+                f"the frame of the known points is tilted against gravity by {x:+.2f} mrad about x "
+                f"and {y:+.2f} mrad about y, known to {1e3 * tilt.sigma.max():.2f} mrad"
+            )
+        return lines
+
+    def _warnings(self) -> list[str]:
+        """Return what must not be overlooked."""
+        lines = self.misplaced()
+        if self.freedom < 1:
+            lines.append("nothing is measured twice, so nothing here is checked: sight more points")
+        elif not self.fits:
+            size = max(self.spread, np.sqrt(self.chi2 / self.freedom))
+            many = f", and {self.left_out:.0%} of the readings were left out"
+            lines.append(
+                f"the residuals are {size:.1f} times larger than the stated accuracy explains"
+                + (many if self.left_out > BLUNDER_SHARE_MAX else "")
+                + ": do not use these exit points before it is clear why. Is the instrument's "
+                "right, was it level, did a set-up or a point move, is the frame of the known "
+                "points level (--frame-tilt-deg)?"
+            )
+        elif self.chi2 < self.chi2_band[0]:
+            lines.append(
+                "the residuals are smaller than the stated accuracy explains: the sigmas are "
+                "cautious"
+            )
+        lines += [
+            f"left out: {blunder.sentence()}" for blunder in self.blunders[:BLUNDERS_NAMED_MAX]
+        ]
+        if len(self.blunders) > BLUNDERS_NAMED_MAX:
+            more = len(self.blunders) - BLUNDERS_NAMED_MAX
+            lines.append(f"left out: {more} more readings, in report and JSON")
+        if self.unchecked:
+            lines.append(
+                "a blunder would pass unseen in: "
+                + "; ".join(self.unchecked)
+                + ". Sight them again, best from another set-up"
+            )
+        if len(self.survey.known) < 3:
+            lines.append(
+                "fewer than three known points: a wrong coordinate among them may not show"
+            )
+        if self.unmeasured:
+            lines.append(f"not sighted, left as they were: {', '.join(self.unmeasured)}")
+        if not self.converged:
+            lines.append(
+                "the choice of blunders did not come to rest: look at the residuals yourself"
+            )
+        return lines

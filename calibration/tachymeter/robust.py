@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.observability import Unobservable
+from calibration.robust import truncated
 from calibration.tachymeter.network import Network
 from carosac_toolkit.base.arrays import Array
 
@@ -113,9 +114,7 @@ def _graduated(network: Network, values: Any) -> tuple[NDArray[np.bool_], Any]:
     most = float((residual**2).max())
     mu = square / (2.0 * most - square) if 2.0 * most > square else np.inf
     for _ in range(_CONVEXITY_STEPS_MAX if np.isfinite(mu) else 0):
-        size = np.maximum(np.abs(residual), 1e-12)
-        between = np.sqrt(square * mu * (mu + 1.0)) / size - mu
-        weight = np.clip(between, _WEIGHT_MIN, 1.0)
+        weight = np.maximum(truncated(residual, BLUNDER_SIGMAS, mu), _WEIGHT_MIN)
         values = _optimize(network, values, weight, 3)
         residual = network.dense(values)[1][: len(weight)]
         mu *= _CONVEXITY_GROWTH

@@ -182,7 +182,7 @@ def _result(robot: Robot, network: Network, found: SurveyFit) -> TachymeterResul
         for name in survey.targets
     }
     return TachymeterResult(
-        robot=robot,
+        before=robot,
         survey=survey,
         cables=cables,
         estimate=estimate,

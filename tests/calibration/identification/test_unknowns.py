@@ -20,15 +20,15 @@ def unknowns():
 
 
 def test_coordinates_of_zero_are_the_robot_itself(unknowns):
-    robot = unknowns.robot_at(np.zeros(len(unknowns.names)))
-    before = values_of(unknowns.robot, unknowns.names)
-    assert values_of(robot, unknowns.names) == pytest.approx(before, rel=1e-12)
+    robot = unknowns.robot_at(np.zeros(len(unknowns.prior.names)))
+    before = values_of(unknowns.robot, unknowns.prior.names)
+    assert values_of(robot, unknowns.prior.names) == pytest.approx(before, rel=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_every_point_within_three_sigmas_is_a_body_that_can_be(unknowns, seed):
     rng = np.random.default_rng(seed)
-    point = np.maximum(3.0 * rng.standard_normal(len(unknowns.names)), unknowns.lower)
+    point = np.maximum(3.0 * rng.standard_normal(len(unknowns.prior.names)), unknowns.lower)
     robot = unknowns.robot_at(point)  # its constructor refuses an impossible inertia
     moments = np.linalg.eigvalsh(robot.inertia)
     assert moments[2] < moments[0] + moments[1]
@@ -39,15 +39,15 @@ def test_a_skew_inertia_stays_possible():
     robot = ct.load_robot("carosac")
     robot = replace(robot, inertia=robot.inertia + 0.1 * (1.0 - np.eye(3)))
     unknowns = choose_coordinates(robot, IdentificationSettings())
-    point = np.zeros(len(unknowns.names))
+    point = np.zeros(len(unknowns.prior.names))
     for axis, share in zip("xyz", (3.0, -3.0, 2.0), strict=True):
-        point[unknowns.names.index(f"inertia.{axis * 2}")] = share
+        point[unknowns.prior.names.index(f"inertia.{axis * 2}")] = share
     assert np.linalg.eigvalsh(unknowns.robot_at(point).inertia)[0] > 0.0
 
 
 def test_run_length_moves_at_a_constant_stiffness_of_the_whole_cable(unknowns):
-    point = np.zeros(len(unknowns.names))
-    point[unknowns.names.index("run_length")] = 1.5
+    point = np.zeros(len(unknowns.prior.names))
+    point[unknowns.prior.names.index("run_length")] = 1.5
     robot, changed = unknowns.robot, unknowns.robot_at(point)
     assert changed.run_length[0] > robot.run_length[0]
     before = robot.axial_stiffness / (unknowns.reach + robot.run_length)
@@ -60,22 +60,22 @@ def test_the_covariance_of_the_robot_file_is_the_prior():
     block = np.array([[4e-6, 1e-6, 0.0], [1e-6, 9e-6, 0.0], [0.0, 0.0, 1e-6]])
     robot = replace(robot, exit_covariance=np.tile(block, (4, 1, 1)))
     unknowns = choose_coordinates(robot, IdentificationSettings())
-    none = np.zeros(len(unknowns.names))
-    estimate = unknowns.estimate(none, unknowns.prior)
+    none = np.zeros(len(unknowns.prior.names))
+    estimate = unknowns.estimate(none, unknowns.prior.covariance)
     assert estimate.covariance[:3, :3] == pytest.approx(block, rel=1e-6)
     assert estimate.prior_sigma[:3] == pytest.approx([2e-3, 3e-3, 1e-3], rel=1e-6)
 
 
 def test_sigmas_of_factors_are_shares_of_their_value(unknowns):
-    none = np.zeros(len(unknowns.names))
-    estimate = unknowns.estimate(none, unknowns.prior)
+    none = np.zeros(len(unknowns.prior.names))
+    estimate = unknowns.estimate(none, unknowns.prior.covariance)
     mass = estimate.index("mass")
     assert estimate.prior_sigma[mass] == pytest.approx(0.05 * unknowns.robot.mass, rel=1e-4)
 
 
 def test_a_sigma_of_zero_holds_a_parameter():
     settings = IdentificationSettings(mass=0.0, anchor_points=0.0)
-    names = choose_coordinates(ct.load_robot("carosac"), settings).names
+    names = choose_coordinates(ct.load_robot("carosac"), settings).prior.names
     assert not [name for name in names if name.startswith(("mass", "anchor"))]
 
 

@@ -21,7 +21,7 @@ SILENT = MeasurementNoise(line=0.0, known=0.0)
 
 
 def exits(result):
-    n = result.robot.n
+    n = result.before.n
     return result.estimate.value[: 3 * n].reshape(n, 3)
 
 
@@ -158,7 +158,9 @@ def test_exit_points_that_are_known_better_need_fewer_known_positions():
 
 def test_too_few_samples_to_tell_the_noise_are_refused_unless_it_is_given():
     before, truth, _, angles = scene(count=6)
-    with pytest.raises(InvalidField, match=r"more lengths that fit than numbers .* line_sigma"):
+    with pytest.raises(
+        InvalidField, match=r"more consistent lengths than parameters .* line_sigma"
+    ):
         calibrate_motor_angles(angles, before)
     result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(line_sigma=1e-3))
     assert exit_nees(result, truth) < chi2.ppf(0.9999, 12)
@@ -176,7 +178,7 @@ def test_swapped_motors_are_noticed():
         replace(angles, motor_angle=angles.motor_angle[:, [0, 2, 1, 3]]), before
     )
     (warning,) = result.warnings
-    assert "standard deviations from where it was thought to be: are cables swapped" in warning
+    assert "prior standard deviations from its prior: are cables swapped" in warning
     assert warning.startswith(("exit_points[b]", "exit_points[c]"))
 
 
