@@ -44,7 +44,7 @@ from calibration.report import (
     write_report,
 )
 from calibration.robot_update import check_output
-from calibration.self_calibration.files import holds_motor_angles
+from calibration.self_calibration.motor_angle_files import holds_motor_angles
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, OutputFolder
 from carosac_toolkit.recordings.bundled import find_recording

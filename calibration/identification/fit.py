@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identification.measured import MeasuredPoses
-from calibration.identification.noise import PoseErrorNoise, estimate_noise
+from calibration.identification.error_noise import PoseErrorNoise, estimate_noise
+from calibration.identification.measured_poses import MeasuredPoses
 from calibration.identification.open_loop import OpenLoop, simulate
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.unknowns import Coordinates

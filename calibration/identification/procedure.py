@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.identification.fit import CoordinateFit, Fitter, ProgressCallback
-from calibration.identification.measured import MeasuredPoses, poses_of
+from calibration.identification.measured_poses import MeasuredPoses, poses_of
 from calibration.identification.open_loop import simulate
 from calibration.identification.result import Identification, RestErrors, ScoredRange
 from calibration.identification.settings import IdentificationSettings

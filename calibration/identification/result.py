@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.identification.measured import MeasuredPoses
+from calibration.identification.measured_poses import MeasuredPoses
 from calibration.result import CalibrationResult
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.parameters import field_of

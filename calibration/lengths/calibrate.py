@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from calibration.estimate import ParameterEstimate
 from calibration.lengths.checks import check_observable, check_order, radial_sentences
 from calibration.lengths.fit import ROUNDS_MAX, LengthProblem, Reweighting, fit
+from calibration.lengths.pose_path import PosePath
 from calibration.lengths.result import Gravity, LengthCalibration
-from calibration.lengths.samples import PosePath
 from calibration.lengths.settings import TYPICAL_LENGTH_NOISE_M, TYPICAL_SWAY_RAD, LengthSettings
 from calibration.lengths.unknowns import LOOSE_OFFSET_SIGMA_M, LengthUnknowns, find_unknowns
 from calibration.observability import Unobservable, judge

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.lengths.model import correction, in_world, predict, tensions, upwards
-from calibration.lengths.samples import PosePath, PosesAt
+from calibration.lengths.pose_path import PosePath, PosesAt
 from calibration.lengths.settings import LengthSettings
 from calibration.lengths.unknowns import LengthUnknowns
 from calibration.linear_samples import LinearSamples

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.lengths.samples import PosesAt
-from calibration.lengths.wrench import PlatformBalance, balance
+from calibration.lengths.platform_balance import PlatformBalance, balance
+from calibration.lengths.pose_path import PosesAt
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.cable.lengths import length_at_tension
 from carosac_toolkit.physics.cable.straight_line import StraightCables, straight_length

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.lengths.model import predict
+from calibration.lengths.pose_path import PosesAt
 from calibration.lengths.result import LengthCalibration
-from calibration.lengths.samples import PosesAt
 from calibration.lengths.settings import TYPICAL_LENGTH_NOISE_M, TYPICAL_SWAY_RAD, LengthSettings
 from calibration.lengths.unknowns import LengthUnknowns, find_unknowns
 from carosac_toolkit.base.arrays import Array

@@ -1,7 +1,7 @@
 """Self-calibration without motion capture: motor angles, and a few positions that are known."""
 
 from calibration.self_calibration.calibrate import calibrate_motor_angles
-from calibration.self_calibration.files import (
+from calibration.self_calibration.motor_angle_files import (
     holds_motor_angles,
     load_motor_angles,
     write_motor_angles,

@@ -8,14 +8,14 @@ import numpy as np
 
 from calibration.estimate import ParameterEstimate
 from calibration.observability import Observability, Unobservable, judge
+from calibration.self_calibration.blunder_tests import SettledFit, settle
 from calibration.self_calibration.map_estimate import MapEstimate, estimate
 from calibration.self_calibration.motor_angles import MotorAngles
-from calibration.self_calibration.noise import SettledFit, settle
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.result import LeftOut, SampleBlunder, SelfCalibration
 from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.solver import SampleFit, Trust, equations, fit
-from calibration.self_calibration.start import LINE_SIGMA_START_M, starts
+from calibration.self_calibration.starting_points import LINE_SIGMA_START_M, starts
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 

@@ -14,7 +14,7 @@ from calibration.report import (
 )
 from calibration.robot_update import check_output
 from calibration.self_calibration.calibrate import calibrate_motor_angles
-from calibration.self_calibration.files import load_motor_angles
+from calibration.self_calibration.motor_angle_files import load_motor_angles
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.problem import check_drums
 from calibration.self_calibration.report import (

@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import S, X
 
-from calibration.self_calibration.noise import SettledFit
+from calibration.self_calibration.blunder_tests import SettledFit
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.solver import POSITION_PRIOR_FACTOR
 from carosac_toolkit.base.arrays import Array

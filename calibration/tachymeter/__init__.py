@@ -1,5 +1,6 @@
 """Exit points from a total station: levelled set-ups, blunders named, covariances kept."""
 
+from calibration.tachymeter.calibrate import calibrate_tachymeter
 from calibration.tachymeter.observations import (
     Instrument,
     ReferencePoint,
@@ -8,7 +9,6 @@ from calibration.tachymeter.observations import (
     Survey,
 )
 from calibration.tachymeter.result import ReadingBlunder, TachymeterResult
-from calibration.tachymeter.solve import calibrate_tachymeter
 
 __all__ = [
     "Instrument",

@@ -9,7 +9,7 @@ import numpy as np
 from calibration.pictures import COLOR_AFTER, COLOR_OUTLIER
 from calibration.tachymeter.observations import READING_NAMES
 from calibration.tachymeter.result import TachymeterResult
-from calibration.tachymeter.robust import BLUNDER_SIGMAS
+from calibration.tachymeter.survey_fit import BLUNDER_SIGMAS
 from carosac_toolkit.pictures.drawing import COLORS, new_figure
 
 if TYPE_CHECKING:

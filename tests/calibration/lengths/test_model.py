@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.lengths.model import correction, in_world, predict, tensions, upwards
-from calibration.lengths.samples import PosesAt
+from calibration.lengths.pose_path import PosesAt
 from calibration.lengths.unknowns import all_names
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.parameters import values_of, with_values

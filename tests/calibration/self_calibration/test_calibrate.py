@@ -6,11 +6,11 @@ from scipy.stats import chi2
 
 from calibration.observability import Unobservable
 from calibration.self_calibration import SelfCalibrationSettings, calibrate_motor_angles
+from calibration.self_calibration.blunder_tests import settle
 from calibration.self_calibration.map_estimate import estimate
-from calibration.self_calibration.noise import settle
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.solver import equations
-from calibration.self_calibration.start import starts
+from calibration.self_calibration.starting_points import starts
 from calibration.self_calibration.synthetic import MeasurementNoise, draw_robot, measure
 from carosac_toolkit.base.errors import InvalidField
 from tests.calibration.self_calibration.scenes import KNOWN, scene

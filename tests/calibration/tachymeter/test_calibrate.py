@@ -8,9 +8,9 @@ from scipy.stats import chi2
 
 from calibration.observability import Unobservable
 from calibration.tachymeter import Instrument, ReferencePoint, Sighting, calibrate_tachymeter
+from calibration.tachymeter.calibrate import _pulleys
 from calibration.tachymeter.observations import READING_NAMES
 from calibration.tachymeter.sightings import elevation
-from calibration.tachymeter.solve import _pulleys
 from carosac_toolkit.base.errors import InvalidField
 from tests.calibration.tachymeter.scenes import EXACT, ROBOT, drawn, pulley_robot
 

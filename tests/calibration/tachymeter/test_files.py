@@ -10,7 +10,7 @@ from calibration.tachymeter.csv_file import read_csv
 from calibration.tachymeter.gsi import read_gsi
 from calibration.tachymeter.observations import Instrument, ReferencePoint, Sighting
 from calibration.tachymeter.survey_files import read_survey
-from calibration.tachymeter.synthetic_files import write_csv, write_gsi, write_targets
+from calibration.tachymeter.synthetic import write_csv, write_gsi, write_targets
 from calibration.tachymeter.targets import read_targets
 from carosac_toolkit.base.errors import InvalidFile, MissingFile
 from tests.calibration.tachymeter.scenes import ROBOT, drawn, pulley_robot, write

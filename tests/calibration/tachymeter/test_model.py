@@ -4,6 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
+from calibration.tachymeter.calibrate import _pulleys, _start
 from calibration.tachymeter.model import predict
 from calibration.tachymeter.network import Network, tilted
 from calibration.tachymeter.observations import (
@@ -15,7 +16,6 @@ from calibration.tachymeter.observations import (
     polar,
 )
 from calibration.tachymeter.sightings import elevation, sighted_point
-from calibration.tachymeter.solve import _pulleys, _start
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from tests.calibration.tachymeter.scenes import (

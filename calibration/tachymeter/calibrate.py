@@ -10,12 +10,12 @@ import numpy as np
 
 from calibration.estimate import ParameterEstimate
 from calibration.observability import Observability, judge
+from calibration.tachymeter.first_values import first_values
 from calibration.tachymeter.network import Network
 from calibration.tachymeter.observations import READING_NAMES, Survey
 from calibration.tachymeter.result import ReadingBlunder, Residuals, Station, TachymeterResult
-from calibration.tachymeter.robust import CHECKED_REDUNDANCY, SurveyFit, fit
 from calibration.tachymeter.sightings import SightedPulley, elevation
-from calibration.tachymeter.start import first_values
+from calibration.tachymeter.survey_fit import CHECKED_REDUNDANCY, SurveyFit, fit
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.parameters import point_names, values_of

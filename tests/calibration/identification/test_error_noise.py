@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.identification.noise import CORRELATED_AXES, SIGMA_MIN, estimate_noise
+from calibration.identification.error_noise import CORRELATED_AXES, SIGMA_MIN, estimate_noise
 
 
 def autoregressive(rho: float, count: int, seed: int) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.lengths.wrench import PlatformBalance, balance
+from calibration.lengths.platform_balance import PlatformBalance, balance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.rest import statics
