@@ -11,7 +11,7 @@ import numpy as np
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from calibration.self_calibration import SelfCalibration, calibrate_motor_angles, load_motor_angles
+from calibration import SelfCalibration, calibrate_motor_angles, load_motor_angles
 
 COMMAND = "python -m benchmarks.calibration_hangprinter"
 PUBLISHED = np.array(

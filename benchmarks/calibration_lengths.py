@@ -11,10 +11,16 @@ from scipy.stats import chi2
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from calibration.lengths import LengthCalibration, MixUp, calibrate_lengths
-from calibration.lengths.settings import LengthSettings
-from calibration.lengths.synthetic import LengthScene, SceneSettings, draw_scene
-from calibration.observability import Unobservable
+from calibration import (
+    LengthCalibration,
+    LengthScene,
+    LengthSceneSettings,
+    LengthSettings,
+    MixUp,
+    Unobservable,
+    calibrate_lengths,
+    draw_length_scene,
+)
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
@@ -79,7 +85,7 @@ def run(name: str, sigma: float | None, known: LengthSettings) -> list[Outcome]:
     robot = with_pulleys(name, sigma)
     outcomes = []
     for seed in range(SCENES + 1):
-        scene = draw_scene(robot, np.random.default_rng(seed), prior=known)
+        scene = draw_length_scene(robot, np.random.default_rng(seed), prior=known)
         wall, cpu = perf_counter(), process_time()
         found = calibrate_lengths(scene.recording, robot, settings=known)
         outcomes.append(judge(scene, found, perf_counter() - wall, process_time() - cpu))
@@ -118,7 +124,7 @@ def refused() -> list[tuple[str, str]]:
     """What is refused, and with which words."""
     robot = with_pulleys("cogiro", None)
     rng = np.random.default_rng(0)
-    scene = draw_scene(robot, rng, settings=SceneSettings(samples=200))
+    scene = draw_length_scene(robot, rng, settings=LengthSceneSettings(samples=200))
     poor = {
         "200 poses within 4 cm": ((0.005, 0.008, 0.016), 200),
         "200 poses on a line of 8 m": ((1.0, 0.001, 0.001), 200),
@@ -126,8 +132,8 @@ def refused() -> list[tuple[str, str]]:
     }
     rows = []
     for what, (spread, samples) in poor.items():
-        settings = SceneSettings(samples=samples, spread=spread, turn=0.01)
-        recording = draw_scene(robot, rng, settings=settings).recording
+        settings = LengthSceneSettings(samples=samples, spread=spread, turn=0.01)
+        recording = draw_length_scene(robot, rng, settings=settings).recording
         rows.append((what, said(lambda r=recording: calibrate_lengths(r, robot))))  # type: ignore[misc]
     rows.append(("6 poses", said(lambda: calibrate_lengths(scene.recording.slice(0, 6), robot))))
     order = np.arange(8)

@@ -17,9 +17,8 @@ from scipy.stats import chi2
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from calibration.tachymeter import Sighting, calibrate_tachymeter
+from calibration import Sighting, SurveyPlan, calibrate_tachymeter, draw_survey
 from calibration.tachymeter.observations import READING_NAMES
-from calibration.tachymeter.synthetic import SurveyPlan, draw_survey
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 

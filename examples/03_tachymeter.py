@@ -14,8 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import carosac_toolkit as ct
-from calibration.tachymeter import calibrate_tachymeter
-from calibration.tachymeter.synthetic import SurveyPlan, draw_survey
+from calibration import SurveyPlan, calibrate_tachymeter, draw_survey
 
 MAGNIFIED = 500.0  # times that the ellipses are drawn
 COLORS = {"A": "tab:blue", "B": "tab:green"}

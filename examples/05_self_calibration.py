@@ -18,8 +18,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import carosac_toolkit as ct
-from calibration.self_calibration import calibrate_motor_angles
-from calibration.self_calibration.synthetic import MeasurementNoise, draw_positions, measure
+from calibration import (
+    MeasurementNoise,
+    calibrate_motor_angles,
+    draw_positions,
+    measure_motor_angles,
+)
 
 EXITS = [[0.02, -1.59, -0.11], [1.29, 1.23, -0.16], [-1.42, 0.74, -0.15], [0.02, 0.0, 2.35]]  # [m]
 KNOWN = [[0, 0, 0], [-0.3, -0.3, 0], [0.3, 0, 0], [0.3, 0.4, 0], [-0.2, 0.4, 0], [0.1, -0.1, 1.4]]
@@ -30,7 +34,7 @@ truth = replace(guess, exit_points=EXITS, drum_radius=guess.drum_radius + 1e-3)
 rng = np.random.default_rng(5)
 place = draw_positions(truth, 40, rng)
 place[: len(KNOWN)] = KNOWN
-angles = measure(
+angles = measure_motor_angles(
     truth, place, np.arange(len(KNOWN)), MeasurementNoise(line=1e-3, known=1e-3), rng,
     blunders={(SLIPPED, 1): 0.15},
 )  # fmt: skip

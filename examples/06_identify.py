@@ -15,8 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import carosac_toolkit as ct
-from calibration.identification import identify
-from calibration.identification.synthetic import RunSettings, simulate_run
+from calibration import RunSettings, identify, simulate_run
 from carosac_toolkit.robot.parameters import values_of
 
 robot = ct.load_robot("carosac")

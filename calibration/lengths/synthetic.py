@@ -43,7 +43,7 @@ class LengthScene:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneSettings:
+class LengthSceneSettings:
     """How a synthetic recording is made.
 
     Attributes:
@@ -71,11 +71,11 @@ class SceneSettings:
     turn: float = 0.2
 
 
-def draw_scene(
+def draw_length_scene(
     robot: Robot,
     rng: np.random.Generator,
     *,
-    settings: SceneSettings | None = None,
+    settings: LengthSceneSettings | None = None,
     prior: LengthSettings | None = None,
     relative: bool = False,
 ) -> LengthScene:
@@ -88,7 +88,7 @@ def draw_scene(
         prior: How far the plant is from the description; offsets are drawn within 0.2 m.
         relative: Whether the readings are lengths up to an unknown constant.
     """
-    made, known = settings or SceneSettings(), prior or LengthSettings()
+    made, known = settings or LengthSceneSettings(), prior or LengthSettings()
     close = replace(known, offset_prior=min(known.offset_prior, 0.2))
     unknowns = find_unknowns(robot, close, relative=False)
     drawn = rng.multivariate_normal(unknowns.prior.mean, unknowns.prior.covariance)
@@ -128,7 +128,7 @@ def _plant(unknowns: LengthUnknowns, value: Array) -> Robot:
 
 
 def _drive(
-    plant: Robot, made: SceneSettings, time: Array, delay: float, rng: np.random.Generator
+    plant: Robot, made: LengthSceneSettings, time: Array, delay: float, rng: np.random.Generator
 ) -> tuple[statics.Equilibrium, statics.Equilibrium]:
     """Equilibria of a random path at some times and `delay` later."""
     for _ in range(PATH_TRIES_MAX):
@@ -146,7 +146,7 @@ class _Path:
     the edges tell more than those in the middle.
     """
 
-    def __init__(self, plant: Robot, made: SceneSettings, rng: np.random.Generator) -> None:
+    def __init__(self, plant: Robot, made: LengthSceneSettings, rng: np.random.Generator) -> None:
         self._plant, self._made = plant, made
         moves = int(np.ceil((made.samples * made.period + 2.0) / MOVE_TIME_S)) + 1
         self._stops = [self._free_stop(rng)]
@@ -202,7 +202,7 @@ def _between(start: Array, end: Array, share: Array) -> Array:
 
 
 def _measured(
-    plant: Robot, rest: statics.Equilibrium, time: Array, made: SceneSettings,
+    plant: Robot, rest: statics.Equilibrium, time: Array, made: LengthSceneSettings,
     rng: np.random.Generator,
 ) -> PoseSamples:  # fmt: skip
     """Poses with noise, in the frame of the motion capture."""

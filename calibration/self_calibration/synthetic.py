@@ -52,7 +52,7 @@ def draw_positions(robot: Robot, count: int, rng: np.random.Generator) -> Array:
     return np.vstack([robot.home_position, drawn])
 
 
-def measure(
+def measure_motor_angles(
     robot: Robot,
     position: Array,
     known: Array,

@@ -255,7 +255,7 @@ def write_gsi(
     return paths
 
 
-def write_csv(path: Path, survey: Survey, unit: str = "gon") -> Path:
+def write_survey_csv(path: Path, survey: Survey, unit: str = "gon") -> Path:
     """Write all set-ups into one CSV file; ``unit`` is that of the angles."""
     lines = [
         "# directions clockwise, zenith angles; one line for each shot",

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 import carosac_toolkit as ct
-from calibration.lengths.synthetic import LengthScene, SceneSettings, draw_scene
+from calibration.lengths.synthetic import LengthScene, LengthSceneSettings, draw_length_scene
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
@@ -32,10 +32,10 @@ def scene(
     relative: bool = False, outliers: float = 0.05,
 ) -> LengthScene:  # fmt: skip
     """A recording of a robot that differs from its description, the same for the same numbers."""
-    return draw_scene(
+    return draw_length_scene(
         with_pulleys(name, exit_sigma=exit_sigma),
         np.random.default_rng(seed),
-        settings=SceneSettings(samples=samples, outliers=outliers),
+        settings=LengthSceneSettings(samples=samples, outliers=outliers),
         relative=relative,
     )
 

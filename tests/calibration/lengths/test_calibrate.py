@@ -17,7 +17,7 @@ from calibration.lengths import (
     fit,
     suggest_poses,
 )
-from calibration.lengths.synthetic import SceneSettings, draw_scene
+from calibration.lengths.synthetic import LengthSceneSettings, draw_length_scene
 from calibration.observability import Unobservable
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.recordings.encoders import unstrained_lengths
@@ -115,8 +115,8 @@ def test_offset_and_radial_error_are_called_one_unknown(calibrated: LengthCalibr
 )
 def test_poses_without_extent_are_refused(spread: tuple[float, float, float], shape: str) -> None:
     robot = with_pulleys("cogiro")
-    settings = SceneSettings(samples=60, spread=spread, turn=0.01)
-    made = draw_scene(robot, np.random.default_rng(0), settings=settings)
+    settings = LengthSceneSettings(samples=60, spread=spread, turn=0.01)
+    made = draw_length_scene(robot, np.random.default_rng(0), settings=settings)
     with pytest.raises(Unobservable, match=f"60 poses are {shape}"):
         calibrate_lengths(made.recording, robot)
 
@@ -219,7 +219,7 @@ def test_a_robot_in_the_frame_of_its_poses_stays_there_when_it_is_calibrated_aga
     """The tilt of that frame turns gravity in both runs, not the exit points in the second."""
     robot = ct.load_robot("carosac")
     tilted = LengthSettings(tilt_prior=0.02)
-    drawn = draw_scene(robot, np.random.default_rng(5), prior=tilted)
+    drawn = draw_length_scene(robot, np.random.default_rng(5), prior=tilted)
     first = calibrate_lengths(drawn.recording, robot, settings=tilted)
     again = calibrate_lengths(drawn.recording, first.robot, settings=tilted)
     assert not first.anchored and not again.anchored
@@ -232,7 +232,7 @@ def test_a_robot_in_the_frame_of_its_poses_stays_there_when_it_is_calibrated_aga
 
 def test_a_cable_in_another_unit_is_refused_by_name():
     robot = ct.load_robot("carosac")
-    recording = draw_scene(robot, np.random.default_rng(3)).recording
+    recording = draw_length_scene(robot, np.random.default_rng(3)).recording
     lengths = np.array(recording.unstrained_length)
     lengths[:, 2] *= 1e3
     with pytest.raises(Unobservable, match=r"cable 'rear_right'.*another unit"):

@@ -11,7 +11,11 @@ from calibration.self_calibration.map_estimate import estimate
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.solver import equations
 from calibration.self_calibration.starting_points import starts
-from calibration.self_calibration.synthetic import MeasurementNoise, draw_robot, measure
+from calibration.self_calibration.synthetic import (
+    MeasurementNoise,
+    draw_robot,
+    measure_motor_angles,
+)
 from carosac_toolkit.base.errors import InvalidField
 from tests.calibration.self_calibration.scenes import KNOWN, scene
 from tests.calibration.self_calibration.test_problem import rotated_robot
@@ -58,7 +62,9 @@ def test_eight_cables_over_pulleys_at_a_known_rotation():
     truth = draw_robot(robot, rng, settings)
     place = rng.uniform(robot.workspace_min, robot.workspace_max, (20, 3))
     place[0] = robot.home_position
-    angles = measure(truth, place, np.arange(6), MeasurementNoise(line=5e-4, known=5e-4), rng)
+    angles = measure_motor_angles(
+        truth, place, np.arange(6), MeasurementNoise(line=5e-4, known=5e-4), rng
+    )
     result = calibrate_motor_angles(angles, robot, replace(settings, known_sigma=(5e-4,) * 3))
     assert exit_nees(result, truth) < chi2.ppf(0.9999, 24)
     assert np.linalg.norm(result.position - place, axis=1).max() < 3e-3
@@ -139,7 +145,7 @@ def test_known_positions_on_one_line_are_refused():
     before, truth, place, _ = scene()
     place[1:4] = [[0.2, 0.1, 0.0], [0.4, 0.2, 0.0], [-0.2, -0.1, 0.0]]
     rng = np.random.default_rng(0)
-    angles = measure(truth, place, np.arange(4), SILENT, rng)
+    angles = measure_motor_angles(truth, place, np.arange(4), SILENT, rng)
     with pytest.raises(Unobservable, match="lie on one line, which leaves a turn about it free"):
         calibrate_motor_angles(angles, before)
 

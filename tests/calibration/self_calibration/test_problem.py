@@ -6,7 +6,7 @@ import pytest
 import carosac_toolkit as ct
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.settings import SelfCalibrationSettings
-from calibration.self_calibration.synthetic import MeasurementNoise, measure
+from calibration.self_calibration.synthetic import MeasurementNoise, measure_motor_angles
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable.drum import drums_of
 from tests.calibration.self_calibration.scenes import scene
@@ -34,7 +34,7 @@ def rotated_problem():
     rng = np.random.default_rng(3)
     place = rng.uniform(robot.workspace_min, robot.workspace_max, (5, 3))
     place[0] = robot.home_position
-    angles = measure(robot, place, np.arange(2), SILENT, rng)
+    angles = measure_motor_angles(robot, place, np.arange(2), SILENT, rng)
     return MotorAngleProblem(robot, angles, SelfCalibrationSettings()), place
 
 

@@ -10,7 +10,7 @@ from calibration.tachymeter.csv_file import read_csv
 from calibration.tachymeter.gsi import read_gsi
 from calibration.tachymeter.observations import Instrument, ReferencePoint, Sighting
 from calibration.tachymeter.survey_files import read_survey
-from calibration.tachymeter.synthetic import write_csv, write_gsi, write_targets
+from calibration.tachymeter.synthetic import write_gsi, write_survey_csv, write_targets
 from calibration.tachymeter.targets import read_targets
 from carosac_toolkit.base.errors import InvalidFile, MissingFile
 from tests.calibration.tachymeter.scenes import ROBOT, drawn, pulley_robot, write
@@ -313,7 +313,9 @@ def test_written_surveys_come_back_whole(tmp_path):
     targets = write_targets(
         tmp_path / "t.yaml", scene.survey, platform_position=robot.home_position
     )
-    survey = read_survey([str(write_csv(tmp_path / "s.csv", scene.survey))], str(targets), robot)
+    survey = read_survey(
+        [str(write_survey_csv(tmp_path / "s.csv", scene.survey))], str(targets), robot
+    )
     assert survey.reading == pytest.approx(scene.survey.reading, abs=1e-5)
     assert [s.sighting for s in survey.shots] == [s.sighting for s in scene.survey.shots]
     assert [s.target for s in survey.shots] == [s.target for s in scene.survey.shots]
