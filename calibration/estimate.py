@@ -53,24 +53,21 @@ class ParameterEstimate:
     @property
     def sigma(self) -> Array:
         """One standard deviation of each parameter, shape (k,)."""
-        found: Array = np.sqrt(np.diag(self.covariance))
-        return found
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def moved(self) -> Array:
-        """How far each parameter moved, in prior sigmas, shape (k,); 0 without a prior."""
-        found: Array = np.abs(self.value - self.start) / self.prior_sigma
-        return found
+        """Distance from the start in prior sigmas, shape (k,); 0 without a prior."""
+        return np.asarray(np.abs(self.value - self.start) / self.prior_sigma)
 
     @property
     def correlation(self) -> Array:
         """Correlation matrix, shape (k, k); 0 beside a parameter that is known exactly."""
         sigma = np.where(self.sigma > 0.0, self.sigma, 1.0)
-        found: Array = self.covariance / np.outer(sigma, sigma)
-        return found
+        return np.asarray(self.covariance / np.outer(sigma, sigma))
 
     def index(self, name: str) -> int:
-        """Where a parameter stands.
+        """Return the place of a parameter.
 
         Raises:
             InvalidField: It was not estimated.
@@ -80,7 +77,7 @@ class ParameterEstimate:
         return self.names.index(name)
 
     def select(self, names: Sequence[str]) -> ParameterEstimate:
-        """Some of the parameters, in the order of `names`."""
+        """Return some of the parameters, in the order of `names`."""
         rows = [self.index(name) for name in names]
         return ParameterEstimate(
             names=tuple(names),
@@ -91,7 +88,7 @@ class ParameterEstimate:
         )
 
     def data(self) -> dict[str, dict[str, Any]]:
-        """Every parameter by name, ready for JSON; an infinite prior becomes null."""
+        """Return every parameter by name, ready for JSON; an infinite prior becomes null."""
         columns = zip(
             self.names, self.value, self.sigma, self.start, self.prior_sigma, self.units,
             strict=True,

@@ -1,4 +1,4 @@
-"""What data can tell about parameters, and what they cannot, in words."""
+"""Judgement, in words, of what data can tell about parameters."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Unobservable(CarosacError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observability:
-    """What the data alone say of k parameters, each measured in its own scale.
+    """Information of the data alone on k parameters, each measured in its own scale.
 
     Attributes:
         parameters: k.
@@ -48,7 +48,7 @@ class Observability:
     weak: tuple[str, ...]
 
     def sentences(self) -> list[str]:
-        """What people should know before they trust the numbers."""
+        """Return what people should know before they trust the numbers."""
         lines = [
             f"the data say something of {self.rank} of {self.parameters} combinations of the "
             f"parameters, and more than was known before of {self.rank - len(self.weak)}"
@@ -59,7 +59,7 @@ class Observability:
         return lines
 
     def data(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return all numbers, ready for JSON."""
         return {
             "parameters": self.parameters,
             "rank": self.rank,
@@ -99,15 +99,15 @@ def judge(names: Sequence[str], information: Array, scale: Array) -> Observabili
 
 
 def _some(start: str, combinations: Sequence[str]) -> list[str]:
-    """A sentence for each of the first combinations, and how many more there are."""
-    said = [f"{start} {words}" for words in combinations[:NAMED_COMBINATIONS_MAX]]
+    """Name the first combinations in sentences, and count the others."""
+    lines = [f"{start} {words}" for words in combinations[:NAMED_COMBINATIONS_MAX]]
     if len(combinations) > NAMED_COMBINATIONS_MAX:
-        said[-1] += f"; and {len(combinations) - NAMED_COMBINATIONS_MAX} more such combinations"
-    return said
+        lines[-1] += f"; and {len(combinations) - NAMED_COMBINATIONS_MAX} more such combinations"
+    return lines
 
 
 def _words(names: Sequence[str], direction: Array) -> str:
-    """A combination of parameters in words, largest part first."""
+    """Name a combination of parameters, largest part first."""
     order = np.argsort(-np.abs(direction))
     chosen = [i for i in order if abs(direction[i]) >= NAMED_ENTRY_SHARE * abs(direction[order[0]])]
     sign = np.sign(direction[order[0]])

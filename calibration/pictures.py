@@ -97,7 +97,7 @@ def _draw_point(axes: Any, moved: Array, prior: Array | None, posterior: Array) 
 
 
 def _legend(axes: Any) -> list[tuple[Any, str]]:
-    """Marks of a panel with their labels."""
+    """Return the marks of a panel with their labels."""
     return list(zip(*axes.get_legend_handles_labels(), strict=True))
 
 

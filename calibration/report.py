@@ -1,4 +1,4 @@
-"""What the reports of all calibrations share: tables of parameters and of blunders."""
+"""Reports, tables and command words that all calibrations share."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _SHOWN_IN_MM = ("exit_points", "anchor_points", "drum_radius", "center_of_mass",
 
 
 def parameter_rows(estimate: ParameterEstimate) -> Rows:
-    """One row for each parameter, with as many digits as its sigma carries."""
+    """Return one row for each parameter, with as many digits as its sigma carries."""
     rows: Rows = []
     for name, unit, start, prior, value, sigma in zip(
         estimate.names, estimate.units, estimate.start, estimate.prior_sigma, estimate.value,
@@ -61,7 +61,7 @@ def parameter_rows(estimate: ParameterEstimate) -> Rows:
 
 
 def _digits(sigma: float) -> int:
-    """Decimals that show two digits of a sigma."""
+    """Return the decimals that show two digits of a sigma."""
     if sigma <= 0.0:
         return 6
     return int(np.clip(1 - np.floor(np.log10(sigma)), 0, 9))
@@ -79,7 +79,7 @@ def print_sentences(lines: Sequence[str], start: str = "* ") -> None:
 
 
 def parameters_html(estimate: ParameterEstimate) -> str:
-    """The table of parameters."""
+    """Return the table of parameters."""
     return (
         "<h2>Parameters</h2><p>Known to: one standard deviation before the calibration. 1 sigma: "
         "one standard deviation after it, what was known before included.</p>"
@@ -88,14 +88,14 @@ def parameters_html(estimate: ParameterEstimate) -> str:
 
 
 def observability_html(observability: Observability) -> str:
-    """What the data can tell and what not."""
+    """Return what the data can tell and what not."""
     return "<h2>What the data can tell</h2>" + bullets(observability.sentences())
 
 
 def blunders_html(header: tuple[str, ...], rows: Rows, *, left: int) -> str:
-    """The table of measurements that were left out, or the sentence that there are none."""
-    found = table(header, rows, left=left) if rows else "<p>None.</p>"
-    return f"<h2>Measurements left out as blunders</h2>{found}"
+    """Return the table of measurements that were left out, or the sentence that there are none."""
+    content = table(header, rows, left=left) if rows else "<p>None.</p>"
+    return f"<h2>Measurements left out as blunders</h2>{content}"
 
 
 @dataclass(frozen=True, kw_only=True)

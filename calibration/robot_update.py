@@ -17,7 +17,7 @@ from carosac_toolkit.robot.robot import Robot
 
 
 def prior_covariance(robot: Robot, names: tuple[str, ...], sigma: Array) -> Array:
-    """What a robot file knows of parameters: its calibration, its exit covariances, or `sigma`.
+    """Return what a robot file knows: its calibration, its exit covariances, or else `sigma`.
 
     Args:
         robot: The robot.
@@ -48,7 +48,7 @@ def prior_covariance(robot: Robot, names: tuple[str, ...], sigma: Array) -> Arra
 
 
 def updated(robot: Robot, estimate: ParameterEstimate) -> Robot:
-    """The robot with estimated parameters and all that is known of them.
+    """Return the robot with estimated parameters and their covariance.
 
     What an earlier calibration knew of other parameters stays, as independent of the new ones.
 
@@ -131,7 +131,7 @@ def write_robot(
 
 
 def _exit_covariance(robot: Robot, names: list[str], covariance: Array) -> Array | None:
-    """Blocks of the exit points; those of before where a point was not estimated."""
+    """Return the blocks of the exit points; those of before where a point was not estimated."""
     blocks = []
     for i, cable in enumerate(robot.cable_names):
         rows = [names.index(name) for name in point_names("exit_points", [cable]) if name in names]

@@ -66,15 +66,17 @@ def run(options: Options) -> CommandResult:
     """Identify a robot."""
     path = find_recording(options.recording)
     recording = load_recording(path)
-    found = find_robot(recording, path, options.robot)
-    check_output("--output", options.output, found.name)
-    folder = options.report or _default_folder(path, found)
+    robot_source = find_robot(recording, path, options.robot)
+    check_output("--output", options.output, robot_source.name)
+    folder = options.report or _default_folder(path, robot_source)
     check_folder("--report", folder)
     train, test = _ranges(options, recording)
-    result = identify(recording, found.robot, train=train, test=test, report=_Steps(found.robot))
+    result = identify(
+        recording, robot_source.robot, train=train, test=test, report=_Steps(robot_source.robot)
+    )
     print()
     _print(result)
-    command = ["carosac", "identify", options.recording, "--robot", found.name]
+    command = ["carosac", "identify", options.recording, "--robot", robot_source.name]
     command += ["--train", f"{train[0]}:{train[1]}"]
     command += [] if test is None else ["--test", f"{test[0]}:{test[1]}"]
     files = write_report(
@@ -82,19 +84,20 @@ def run(options: Options) -> CommandResult:
         f"Identification of {result.robot.name}",
         result,
         report_content(result, recording),
-        provenance=_provenance(options, recording, found),
+        provenance=_provenance(options, recording, robot_source),
         command=command + option_words(options, COMMAND_OPTIONS),
     )
     print(f"\nreport: {files[-1]} and {len(files) - 1} pictures beside it")
     name = Path(options.recording).name
     write_new_robot(
-        result, found.name, options.output, name=options.output.stem if options.output else None,
+        result, robot_source.name, options.output,
+        name=options.output.stem if options.output else None,
         provenance=f"carosac identify, samples {train[0]}:{train[1]} of {name}",
     )  # fmt: skip
     sys.stdout.flush()
     for line in result.warnings:
         print(f"carosac: warning: {line}", file=sys.stderr)
-    data = {"recording": options.recording, "robot": found.name, **result.data()}
+    data = {"recording": options.recording, "robot": robot_source.name, **result.data()}
     return CommandResult(data, status=1 if result.warnings else 0)
 
 
@@ -125,7 +128,7 @@ def _print(result: Identification) -> None:
 
 
 def _ranges(options: Options, recording: Recording) -> tuple[Range, Range | None]:
-    """The samples that are fitted, and those that are scored."""
+    """Return the range of samples to fit and the range to score."""
     count = len(recording.time)
     train = (0, round(_TRAIN_SHARE_DEFAULT * count))
     if options.train is not None:
@@ -143,14 +146,14 @@ def _range(name: str, text: str, count: int) -> Range:
     return int(match[1] or 0), int(match[2] or count)
 
 
-def _default_folder(path: Path, found: FoundRobot) -> Path:
-    """Where a report goes that was not sent anywhere."""
-    name = re.sub(r"[^\w.-]+", "_", f"{path.stem}-{found.robot.name}")
+def _default_folder(path: Path, robot_source: FoundRobot) -> Path:
+    """Return the folder of a report for which none was given."""
+    name = re.sub(r"[^\w.-]+", "_", f"{path.stem}-{robot_source.robot.name}")
     return Path("carosac-results") / "identify" / name
 
 
-def _provenance(options: Options, recording: Recording, found: FoundRobot) -> dict[str, str]:
-    """What went in."""
+def _provenance(options: Options, recording: Recording, robot_source: FoundRobot) -> dict[str, str]:
+    """Return the inputs by name."""
     metadata = recording.metadata
     return {
         "recording": options.recording,
@@ -158,5 +161,5 @@ def _provenance(options: Options, recording: Recording, found: FoundRobot) -> di
         "source": metadata.source,
         "licence": metadata.licence,
         "cite": metadata.citation,
-        "robot before": f"{found.name}: {found.robot.description}",
+        "robot before": f"{robot_source.name}: {robot_source.robot.description}",
     }

@@ -120,28 +120,28 @@ def run(options: Options) -> CommandResult:
         raise InvalidField("--suggest-poses", options.suggest_poses, f"0 to {SUGGESTED_POSES_MAX}")
     settings = _settings(options)
     recording = load_recording(path)
-    found = find_robot(recording, path, options.robot)
-    check_output("--output", options.output, found.name)
+    robot_source = find_robot(recording, path, options.robot)
+    check_output("--output", options.output, robot_source.name)
     if options.report is not None:
         check_folder("--report", options.report)
     try:
         result = calibrate_lengths(
-            recording, found.robot, settings=settings, start=options.start, stop=options.stop
+            recording, robot_source.robot, settings=settings, start=options.start, stop=options.stop
         )
     except Unobservable:
-        _print_suggested(_suggested(options, settings, found.robot))
+        _print_suggested(_suggested(options, settings, robot_source.robot))
         raise
     suggested = _suggested(options, settings, result)
     print_sentences(
         [
             f"{options.recording}: {len(result.sample)} samples over {np.ptp(result.time):.1f} s; "
-            f"robot {found.name}"
+            f"robot {robot_source.name}"
         ],
         "",
     )
     _print(result, suggested)
-    _write(options, result, suggested, found.name)
-    data = {"robot": found.name, **result.data()}
+    _write(options, result, suggested, robot_source.name)
+    data = {"robot": robot_source.name, **result.data()}
     data["suggested_poses"] = suggested.data() if suggested is not None else []
     return CommandResult(data, status=1 if result.warnings else 0)
 
@@ -156,14 +156,14 @@ def _check_without_poses(options: Options) -> None:
 
 
 def _settings(options: Options) -> LengthSettings:
-    """Noise and priors of the options."""
+    """Return the noise and priors of the options."""
     return LengthSettings(**{name: getattr(options, name) for name in vars(LengthSettings())})
 
 
 def _suggested(
     options: Options, settings: LengthSettings, result: LengthCalibration | Robot
 ) -> SuggestedPoses | None:
-    """Further poses, if they were asked for."""
+    """Return the further poses, if they were asked for."""
     if options.suggest_poses == 0:
         return None
     return suggest_poses(

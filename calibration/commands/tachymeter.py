@@ -112,7 +112,7 @@ def _print(result: TachymeterResult) -> None:
 
 
 def _provenance(options: Options, result: TachymeterResult) -> str:
-    """One line for the robot file."""
+    """Return one line for the robot file."""
     names = ", ".join(Path(path).name for path in options.files)
     left = f", {len(result.blunders)} readings left out" if result.blunders else ""
     return (

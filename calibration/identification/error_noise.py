@@ -1,4 +1,4 @@
-"""How far errors of an open-loop simulation may be trusted to be errors of its parameters.
+"""Noise of open-loop simulation errors: their size, and how many of them count as one.
 
 They are not white: wind, and all that the model leaves out, make the platform swing, and an error
 lasts for many samples. Each sample then counts for less than one: of N errors with autocorrelation
@@ -26,7 +26,7 @@ HEAVY_TAIL_SIGMAS = 3.0  # sigmas beyond which an error counts for less
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PoseErrorNoise:
-    """What the six errors of a pose look like.
+    """Size and correlation of the six errors of a pose.
 
     Attributes:
         sigma: Positions [m], then rotations [rad], shape (6,).
@@ -37,12 +37,12 @@ class PoseErrorNoise:
     repeats: Array
 
     def weights(self, errors: Array) -> Array:
-        """Inverse variance of errors (K, 6), less where they are large; same shape."""
+        """Return the inverse variance of errors (K, 6), less where they are large; same shape."""
         shares, _ = pseudo_huber(errors, HEAVY_TAIL_SIGMAS * self.sigma)
         return np.asarray(shares / (self.sigma**2 * self.repeats))
 
     def cost(self, errors: Array) -> float:
-        """Whose derivative the weighted errors are, up to a factor 1/2."""
+        """Return the cost whose derivative, up to a factor 1/2, the weighted errors are."""
         _, loss = pseudo_huber(errors, HEAVY_TAIL_SIGMAS * self.sigma)
         return float((HEAVY_TAIL_SIGMAS**2 * loss / self.repeats).sum())
 
@@ -58,7 +58,7 @@ def estimate_noise(errors: Array) -> PoseErrorNoise:
 
 
 def _repeats(errors: Array) -> float:
-    """Samples for which one of some errors (K,) counts; rather too many in a short record."""
+    """Return how many of some errors (K,) count as one; rather too many in a short record."""
     count = len(errors)
     longest = max(1, int(LAG_MAX_SHARE * count))
     spectrum = np.fft.rfft(errors, 2 * count)

@@ -132,7 +132,7 @@ class Fitter:
     def _excess(
         self, errors: Array, jacobian: Array, noise: PoseErrorNoise, information: Array
     ) -> float:
-        """By how much scores of whole stretches of time vary more than independent ones, >= 1."""
+        """Return by how much scores of long stretches vary more than independent ones, >= 1."""
         scores = np.einsum("nci,nc->ni", jacobian, noise.weights(errors) * errors)
         length = max(
             1, int(np.searchsorted(self._poses.time, self._poses.time[0] + SCORE_STRETCH_S))
@@ -144,7 +144,7 @@ class Fitter:
         return max(1.0, spread / float(np.trace(inverse @ information)))
 
     def _simulated(self, points: Array) -> tuple[OpenLoop, NDArray[np.bool_]]:
-        """What the robots at some coordinates (B, k) do, and which of them exist."""
+        """Simulate robots at coordinates (B, k); return motions, and which robots exist."""
         robots: list[Robot] = []
         exists = np.ones(len(points), dtype=np.bool_)
         for k, point in enumerate(points):
@@ -153,11 +153,11 @@ class Fitter:
             except InvalidField:
                 robots.append(self._unknowns.robot)
                 exists[k] = False
-        found = simulate(robots, self._path, self._poses.time, time_step=self._settings.time_step)
-        return found, exists & ~found.failed
+        motion = simulate(robots, self._path, self._poses.time, time_step=self._settings.time_step)
+        return motion, exists & ~motion.failed
 
     def _linearised(self, at: Array) -> tuple[Array, Array]:
-        """Errors (K, 6) and their Jacobian (K, 6, k)."""
+        """Return the errors (K, 6) and their Jacobian (K, 6, k)."""
         motion, good = self._simulated(
             np.vstack([at, at + FINITE_DIFFERENCE_STEP * np.eye(len(at))])
         )
@@ -176,7 +176,7 @@ class Fitter:
     def _normal(
         self, at: Array, errors: Array, jacobian: Array, noise: PoseErrorNoise
     ) -> tuple[Array, Array]:
-        """Information of the data (k, k), and gradient with the prior (k,)."""
+        """Return the information of the data (k, k), and gradient with the prior (k,)."""
         weights = noise.weights(errors)
         information = np.einsum("nci,nc,ncj->ij", jacobian, weights, jacobian)
         pull = np.einsum("nci,nc->i", jacobian, weights * errors)
@@ -191,7 +191,7 @@ class Fitter:
         noise: PoseErrorNoise,
         damping: float,
     ) -> tuple[Array, float]:
-        """A step of Levenberg and Marquardt that lowers the cost, and its damping.
+        """Search a Levenberg-Marquardt step that lowers the cost; return its end and damping.
 
         Returns:
             Where it leads, `at` itself where none helps; the damping to begin with next time.
@@ -201,35 +201,33 @@ class Fitter:
             point = self._stepped(at, hessian, gradient, damping)
             motion, good = self._simulated(point[None])
             errors = self._poses.errors(motion.position[:, 0], motion.rotation[:, 0])
-            found = noise.cost(errors) + float(point @ self._precision @ point)
-            if good[0] and found < lowest:
+            trial = noise.cost(errors) + float(point @ self._precision @ point)
+            if good[0] and trial < lowest:
                 return point, max(damping / 8.0, 1e-6)
             damping *= 5.0
         return at, DAMPING_START
 
     def _free(self, at: Array, gradient: Array) -> NDArray[np.bool_]:
-        """Coordinates that are not held at their bound."""
-        found: NDArray[np.bool_] = ~((at <= self._unknowns.lower + 1e-9) & (gradient > 0.0))
-        return found
+        """Return the coordinates that are not held at their bound."""
+        return np.asarray(~((at <= self._unknowns.lower + 1e-9) & (gradient > 0.0)))
 
     def _promise(self, at: Array, hessian: Array, gradient: Array) -> float:
-        """By how much a whole Gauss-Newton step would lower the cost."""
+        """Return by how much a whole Gauss-Newton step would lower the cost."""
         free = self._free(at, gradient)
         inverse = np.linalg.inv(hessian[np.ix_(free, free)])
         return float(gradient[free] @ inverse @ gradient[free])
 
     def _stepped(self, at: Array, hessian: Array, gradient: Array, damping: float) -> Array:
-        """Where a damped step leads; coordinates that would leave their bound stay on it."""
+        """Return the end of a damped step; coordinates that would leave their bound stay on it."""
         lower, free = self._unknowns.lower, self._free(at, gradient)
         stiff = hessian + damping * np.diag(np.diag(hessian))
         step = np.zeros(len(at))
         step[free] = -np.linalg.solve(stiff[np.ix_(free, free)], gradient[free])
         longest = float(np.abs(step / self._unknowns.prior.sigma).max())
-        found: Array = np.maximum(at + step * min(1.0, STEP_MAX_SIGMAS / longest), lower)
-        return found
+        return np.asarray(np.maximum(at + step * min(1.0, STEP_MAX_SIGMAS / longest), lower))
 
 
 def _rms(errors: Array) -> tuple[float, float]:
-    """RMS distance [m] and angle [rad] of errors (K, 6)."""
+    """Return the RMS distance [m] and angle [rad] of errors (K, 6)."""
     power = (errors**2).mean(axis=0)
     return float(np.sqrt(power[:3].sum())), float(np.sqrt(power[3:].sum()))

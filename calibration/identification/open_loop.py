@@ -26,7 +26,7 @@ TIME_ROUNDING_S = 1e-9  # [s]: less is rounding
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OpenLoop:
-    """What B robots do at K times.
+    """Motion of B robots, sampled at K times.
 
     Attributes:
         position: Platform origins in W [m], shape (K, B, 3).
@@ -68,7 +68,7 @@ def simulate(
         raise CarosacError(f"a length of {lengths.min():.4g} m: do readings and offsets belong?")
     simulator = Simulator(robots, cables="catenary", time_step=time_step)
     hangs = _hang(simulator, lengths[0])
-    found = OpenLoop(
+    motion = OpenLoop(
         position=np.empty((count, size, 3)),
         rotation=np.empty((count, size, 3, 3)),
         failed=~hangs,
@@ -80,9 +80,9 @@ def simulate(
             row += 1
             simulator.follow(lengths[row], float(when[row] - when[row - 1]))
         state = simulator.state.numpy()
-        found.position[k], found.rotation[k] = state.position, state.rotation
-    found.failed[:] |= state.failed
-    return found
+        motion.position[k], motion.rotation[k] = state.position, state.rotation
+    motion.failed[:] |= state.failed
+    return motion
 
 
 def _hang(simulator: Simulator, lengths: Array) -> NDArray[np.bool_]:

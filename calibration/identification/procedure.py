@@ -129,7 +129,7 @@ def _motion(
     poses: MeasuredPoses,
     settings: IdentificationSettings,
 ) -> Array:
-    """Errors of a robot's simulation at all measured poses, shape (K, 6)."""
+    """Return the errors of a robot's simulation at all measured poses, shape (K, 6)."""
     motion = simulate([robot], path, poses.time, time_step=settings.time_step)
     if motion.failed.any():
         raise CarosacError(f"identification: no finite motion of robot {robot.name!r}")
@@ -139,10 +139,10 @@ def _motion(
 def _check_order(robot: Robot, material: Recording, poses: MeasuredPoses) -> None:
     """Refuse cables in another order, and other units."""
     pose = Pose(position=poses.position, rotation=poses.rotation)
-    said = find_mix_ups(robot, material.unstrained_length[poses.index], pose, zeros_known=False)
-    if said:
+    mix_ups = find_mix_ups(robot, material.unstrained_length[poses.index], pose, zeros_known=False)
+    if mix_ups:
         allowed = "lengths and poses of this robot; see 'carosac calibrate lengths'"
-        raise InvalidField("recording", " ".join(said), allowed)
+        raise InvalidField("recording", " ".join(mix_ups), allowed)
 
 
 def _check_start(errors: Array) -> None:
@@ -159,7 +159,7 @@ def _check_start(errors: Array) -> None:
 
 
 def _first_speed(poses: MeasuredPoses) -> float:
-    """Speed of the platform in the first half second [m/s]."""
+    """Return the speed of the platform in the first half second [m/s]."""
     rows = poses.time - poses.time[0] <= 0.5
     if rows.sum() < 2:
         rows[:2] = True
@@ -168,7 +168,7 @@ def _first_speed(poses: MeasuredPoses) -> float:
 
 
 def _part(poses: MeasuredPoses, before: Array, after: Array, span: Range) -> ScoredRange:
-    """Scores of a range of samples."""
+    """Score a range of samples."""
     rows = (poses.index >= span[0]) & (poses.index < span[1])
     return ScoredRange(
         start=span[0], stop=span[1], before=_scores(before[rows]), after=_scores(after[rows])
@@ -197,30 +197,31 @@ def _warnings(fit: CoordinateFit, first_speed: float, test: ScoredRange | None) 
 def _rests(
     recording: Recording, robot: Robot, identified: Robot, poses: MeasuredPoses
 ) -> RestErrors:
-    """Mean measured pose of each rest against the mean equilibrium of its lengths."""
+    """Compare the mean pose of each rest with the mean equilibrium of its lengths."""
     rests = find_phases(recording.time, recording.unstrained_length).rests
     spans = [rows for a, b in rests if len(rows := _rows(poses, a, b))]
     first = [int(poses.index[rows[0]]) for rows in spans]
-    found = []
+    distances = []
     for each in (robot, identified):
         lengths = calibrated(recording, each).unstrained_length
         hung = [_mean_position(each, lengths[poses.index[rows]]) for rows in spans]
         where = [poses.position[rows].mean(axis=0) for rows in spans]
-        found.append(np.linalg.norm(np.array(hung) - np.array(where), axis=1) if spans else [])
-    return RestErrors(before=np.array(found[0]), after=np.array(found[1]), starts=np.array(first))
+        distances.append(np.linalg.norm(np.array(hung) - np.array(where), axis=1) if spans else [])
+    return RestErrors(
+        before=np.array(distances[0]), after=np.array(distances[1]), starts=np.array(first)
+    )
 
 
 def _rows(poses: MeasuredPoses, start: int, stop: int) -> NDArray[np.int64]:
-    """Rows of the poses of some length samples."""
+    """Return the rows of the poses of some length samples."""
     return np.flatnonzero((poses.index >= start) & (poses.index < stop))
 
 
 def _mean_position(robot: Robot, lengths: Array) -> Array:
-    """Mean equilibrium on some lengths (K, n), shape (3,); NaN where there is none."""
+    """Return the mean equilibrium on some lengths (K, n), shape (3,); NaN where there is none."""
     if (lengths <= 0.0).any():
         return np.full(3, np.nan)
     rest = statics.forward_kinematics(robot, lengths)
     if not rest.converged.all():
         return np.full(3, np.nan)
-    mean: Array = rest.position.mean(axis=0)
-    return mean
+    return np.asarray(rest.position.mean(axis=0))

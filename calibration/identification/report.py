@@ -18,7 +18,7 @@ SCORE_HEADER = (
 
 
 def score_rows(result: Identification) -> Rows:
-    """RMS errors before and after, of both ranges."""
+    """Return the RMS errors before and after, of both ranges."""
     rows: Rows = []
     parts: list[tuple[str, ScoredRange | None]] = [
         ("fitted", result.train),

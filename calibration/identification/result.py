@@ -1,4 +1,4 @@
-"""What an identification found."""
+"""The result of an identification."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ScoredRange:
     after: PoseScores
 
     def data(self) -> dict[str, Any]:
-        """Scores after, and those before under ``before``, ready for JSON."""
+        """Return the scores after, and those before under ``before``, ready for JSON."""
         samples = {"start": self.start, "stop": self.stop}
         return {**samples, **self.after.data(), "before": self.before.data()}
 
@@ -54,7 +54,7 @@ class RestErrors:
     starts: Array
 
     def data(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return all numbers, ready for JSON."""
         return {
             "first_sample": self.starts,
             "before_m": self.before,
@@ -96,7 +96,7 @@ class Identification(CalibrationResult):
     fitted_samples: int
 
     def data(self) -> dict[str, Any]:
-        """All numbers under names with units, ready for JSON."""
+        """Return all numbers under names with units, ready for JSON."""
         return {
             "train": self.train.data(),
             "test": None if self.test is None else self.test.data(),
@@ -110,7 +110,7 @@ class Identification(CalibrationResult):
         }
 
     def sentences(self) -> list[str]:
-        """What was found, and what the data cannot tell."""
+        """Return what was found, and what the data cannot tell."""
         lines = [self._scores("fitted", self.train)]
         if self.test is not None:
             lines.append(self._scores("kept back", self.test))
@@ -138,13 +138,13 @@ class Identification(CalibrationResult):
         )
 
     def _excess(self) -> str:
-        """What the noise model does not explain, or nothing."""
+        """Return what the noise model does not explain, or nothing."""
         if self.excess < 1.05:
             return ""
         return f", and are {np.sqrt(self.excess):.2f} times larger for what that does not explain"
 
     def _untaught(self) -> list[str]:
-        """Parameters that the data say little about."""
+        """Return the parameters that the data say little about."""
         kept = self.estimate.sigma / self.estimate.prior_sigma
         fields = [field_of(name) for name in self.estimate.names]
         words = []
@@ -158,7 +158,7 @@ class Identification(CalibrationResult):
         return [f"the data hardly tell, so that what was known before decides: {', '.join(words)}"]
 
     def _contradictions(self) -> list[str]:
-        """Parameters that moved further than was thought possible."""
+        """Return the parameters that moved further than was thought possible."""
         far = [
             f"{name} ({share:.1f} sigmas)"
             for name, share in zip(self.estimate.names, self.estimate.moved, strict=True)
@@ -170,6 +170,6 @@ class Identification(CalibrationResult):
 
 
 def _rms(values: Array) -> float:
-    """Root mean square of what is known; NaN where nothing is."""
+    """Return the root mean square of the finite values; NaN where there are none."""
     known = values[np.isfinite(values)]
     return float(np.sqrt((known**2).mean())) if len(known) else float("nan")

@@ -56,7 +56,7 @@ class Coordinates:
     reach: float
 
     def robot_at(self, coordinates: Array) -> Robot:
-        """The robot of some coordinates, shape (k,).
+        """Return the robot of some coordinates, shape (k,).
 
         Raises:
             InvalidField: There is no such robot.
@@ -79,7 +79,7 @@ class Coordinates:
         return replace(changed, inertia=np.trace(spread) * np.eye(3) - spread)
 
     def _lengthening(self, name: str, values: Array) -> float:
-        """By which factor the cable with its run becomes longer, for a parameter named as EA."""
+        """Return by which factor the cable of an EA becomes longer with its run."""
         run = name.replace("axial_stiffness", "run_length")
         if run not in self.prior.names:
             return 1.0
@@ -88,7 +88,7 @@ class Coordinates:
         return float((self.reach + values[row]) / (self.reach + before))
 
     def estimate(self, coordinates: Array, covariance: Array) -> ParameterEstimate:
-        """What is known of the parameters themselves.
+        """Return the parameters themselves, with covariance and prior.
 
         Args:
             coordinates: Estimated, shape (k,).
@@ -104,8 +104,7 @@ class Coordinates:
             columns = [
                 (values(at + step) - here) / PARAMETER_DERIVATIVE_STEP for step in steps
             ]  # bounds lie below
-            found: Array = np.stack(columns, axis=1)
-            return found
+            return np.asarray(np.stack(columns, axis=1))
 
         slope, first = derivative(coordinates), derivative(np.zeros(len(coordinates)))
         return ParameterEstimate(
@@ -118,7 +117,7 @@ class Coordinates:
 
 
 def choose_coordinates(robot: Robot, settings: IdentificationSettings) -> Coordinates:
-    """Coordinates for all that is not held, with what the robot file knows as their prior.
+    """Choose coordinates for all that is not held, with the robot file as their prior.
 
     Args:
         robot: Where the search starts.
@@ -158,12 +157,12 @@ def choose_coordinates(robot: Robot, settings: IdentificationSettings) -> Coordi
 
 
 def _reach(robot: Robot) -> float:
-    """Mean distance from exit points to home [m]."""
+    """Return the mean distance from exit points to home [m]."""
     return float(np.linalg.norm(robot.exit_points - robot.home_position, axis=1).mean())
 
 
 def _names(robot: Robot, settings: IdentificationSettings) -> tuple[tuple[str, ...], Array]:
-    """Parameters that are not held, and what is known of them."""
+    """Return parameters that are not held, and one sigma of each."""
     cables = robot.cable_names
     groups: dict[str, list[str]] = {
         "exit_points": point_names("exit_points", cables),

@@ -84,7 +84,7 @@ def calibrate_lengths(
 
 
 def _spread(count: int) -> NDArray[np.int64]:
-    """Numbers of the samples that are used."""
+    """Return the numbers of the samples that are used."""
     kept = min(count, SAMPLES_MAX)
     return np.linspace(0, count - 1, kept).round().astype(np.int64)
 
@@ -180,7 +180,7 @@ def _plausible(prior: Prior) -> Array:
 
 
 def _estimate(unknowns: LengthUnknowns, value: Array, covariance: Array) -> ParameterEstimate:
-    """The parameters that go into the robot: a tilt of gravity alone does not."""
+    """Return the parameters that go into the robot: a tilt of gravity alone does not."""
     into = [
         k
         for k, name in enumerate(unknowns.prior.names)
@@ -197,7 +197,7 @@ def _estimate(unknowns: LengthUnknowns, value: Array, covariance: Array) -> Para
 
 
 def _gravity(unknowns: LengthUnknowns, value: Array, covariance: Array) -> Gravity | None:
-    """Direction of gravity in the frame of the poses."""
+    """Return the direction of gravity in the frame of the poses."""
     rows = unknowns.prior.rows("pose_tilt")
     if len(rows) != 2:
         return None
@@ -221,7 +221,7 @@ def _tilted(unknowns: LengthUnknowns, gravity: Gravity | None) -> list[str]:
 
 
 def _before(problem: LengthProblem, n: int, relative: bool) -> Array:
-    """Residuals of the robot as it was, at the same samples and the delay found, (S, n)."""
+    """Return the residuals of the robot before, at the same samples and delay, shape (S, n)."""
     start = problem.unknowns.prior.mean.copy()
     delay = problem.unknowns.prior.rows("length_delay")
     start[delay] = problem.delay

@@ -1,4 +1,4 @@
-"""Whether a recording can calibrate a robot at all: mix-ups and set-ups that tell too little."""
+"""Checks that refuse mix-ups and set-ups that tell too little."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ def check_order(robot: Robot, reading: Array, pose: Pose, *, relative: bool) -> 
     Raises:
         MixUp: Names what is mixed up.
     """
-    said = _changes(robot, reading, pose)
-    if not said and not relative and robot.length_offset is None:
-        said = list(find_mix_ups(robot, reading, pose, zeros_known=False))
-    if said:
+    mix_ups = _changes(robot, reading, pose)
+    if not mix_ups and not relative and robot.length_offset is None:
+        mix_ups = list(find_mix_ups(robot, reading, pose, zeros_known=False))
+    if mix_ups:
         advice = "put that right in the recording or in the robot file, then calibrate again"
-        raise MixUp("\n  ".join(["recording and robot do not fit:", *said, advice]))
+        raise MixUp("\n  ".join(["recording and robot do not fit:", *mix_ups, advice]))
 
 
 def _changes(robot: Robot, reading: Array, pose: Pose) -> list[str]:
-    """What the changes of the readings show, whatever their zeros are."""
+    """Return the mix-ups that changes of the readings show, whatever their zeros are."""
     from scipy.optimize import linear_sum_assignment
 
     cables = straight_length(robot, pose.position, pose.rotation)
@@ -93,7 +93,7 @@ def check_observable(unknowns: LengthUnknowns, data: Array, position: Array) -> 
     if unknowns.anchored or not len(exits):
         return
     after = np.linalg.inv(data + unknowns.prior.information)
-    said = []
+    lines = []
     for cable, rows in zip(unknowns.robot.cable_names, exits.reshape(-1, 3), strict=True):
         values, vectors = np.linalg.eigh(after[np.ix_(rows, rows)])
         sigma, before = (
@@ -102,20 +102,20 @@ def check_observable(unknowns: LengthUnknowns, data: Array, position: Array) -> 
         )
         if sigma > max(LEARNT_SIGMA_SHARE * before, EXIT_SIGMA_MAX_M):
             along = np.array2string(np.abs(vectors[:, -1]), precision=2, separator=", ")
-            said.append(
+            lines.append(
                 f"exit point '{cable}' would stay unknown by {sigma * 1e3:.0f} mm along {along} "
                 f"(it was {before * 1e3:.0f} mm)"
             )
-    if said:
+    if lines:
         advice = (
             "record more poses, spread over the whole workspace (--suggest-poses says which), or "
             "give the robot file covariances of its exit points, as from a tachymeter"
         )
-        raise Unobservable("\n  ".join([f"{_spread(unknowns.robot, position)}:", *said, advice]))
+        raise Unobservable("\n  ".join([f"{_spread(unknowns.robot, position)}:", *lines, advice]))
 
 
 def _spread(robot: Robot, position: Array) -> str:
-    """What is wrong with the poses, in words."""
+    """Return what is wrong with the poses, in words."""
     count = len(position)
     extent = np.zeros(3)
     if count > 1:
@@ -137,9 +137,9 @@ def radial_sentences(unknowns: LengthUnknowns, covariance: Array, direction: Arr
         covariance: Of the estimate, shape (k, k).
         direction: Mean unit vector from exit to anchor points, shape (n, 3).
     """
-    offsets, said = unknowns.prior.rows("length_offset"), list[str]()
+    offsets, lines = unknowns.prior.rows("length_offset"), list[str]()
     if len(offsets) != unknowns.robot.n or not len(unknowns.exits):
-        return said
+        return lines
     for i, name in enumerate(unknowns.robot.cable_names):
         radial = np.zeros(len(covariance))
         radial[unknowns.exits[3 * i : 3 * i + 3]] = direction[i] / np.linalg.norm(direction[i])
@@ -147,9 +147,9 @@ def radial_sentences(unknowns: LengthUnknowns, covariance: Array, direction: Arr
         shared = radial @ covariance[:, offsets[i]] / np.sqrt(apart * offset)
         both = np.sqrt(max(apart + offset - 2.0 * radial @ covariance[:, offsets[i]], 0.0))
         if abs(shared) > 0.8:
-            said.append(
+            lines.append(
                 f"exit point of '{name}' along its cable and its length offset are almost one "
                 f"unknown (correlation {shared:.2f}): {np.sqrt(apart) * 1e3:.1f} mm and "
                 f"{np.sqrt(offset) * 1e3:.1f} mm each, {both * 1e3:.2f} mm together"
             )
-    return said
+    return lines

@@ -54,12 +54,12 @@ def draw_poses(result: LengthCalibration, suggested: SuggestedPoses | None) -> F
 def images(
     result: LengthCalibration, suggested: SuggestedPoses | None
 ) -> dict[str, tuple[bytes, str]]:
-    """All pictures as PNG with their captions, by name."""
+    """Draw all pictures; return PNG and caption by name."""
     names = result.robot.cable_names
-    found = {}
+    drawn = {}
     if any(name.startswith("exit_points") for name in result.estimate.names):
         assert result.robot.exit_covariance is not None
-        found["exit_points"] = (
+        drawn["exit_points"] = (
             png(
                 draw_exit_points(
                     names, result.before.exit_points, result.exit_covariance_before,
@@ -69,18 +69,18 @@ def images(
             "Exit points before (grey) and after (blue) with their 95 % ellipses, relative to the "
             "calibrated ones.",
         )  # fmt: skip
-    found["residuals"] = (
+    drawn["residuals"] = (
         png(draw_residuals(result.time, result.residual, result.outlier, names, label="time [s]")),
         "Readings less predictions of the calibrated robot over time; crosses: left out as "
         "blunders, drawn at the edge where they are outside.",
     )
-    found["learnt"] = (
+    drawn["learnt"] = (
         png(draw_learnt(result.estimate)),
         "What is left of the prior standard deviation of each parameter, and how far it moved.",
     )
-    found["poses"] = (
+    drawn["poses"] = (
         png(draw_poses(result, suggested)),
         "Where the platform was measured"
         + (", which poses would teach most, and what they would." if suggested else "."),
     )
-    return found
+    return drawn

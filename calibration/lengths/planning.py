@@ -1,4 +1,4 @@
-"""Which further poses would teach most about the exit points."""
+"""Further poses that would teach most about the exit points."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class SuggestedPoses:
     worst: Array
 
     def data(self) -> list[dict[str, Any]]:
-        """Ready for JSON."""
+        """Return all numbers, ready for JSON."""
         return [
             {"position_m": p, "quaternion_wxyz": q, "exit_sigma_m": s, "exit_sigma_max_m": w}
             for p, q, s, w in zip(
@@ -54,7 +54,7 @@ class SuggestedPoses:
 
 
 def suggest_poses(
-    found: LengthCalibration | Robot,
+    known_robot: LengthCalibration | Robot,
     count: int,
     *,
     settings: LengthSettings | None = None,
@@ -65,7 +65,7 @@ def suggest_poses(
     The best is that which leaves the least sum of variances of the exit points (A-optimal).
 
     Args:
-        found: A calibration to be improved, or a robot that was not calibrated yet.
+        known_robot: A calibration to be improved, or a robot that was not calibrated yet.
         count: How many.
         settings: Noise and priors, those of the calibration.
         rng: Source of the candidates.
@@ -76,13 +76,13 @@ def suggest_poses(
     if not 1 <= count <= SUGGESTED_POSES_MAX:
         raise InvalidField("--suggest-poses", count, f"1 to {SUGGESTED_POSES_MAX}")
     known = settings or LengthSettings()
-    if isinstance(found, Robot):
-        robot, noise = found, (known.length_noise or TYPICAL_LENGTH_NOISE_M, TYPICAL_SWAY_RAD)
+    if isinstance(known_robot, Robot):
+        robot, noise = known_robot, (known.length_noise or TYPICAL_LENGTH_NOISE_M, TYPICAL_SWAY_RAD)
         unknowns = find_unknowns(robot, known, relative=False)
         now = unknowns.prior.covariance
     else:
-        robot, unknowns, now = found.robot, found.unknowns, found.covariance
-        noise = (found.length_noise, found.balance_noise or TYPICAL_SWAY_RAD)
+        robot, unknowns, now = known_robot.robot, known_robot.unknowns, known_robot.covariance
+        noise = (known_robot.length_noise, known_robot.balance_noise or TYPICAL_SWAY_RAD)
     rest = _candidates(robot, rng)
     jacobian, spread = _gains(robot, unknowns, known, rest, noise)
     exits, chosen = unknowns.exits, list[int]()
@@ -100,7 +100,7 @@ def suggest_poses(
 
 
 def _candidates(robot: Robot, rng: np.random.Generator) -> PosesAt:
-    """Poses of rest with tensions within the limits, half of them on the edges of the box."""
+    """Draw poses of rest with tensions within the limits, half of them on the edges of the box."""
     from scipy.spatial.transform import Rotation
 
     share = rng.uniform(-1.0, 1.0, (CANDIDATE_POSES, 3))
@@ -134,27 +134,27 @@ def _gains(
     rest: PosesAt,
     noise: tuple[float, float],
 ) -> tuple[Array, Array]:
-    """Derivatives (C, m, k) and covariances (C, m, m) of what a candidate would measure."""
+    """Return the derivatives (C, m, k) and covariances (C, m, m) of the candidates."""
     with_balance = robot.n < 6
     level = replace(robot, pose_rotation=None)
-    found = predict(
+    predicted = predict(
         level,
         rest,
         np.zeros((len(rest.position), robot.n)),
         with_balance=with_balance,
         anchored=unknowns.anchored,
     )
-    m = found.value.shape[1]
+    m = predicted.value.shape[1]
     own = np.where(np.arange(m) < robot.n, *noise) ** 2
     pose = np.diag([known.position_noise**2] * 3 + [known.rotation_noise**2] * 3)
-    whole = np.diag(own) + found.by_pose @ pose @ found.by_pose.swapaxes(1, 2)
-    return found.by_all[:, :, unknowns.columns], whole
+    whole = np.diag(own) + predicted.by_pose @ pose @ predicted.by_pose.swapaxes(1, 2)
+    return predicted.by_all[:, :, unknowns.columns], whole
 
 
 def _best(
     now: Array, jacobian: Array, noise: Array, exits: NDArray[np.int64], taken: list[int]
 ) -> tuple[int, Array]:
-    """The candidate that takes most off the variance of the exit points, and what it leaves."""
+    """Return the candidate that takes most off the exit points' variance, and what it leaves."""
     moved = jacobian @ now  # (C, m, k)
     gain = np.linalg.solve(moved @ jacobian.swapaxes(1, 2) + noise, moved)
     worth = (moved[:, :, exits] * gain[:, :, exits]).sum(axis=(1, 2))

@@ -47,7 +47,7 @@ class PlatformBalance:
 def balance(
     robot: Robot, rotation: Array, cables: StraightCables, up: Array | None = None
 ) -> PlatformBalance:
-    """Tensions and residual of the balance at measured poses.
+    """Return tensions and residual of the balance at measured poses.
 
     Args:
         robot: With n < 6 cables.
@@ -88,7 +88,7 @@ def balance(
 
 
 def _tension(robot: Robot, rotation: Array, center: Array, matrix: Array, load: Array) -> Array:
-    """Tensions of least acceleration, (S, n); `matrix` holds a wrench per cable, (S, n, 6)."""
+    """Return the tensions of least acceleration, (S, n), by wrenches per cable, (S, n, 6)."""
     turning = rotation @ robot.inertia @ rotation.swapaxes(1, 2)
     lever = cross_matrix(center)
     mass = np.zeros((len(rotation), 6, 6))
@@ -97,15 +97,16 @@ def _tension(robot: Robot, rotation: Array, center: Array, matrix: Array, load: 
     mass[:, 3:, :3] = robot.mass * lever
     mass[:, 3:, 3:] = turning - robot.mass * lever @ lever
     softened = np.linalg.solve(mass, matrix.swapaxes(1, 2))  # (S, 6, n)
-    found = np.linalg.solve(matrix @ softened, -np.einsum("sin,si->sn", softened, load)[..., None])
-    tension: Array = found[..., 0]
-    return tension
+    tension = np.linalg.solve(
+        matrix @ softened, -np.einsum("sin,si->sn", softened, load)[..., None]
+    )
+    return np.asarray(tension[..., 0])
 
 
 def _derivatives(
     direction: Array, stiffness: Array, arm: Array, tension: Array, center: Array, weight: Array
 ) -> tuple[Array, Array, Array]:
-    """Derivatives of the wrench at constant tensions.
+    """Return the derivatives of the wrench at constant tensions.
 
     Returns:
         By the anchor points and by the exit points in W, both (S, n, 6, 3), and by the pose,

@@ -74,7 +74,7 @@ class PosePath:
         self._lone = np.array(lone, dtype=np.int64)
 
     def at(self, time: Array, delay: float) -> PosesAt:
-        """Poses that belong to readings.
+        """Return the poses that belong to readings.
 
         Args:
             time: Of the readings [s], shape (S,).
@@ -99,7 +99,7 @@ class PosePath:
         )
 
     def _fill_lone(self, time: Array, value: Array, valid: NDArray[np.bool_]) -> None:
-        """Lone poses, of a platform that rests, belong to the readings around them."""
+        """Give lone poses, of a platform at rest, to the readings around them."""
         if not len(self._lone):
             return
         stamps = self._time[self._lone]
@@ -112,8 +112,7 @@ class PosePath:
 
 
 def _angular(quaternion: Array, rate: Array) -> Array:
-    """Angular velocity in F [rad/s], (S, 3): the vector part of 2 dq/dt q*."""
+    """Return the angular velocity in F [rad/s], (S, 3): the vector part of 2 dq/dt q*."""
     w, v = quaternion[:, :1], quaternion[:, 1:]
     dw, dv = rate[:, :1], rate[:, 1:]
-    found: Array = 2.0 * (w * dv - dw * v - np.cross(dv, v))
-    return found
+    return np.asarray(2.0 * (w * dv - dw * v - np.cross(dv, v)))

@@ -28,7 +28,7 @@ BLUNDERS_SHOWN_MAX = 200  # blunders in the report
 
 
 def cable_rows(result: LengthCalibration) -> Rows:
-    """One row per cable."""
+    """Return one row per cable."""
     robot, rows = result.robot, Rows()
     moved = np.linalg.norm(robot.exit_points - result.before.exit_points, axis=1)
     offset = np.zeros(robot.n) if robot.length_offset is None else robot.length_offset
@@ -53,7 +53,7 @@ def cable_rows(result: LengthCalibration) -> Rows:
 
 
 def pose_rows(suggested: SuggestedPoses) -> Rows:
-    """One row per suggested pose; the first row is what is known before."""
+    """Return one row per suggested pose; the first row is what is known before."""
     now = (f"{1e3 * suggested.sigma[0]:.2f}", f"{1e3 * suggested.worst[0]:.2f}")
     return [("now", "", "", "", *now)] + [
         (str(k + 1), *(f"{v:.2f}" for v in position), f"{1e3 * mean:.2f}", f"{1e3 * worst:.2f}")

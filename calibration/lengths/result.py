@@ -1,4 +1,4 @@
-"""What a calibration from lengths found."""
+"""The result of a calibration from lengths."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class LengthCalibration(CalibrationResult):
         return float(np.sqrt(np.mean(self.residual_before[~self.outlier] ** 2)))
 
     def outliers(self) -> list[dict[str, Any]]:
-        """The readings that were left out, ready for JSON, in the order of time."""
+        """Return the readings that were left out, ready for JSON, in the order of time."""
         return [
             {
                 "sample": int(self.sample[row]),
@@ -101,7 +101,7 @@ class LengthCalibration(CalibrationResult):
         ]
 
     def data(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return all numbers, ready for JSON."""
         gravity = None
         if self.gravity is not None:
             gravity = {"tilt_rad": self.gravity.tilt, "sigma_rad": self.gravity.sigma}

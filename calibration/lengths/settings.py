@@ -1,4 +1,4 @@
-"""What is known before a calibration from lengths: noise and priors, as standard deviations."""
+"""Noise and priors of a calibration from lengths, as standard deviations."""
 
 from __future__ import annotations
 

@@ -19,6 +19,10 @@ from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.parameters import with_values
 from carosac_toolkit.robot.robot import Robot
 
+SAMPLE_PERIOD_S = 0.2  # as of a motion capture at 5 Hz
+LENGTH_NOISE_M = 2e-3  # as of winch encoders, with errors of winding
+POSITION_NOISE_M, ROTATION_NOISE_RAD = 1e-3, 0.5e-3  # as of a motion capture in a hall
+BLUNDER_MIN_M, BLUNDER_MAX_M = 0.05, 0.5
 MOVE_TIME_S = 4.0  # [s] from stop to stop
 POSES_CHECKED_PER_MOVE = 41  # poses of a move that have to be equilibria
 STOP_TRIES_MAX = 200
@@ -44,29 +48,17 @@ class LengthScene:
 
 @dataclass(frozen=True, kw_only=True)
 class LengthSceneSettings:
-    """How a synthetic recording is made.
+    """Settings of a synthetic recording.
 
     Attributes:
-        samples: Poses.
-        period: Between them [s].
-        length_noise: [m].
-        position_noise: [m].
-        rotation_noise: [rad].
-        outliers: Share of the readings.
-        outlier_min: Smallest blunder [m].
-        outlier_max: Largest blunder [m].
-        spread: Share of the workspace box that the path uses, per axis.
+        samples: Number of poses.
+        outliers: Share of the readings that are blunders [1].
+        spread: Share of the workspace box that the path uses, per axis [1].
         turn: Largest rotation of a platform that can be turned, per axis [rad].
     """
 
     samples: int = 500
-    period: float = 0.2
-    length_noise: float = 2e-3
-    position_noise: float = 1e-3
-    rotation_noise: float = 0.5e-3
     outliers: float = 0.05
-    outlier_min: float = 0.05
-    outlier_max: float = 0.5
     spread: tuple[float, float, float] = (1.0, 1.0, 1.0)
     turn: float = 0.2
 
@@ -96,13 +88,13 @@ def draw_length_scene(
     plant = _plant(unknowns, drawn)
     delay = truth.get("length_delay", 0.0)
     time = np.asarray(
-        1.0 + made.period * np.arange(made.samples), np.float64
+        1.0 + SAMPLE_PERIOD_S * np.arange(made.samples), np.float64
     )  # delays are shorter than 1 s
     there, later = _drive(plant, made, time, delay, rng)
     outlier = rng.random((made.samples, robot.n)) < made.outliers
-    size = rng.uniform(made.outlier_min, made.outlier_max, outlier.shape)
+    size = rng.uniform(BLUNDER_MIN_M, BLUNDER_MAX_M, outlier.shape)
     read = readings(plant, later.unstrained_length)
-    read = read + made.length_noise * rng.standard_normal(read.shape)
+    read = read + LENGTH_NOISE_M * rng.standard_normal(read.shape)
     read = read + np.where(outlier, size * rng.choice([-1.0, 1.0], size.shape), 0.0)
     poses = _measured(plant, there, time, made, rng)
     kind = "unstrained"
@@ -120,7 +112,7 @@ def draw_length_scene(
 
 
 def _plant(unknowns: LengthUnknowns, value: Array) -> Robot:
-    """The robot in W, z up; exit points that are not anchored are drawn in the poses' frame."""
+    """Return the robot in W, z up; exit points not anchored are drawn in the poses' frame."""
     plant = with_values(unknowns.robot, unknowns.prior.names, value)
     if unknowns.anchored or plant.pose_rotation is None:
         return plant
@@ -130,7 +122,7 @@ def _plant(unknowns: LengthUnknowns, value: Array) -> Robot:
 def _drive(
     plant: Robot, made: LengthSceneSettings, time: Array, delay: float, rng: np.random.Generator
 ) -> tuple[statics.Equilibrium, statics.Equilibrium]:
-    """Equilibria of a random path at some times and `delay` later."""
+    """Return the equilibria of a random path at some times and `delay` later."""
     for _ in range(PATH_TRIES_MAX):
         path = _Path(plant, made, rng)
         there, later = path.at(time), path.at(time + delay)
@@ -148,19 +140,19 @@ class _Path:
 
     def __init__(self, plant: Robot, made: LengthSceneSettings, rng: np.random.Generator) -> None:
         self._plant, self._made = plant, made
-        moves = int(np.ceil((made.samples * made.period + 2.0) / MOVE_TIME_S)) + 1
+        moves = int(np.ceil((made.samples * SAMPLE_PERIOD_S + 2.0) / MOVE_TIME_S)) + 1
         self._stops = [self._free_stop(rng)]
         for _ in range(moves):
             self._stops.append(self._next_stop(rng))
 
     def at(self, time: Array) -> statics.Equilibrium:
-        """Equilibria at some times after the start [s]."""
+        """Return the equilibria at some times after the start [s]."""
         stops = np.array(self._stops)
         number = np.clip((time / MOVE_TIME_S).astype(int), 0, len(stops) - 2)
         return self._hold(_between(stops[number], stops[number + 1], time / MOVE_TIME_S - number))
 
     def _hold(self, stop: Array) -> statics.Equilibrium:
-        """Equilibria at shares of the workspace box and of the largest turn, shape (B, 6)."""
+        """Solve equilibria at shares of the workspace box and of the largest turn, shape (B, 6)."""
         from scipy.spatial.transform import Rotation
 
         robot = self._plant
@@ -173,14 +165,14 @@ class _Path:
         return statics.inverse_kinematics(robot, middle + half * stop[:, :3], rotation)
 
     def _free_stop(self, rng: np.random.Generator) -> Array:
-        """A random point on an edge of the box, and a random turn."""
+        """Draw a point on an edge of the box, and a turn."""
         stop = rng.uniform(-1.0, 1.0, 6)
         ends = rng.permutation(3)[:2]
         stop[ends] = np.sign(stop[ends])
         return stop
 
     def _next_stop(self, rng: np.random.Generator) -> Array:
-        """One that the platform can be driven to from the last stop."""
+        """Draw a stop that the platform can be driven to from the last one."""
         share = np.linspace(0.0, 1.0, POSES_CHECKED_PER_MOVE)
         for _ in range(STOP_TRIES_MAX):
             stop = self._free_stop(rng)
@@ -195,21 +187,20 @@ class _Path:
 
 
 def _between(start: Array, end: Array, share: Array) -> Array:
-    """Points on the way from one stop to the next, with no jump of the acceleration."""
+    """Return the points on the way from one stop to the next, with no jump of the acceleration."""
     smooth = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-    found: Array = start + smooth[:, None] * (end - start)
-    return found
+    return np.asarray(start + smooth[:, None] * (end - start))
 
 
 def _measured(
     plant: Robot, rest: statics.Equilibrium, time: Array, made: LengthSceneSettings,
     rng: np.random.Generator,
 ) -> PoseSamples:  # fmt: skip
-    """Poses with noise, in the frame of the motion capture."""
+    """Draw measured poses with noise, in the frame of the motion capture."""
     from scipy.spatial.transform import Rotation
 
     turn = np.eye(3) if plant.pose_rotation is None else plant.pose_rotation
-    noise = made.rotation_noise * rng.standard_normal((len(time), 3))
-    position = rest.position + made.position_noise * rng.standard_normal((len(time), 3))
+    noise = ROTATION_NOISE_RAD * rng.standard_normal((len(time), 3))
+    position = rest.position + POSITION_NOISE_M * rng.standard_normal((len(time), 3))
     rotation = Rotation.from_rotvec(noise).as_matrix() @ rest.rotation
     return PoseSamples.from_rotation(time, position @ turn, turn.T @ rotation)

@@ -42,7 +42,7 @@ class LengthUnknowns:
         return self.prior.rows("exit_points")
 
     def robot_at(self, value: Array) -> Robot:
-        """The robot with these parameters, in W; pulleys swivel about what stands on the ground."""
+        """Return the robot with these parameters in W; swivel axes stay where they stand."""
         robot = with_values(self.robot, self.prior.names, value)
         if self.anchored or robot.pose_rotation is None:
             return robot
@@ -50,7 +50,7 @@ class LengthUnknowns:
 
 
 def all_names(cable_names: Sequence[str], *, center: bool) -> tuple[str, ...]:
-    """Every parameter, in the order of the Jacobians' columns.
+    """Return every parameter, in the order of the Jacobians' columns.
 
     Args:
         cable_names: Of the robot.
@@ -64,7 +64,7 @@ def all_names(cable_names: Sequence[str], *, center: bool) -> tuple[str, ...]:
 
 
 def find_unknowns(robot: Robot, settings: LengthSettings, *, relative: bool) -> LengthUnknowns:
-    """Parameters with a prior that leaves them free.
+    """Return the parameters whose prior leaves them free.
 
     Args:
         robot: Before the calibration; its covariances are priors.
@@ -95,7 +95,7 @@ def find_unknowns(robot: Robot, settings: LengthSettings, *, relative: bool) -> 
 
 
 def is_anchored(robot: Robot) -> bool:
-    """Whether the exit points are known apart from the measured poses.
+    """Return whether the exit points are known apart from the measured poses.
 
     Points that an earlier calibration found from lengths alone are in the frame of those poses, and
     so they are no anchor for others.
@@ -107,7 +107,7 @@ def is_anchored(robot: Robot) -> bool:
 
 
 def _sigma(name: str, settings: LengthSettings, relative: bool) -> float:
-    """Prior of one parameter."""
+    """Return the prior of one parameter."""
     if name.startswith("length_offset") and relative and settings.offset_prior > 0.0:
         return LOOSE_OFFSET_SIGMA_M
     return {

@@ -1,4 +1,4 @@
-"""How well each sample fits, how much noise there is, and which samples are blunders.
+"""Tests of every sample: its misfit, the noise of all, and which samples are blunders.
 
 A sample of n lengths has n - 3 more than its position takes: what they leave is its closure. A
 known position is compared with the one that the lengths alone give. Both are tested against their
@@ -95,9 +95,9 @@ def settle(
         robust=True,
     )
     soft, trust = _soft(problem, start, trust, settings)
-    found = soft
+    solution = soft
     for _ in range(NOISE_ROUNDS_MAX):
-        tests = test_samples(problem, found, trust)
+        tests = test_samples(problem, solution, trust)
         lengths, known = _believed(problem, tests, settings)
         same = (lengths == trust.lengths).all() and (known == trust.known).all()
         line = trust.line_sigma
@@ -110,32 +110,34 @@ def settle(
         trust = Trust(
             line_sigma=max(line, LINE_SIGMA_MIN_M), lengths=lengths, known=known, robust=False
         )
-        found = _placed(problem, fit(problem, found.shared, found.position, trust), soft, trust)
+        solution = _placed(
+            problem, fit(problem, solution.shared, solution.position, trust), soft, trust
+        )
         if settled or (line <= LINE_SIGMA_MIN_M and same):
             break
-    tests = test_samples(problem, found, trust)
+    tests = test_samples(problem, solution, trust)
     redundancy = float(tests.share[trust.lengths].sum())
-    return SettledFit(fit=found, soft=soft, trust=trust, tests=tests, redundancy=redundancy)
+    return SettledFit(fit=solution, soft=soft, trust=trust, tests=tests, redundancy=redundancy)
 
 
 def _placed(
-    problem: MotorAngleProblem, found: SampleFit, soft: SampleFit, trust: Trust
+    problem: MotorAngleProblem, solution: SampleFit, soft: SampleFit, trust: Trust
 ) -> SampleFit:
-    """A fit with the samples that it left out at the positions that their lengths give."""
+    """Return a fit with left-out samples at the positions that their lengths give."""
     out = ~trust.lengths & ~trust.known
-    position = np.where(out[:, None], soft.position, found.position)
+    position = np.where(out[:, None], soft.position, solution.position)
     everything = replace(trust, lengths=np.ones_like(trust.lengths))
     for _ in range(POSITION_STEPS_MAX if out.any() else 0):
-        step = equations(problem, found.shared, position, everything).step
+        step = equations(problem, solution.shared, position, everything).step
         position = np.where(out[:, None], position + step, position)
-    return replace(found, position=position)
+    return replace(solution, position=position)
 
 
-def test_samples(problem: MotorAngleProblem, found: SampleFit, trust: Trust) -> SampleTests:
+def test_samples(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> SampleTests:
     """Test every sample, used or not."""
-    system = equations(problem, found.shared, found.position, trust)
+    system = equations(problem, solution.shared, solution.position, trust)
     shared = np.linalg.inv(system.information)
-    where, white, own, gain = _by_lengths(problem, found, trust)
+    where, white, own, gain = _by_lengths(problem, solution, trust)
     sign = 1.0 - 2.0 * system.lengths[:, None, None]  # -1: the sample was used, 1: it was not
     slope = white.by_own
     n = slope.shape[1]
@@ -163,17 +165,17 @@ def test_samples(problem: MotorAngleProblem, found: SampleFit, trust: Trust) -> 
 
 
 def _by_lengths(
-    problem: MotorAngleProblem, found: SampleFit, trust: Trust
+    problem: MotorAngleProblem, solution: SampleFit, trust: Trust
 ) -> tuple[Array, LinearSamples, Array, Array]:
-    """Positions by the lengths alone, whatever is known of them.
+    """Find positions by the lengths alone, whatever is known of them.
 
     Returns:
         Positions (N, 3), the samples there, covariances (N, 3, 3) of these positions, and how they
         follow from the residuals (N, 3, n).
     """
-    where = found.position
+    where = solution.position
     for step in range(POSITION_STEPS_MAX):
-        white = whiten(problem, found.shared, where, trust.line_sigma)
+        white = whiten(problem, solution.shared, where, trust.line_sigma)
         slope = white.by_own
         square = slope.swapaxes(1, 2) @ slope
         own: Array = np.asarray(np.linalg.pinv(square, rcond=1e-10, hermitian=True), np.float64)
@@ -188,14 +190,14 @@ def _by_lengths(
 def _soft(
     problem: MotorAngleProblem, start: SampleFit, trust: Trust, settings: SelfCalibrationSettings
 ) -> tuple[SampleFit, Trust]:
-    """Robust fits whose noise is that of the median sample."""
+    """Fit robustly, with the noise of the median sample."""
     from scipy.stats import chi2
 
-    found = fit(problem, start.shared, start.position, trust)
+    solution = fit(problem, start.shared, start.position, trust)
     if settings.line_sigma is not None:
-        return found, trust
+        return solution, trust
     for _ in range(NOISE_ROUNDS_MAX):
-        tests = test_samples(problem, found, trust)
+        tests = test_samples(problem, solution, trust)
         some = tests.closure_free > 0
         _enough(float(tests.share.sum()))
         ratio = tests.closure[some] / chi2.median(tests.closure_free[some])
@@ -203,16 +205,16 @@ def _soft(
         line = max(trust.line_sigma * change, LINE_SIGMA_MIN_M)
         done = abs(change - 1.0) < NOISE_CHANGE_MIN or line == LINE_SIGMA_MIN_M
         trust = replace(trust, line_sigma=line)
-        found = fit(problem, found.shared, found.position, trust)
+        solution = fit(problem, solution.shared, solution.position, trust)
         if done:
             break
-    return found, trust
+    return solution, trust
 
 
 def _believed(
     problem: MotorAngleProblem, tests: SampleTests, settings: SelfCalibrationSettings
 ) -> tuple[Mask, Mask]:
-    """Whose lengths, and whose known positions, are no blunders."""
+    """Return which lengths, and which known positions, are no blunders."""
     lengths = chance(tests.closure, tests.closure_free) > settings.blunder
     places = chance(tests.place, tests.place_free) > settings.blunder
     # What a known position is compared with are the lengths: where they are wrong it stays.
@@ -220,15 +222,14 @@ def _believed(
 
 
 def chance(square: Array, free: Array) -> Array:
-    """Probability that noise alone makes a squared misfit so large; 1 where nothing is tested."""
+    """Return the probability of a squared misfit as large by noise alone; 1 without a test."""
     from scipy.stats import chi2
 
-    found: Array = np.where(free > 0, chi2.sf(square, np.maximum(free, 1)), 1.0)
-    return found
+    return np.asarray(np.where(free > 0, chi2.sf(square, np.maximum(free, 1)), 1.0))
 
 
 def _normalised(vector: Array, covariance: Array) -> tuple[Array, Array]:
-    """Squared norms by the covariance, and the rank used, each shape (N,)."""
+    """Return the squared norms by the covariance, and the rank used, each shape (N,)."""
     values, axes = np.linalg.eigh(0.5 * (covariance + covariance.swapaxes(1, 2)))
     seen = values > CHECKED_VARIANCE_MIN
     along = np.einsum("kji,kj->ki", axes, vector)

@@ -60,15 +60,15 @@ def calibrate_motor_angles(
     settings = settings or SelfCalibrationSettings()
     angles = motor_angles.in_order_of(robot.cable_names)
     problem = MotorAngleProblem(robot, angles, settings)
-    found = starts(problem)
+    fits = starts(problem)
     everything = np.ones(len(angles.samples), dtype=np.bool_)
     line = settings.line_sigma or LINE_SIGMA_START_M
     rough = Trust(line_sigma=line, lengths=everything, known=angles.is_known, robust=False)
-    _refuse(problem, found[0], rough)
-    settled = settle(problem, found[0], settings)
+    _refuse(problem, fits[0], rough)
+    settled = settle(problem, fits[0], settings)
     _refuse(problem, settled.fit, settled.trust)
     best = estimate(problem, settled)
-    return _result(problem, settled, best, _warnings(problem, settled, found[1:]))
+    return _result(problem, settled, best, _warnings(problem, settled, fits[1:]))
 
 
 def _result(
@@ -104,7 +104,7 @@ def _result(
 
 
 def _parameters(problem: MotorAngleProblem, best: MapEstimate) -> ParameterEstimate:
-    """The numbers of the robot, each with its own drum, as the robot file has them."""
+    """Return the parameters of the robot, each cable with its own drum."""
     robot = problem.robot
     before, slope_before = problem.drum_radius(problem.prior.mean)
     radius, slope = problem.drum_radius(best.shared)
@@ -134,12 +134,12 @@ def _parameters(problem: MotorAngleProblem, best: MapEstimate) -> ParameterEstim
     )
 
 
-def _refuse(problem: MotorAngleProblem, found: SampleFit, trust: Trust) -> None:
+def _refuse(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> None:
     """Refuse data that leave the exit points where they were guessed.
 
     The exit points are judged with everything else known as before, their own prior aside.
     """
-    system = equations(problem, found.shared, found.position, trust)
+    system = equations(problem, solution.shared, solution.position, trust)
     rows = np.arange(problem.exits.size)
     rest = np.arange(len(rows), problem.size)
     data = system.information - problem.prior.information
@@ -155,7 +155,7 @@ def _refuse(problem: MotorAngleProblem, found: SampleFit, trust: Trust) -> None:
 
 
 def _reason(problem: MotorAngleProblem, trust: Trust, seen: Observability, loose: float) -> str:
-    """Why the exit points stay free, and what would help."""
+    """Explain why the exit points stay free, and what would help."""
     known = problem.angles.known_position[trust.known]
     count = len(known)
     spread = np.linalg.svd(known - known.mean(axis=0), compute_uv=False) if count else np.zeros(3)
@@ -178,7 +178,7 @@ def _reason(problem: MotorAngleProblem, trust: Trust, seen: Observability, loose
 def _warnings(
     problem: MotorAngleProblem, settled: SettledFit, rivals: list[SampleFit]
 ) -> tuple[str, ...]:
-    """Other solutions that fit as well, many blunders, and what nobody expected."""
+    """Name rival solutions, many blunders, and parameters far from their priors."""
     lines = []
     for rival in rivals:
         other = fit(problem, rival.shared, rival.position, settled.trust, steps=RIVAL_STEPS_MAX)
@@ -203,7 +203,7 @@ def _warnings(
 
 
 def _misfits(problem: MotorAngleProblem, trust: Trust) -> str:
-    """What it means that most samples do not fit each other, or nothing."""
+    """Explain why most samples do not fit each other; empty if they do."""
     out, count = int((~trust.lengths).sum()), len(trust.lengths)
     if out > BLUNDER_SHARE_MAX * count:
         what = f"the motor angles of {out} of {count} samples do not fit the others"
@@ -218,22 +218,22 @@ def _misfits(problem: MotorAngleProblem, trust: Trust) -> str:
 
 
 def _blunders(problem: MotorAngleProblem, settled: SettledFit) -> tuple[SampleBlunder, ...]:
-    """Samples that were left out, by name."""
+    """Name the samples that were left out."""
     tests, trust, angles = settled.tests, settled.trust, problem.angles
-    found = []
+    blunders = []
     for k, name in enumerate(angles.samples):
         if not trust.lengths[k]:
             sigmas = float(np.sqrt(tests.closure[k] / max(tests.closure_free[k], 1.0)))
-            found.append(SampleBlunder(sample=name, what="motor angles", sigmas=sigmas))
+            blunders.append(SampleBlunder(sample=name, what="motor angles", sigmas=sigmas))
         if angles.is_known[k] and not trust.known[k]:
             sigmas = float(np.sqrt(tests.place[k] / max(tests.place_free[k], 1.0)))
-            found.append(SampleBlunder(sample=name, what="known position", sigmas=sigmas))
-    return tuple(found)
+            blunders.append(SampleBlunder(sample=name, what="known position", sigmas=sigmas))
+    return tuple(blunders)
 
 
 def _left_out(problem: MotorAngleProblem, settled: SettledFit) -> tuple[LeftOut, ...]:
     """Predict each known position from everything else."""
-    trust, angles, found = settled.trust, problem.angles, []
+    trust, angles, left_out = settled.trust, problem.angles, []
     for k in np.flatnonzero(trust.known & trust.lengths):
         known = trust.known.copy()
         known[k] = False
@@ -245,15 +245,15 @@ def _left_out(problem: MotorAngleProblem, settled: SettledFit) -> tuple[LeftOut,
         )
         if (sigma < PREDICTED_SIGMA_MAX_M).all():
             error = other.position[k] - angles.known_position[k]
-            found.append(LeftOut(sample=angles.samples[k], error=error, sigma=sigma))
-    return tuple(found)
+            left_out.append(LeftOut(sample=angles.samples[k], error=error, sigma=sigma))
+    return tuple(left_out)
 
 
 def _position_covariance(
-    problem: MotorAngleProblem, found: SampleFit, trust: Trust, row: int
+    problem: MotorAngleProblem, solution: SampleFit, trust: Trust, row: int
 ) -> Array:
-    """Covariance of one position [m^2], shape (3, 3)."""
-    system = equations(problem, found.shared, found.position, trust)
+    """Return the covariance of one position [m^2], shape (3, 3)."""
+    system = equations(problem, solution.shared, solution.position, trust)
     slope = system.by_shared[row]
     covariance: Array = system.position_covariance[row] + slope @ np.linalg.solve(
         system.information, slope.T

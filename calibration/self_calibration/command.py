@@ -32,7 +32,7 @@ from carosac_toolkit.text_tables import fit, terminal_width
 
 
 class MotorAngleOptions(Protocol):
-    """What this needs of the options of the command."""
+    """Options of the command that matter with motor angles."""
 
     @property
     def robot(self) -> str | None:
@@ -108,7 +108,7 @@ def run_motor_angles(options: MotorAngleOptions, path: Path) -> CommandResult:
 
 
 def _robot_of(angles: MotorAngles) -> str:
-    """The bundled robot with drums whose cables are called like the motors."""
+    """Return the bundled robot with drums whose cables are called like the motors."""
     for name in list_robots():
         robot = load_robot(name)
         if robot.drum_radius is not None and sorted(robot.cable_names) == sorted(angles.cables):

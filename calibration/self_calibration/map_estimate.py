@@ -67,7 +67,7 @@ def estimate(problem: MotorAngleProblem, settled: SettledFit) -> MapEstimate:
 
 
 def _graph(problem: MotorAngleProblem, settled: SettledFit) -> Any:
-    """Priors, known positions, and one factor of lengths for each sample."""
+    """Build the graph: priors, known positions, and one factor of lengths for each sample."""
     graph = gtsam.NonlinearFactorGraph()
     scale, trust, angles = problem.prior.sigma, settled.trust, problem.angles
     prior = gtsam.noiseModel.Gaussian.Information(
@@ -90,7 +90,7 @@ def _graph(problem: MotorAngleProblem, settled: SettledFit) -> Any:
 def _lengths(
     problem: MotorAngleProblem, scale: Array, row: int
 ) -> Callable[[Any, Any, list[Array] | None], Array]:
-    """Residuals of one sample, with their Jacobians."""
+    """Return the error function of one sample, with its Jacobians."""
 
     def error(factor: Any, values: Any, jacobians: list[Array] | None) -> Array:
         keys = factor.keys()
@@ -100,7 +100,6 @@ def _lengths(
         if jacobians is not None:
             jacobians[0] = np.asfortranarray(linear.by_shared[0] * scale)
             jacobians[1] = np.asfortranarray(linear.by_own[0])
-        found: Array = linear.residual[0]
-        return found
+        return np.asarray(linear.residual[0])
 
     return error

@@ -33,7 +33,7 @@ class _Column:
 
 
 def holds_motor_angles(path: Path) -> bool:
-    """Whether a file is a CSV with a column of motor angles; False where it cannot be read."""
+    """Return whether a file is a CSV with motor angles; False where it cannot be read."""
     try:
         with path.open(encoding="utf-8-sig") as stream:
             for line in stream:
@@ -162,7 +162,7 @@ class _AngleReader:
         return faults
 
     def _number(self, column: _Column, cells: list[str], line: int, faults: list[str]) -> float:
-        """One number in SI units."""
+        """Read one number in SI units."""
         try:
             value = float(cells[column.index]) * column.factor
         except ValueError:
@@ -174,15 +174,15 @@ class _AngleReader:
         return value
 
     def _place(self, cells: list[str], line: int, faults: list[str]) -> None:
-        """A known position, or none."""
+        """Read a known position, if there is one."""
         columns = [self._known[axis] for axis in "xyz"]
-        given = [bool(cells[column.index]) for column in columns]
+        filled = [bool(cells[column.index]) for column in columns]
         self._position.append([math.nan] * 3)
         self._spread.append([math.nan] * 3)
-        if not any(given):
+        if not any(filled):
             return
-        if not all(given):
-            gone = [c.name for c, there in zip(columns, given, strict=True) if not there]
+        if not all(filled):
+            gone = [c.name for c, there in zip(columns, filled, strict=True) if not there]
             faults.append(
                 f"line {line}: {', '.join(gone)}: blank; allowed: all three coordinates of a known "
                 "position, or none"
@@ -196,7 +196,7 @@ class _AngleReader:
                 faults.append(f"line {line}: {spread[0].name}: got <= 0; allowed: > 0")
 
     def result(self) -> MotorAngles:
-        """What was read."""
+        """Return the motor angles."""
         position: Array = np.array(self._position)
         spread: Array = np.array(self._spread)
         return MotorAngles(

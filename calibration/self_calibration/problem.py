@@ -30,6 +30,9 @@ from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.robot.parameters import point_names
 from carosac_toolkit.robot.robot import Robot
 
+LENGTH_AT_ZERO_SIGMA_M = 0.02  # as measured by hand
+DRUM_RADIUS_SIGMA_M = 2e-3  # alike drums are wrong by the same
+DRUM_BUILDUP_SIGMA_SHARE = 0.15  # of the build-up
 ALIKE_RADIUS_M = 2e-5  # [m] between the radii of drums that are of one make
 Rows = slice | NDArray[np.intp]
 
@@ -93,7 +96,7 @@ class MotorAngleProblem:
         return float(self.prior.mean[self.zeros].max())
 
     def linearize(self, shared: Array, position: Array, rows: Rows = slice(None)) -> LinearSamples:
-        """Residuals and their derivatives.
+        """Return residuals and their derivatives.
 
         Args:
             shared: Shape (m,).
@@ -116,30 +119,29 @@ class MotorAngleProblem:
         )
 
     def drum_radius(self, shared: Array) -> tuple[Array, Array]:
-        """Radii at unstrained length 0 [m], shape (n,), and their derivative, shape (n, m)."""
+        """Return the radii at unstrained length 0 [m], (n,), and their derivative, (n, m)."""
         radius = self.radius + shared[self.radii]
         buildup, length = shared[self.buildups], shared[self.zeros]
-        found = np.sqrt(radius**2 + self.advantage * buildup * length)
-        slope = np.zeros((len(found), self.size))
-        rows = np.arange(len(found))
-        slope[rows, self.radii] = radius / found
-        slope[rows, self.buildups] = 0.5 * self.advantage * length / found
-        slope[rows, self.zeros] = 0.5 * self.advantage * buildup / found
-        return found, slope
+        empty_radius = np.sqrt(radius**2 + self.advantage * buildup * length)
+        slope = np.zeros((len(empty_radius), self.size))
+        rows = np.arange(len(empty_radius))
+        slope[rows, self.radii] = radius / empty_radius
+        slope[rows, self.buildups] = 0.5 * self.advantage * length / empty_radius
+        slope[rows, self.zeros] = 0.5 * self.advantage * buildup / empty_radius
+        return empty_radius, slope
 
     def wound(self, shared: Array, rows: Rows = slice(None)) -> Array:
-        """Lengths of the cables by their drums [m], shape (N, n)."""
+        """Return the lengths of the cables by their drums [m], shape (N, n)."""
         drums = replace(
             self._drums,
             radius=self.radius + shared[self.radii],
             buildup=shared[self.buildups],
             gear=np.ones(self.robot.n),
         )
-        found: Array = shared[self.zeros] + drums.length(self._drum_angle[rows])
-        return found
+        return np.asarray(shared[self.zeros] + drums.length(self._drum_angle[rows]))
 
     def straight(self, shared: Array, position: Array) -> tuple[Array, Array]:
-        """Straight lengths (N, n) [m] and their directions (N, n, 3), as in `straight_length`.
+        """Return the straight lengths (N, n) [m] and directions (N, n, 3), as `straight_length`.
 
         Only the vector from exit to anchor point matters: the platform moves instead of the exit
         points, so that one robot's buffers serve all calls.
@@ -154,7 +156,7 @@ class MotorAngleProblem:
         return length, direction
 
     def _makes(self) -> list[tuple[float, ...]]:
-        """What drums of one make have in common."""
+        """Return what drums of one make have in common."""
         drums = self._drums
         return list(zip(drums.gear, drums.advantage, drums.buildup, strict=True))
 
@@ -179,10 +181,10 @@ class MotorAngleProblem:
     def _prior(self, mean: Array, settings: SelfCalibrationSettings) -> Prior:
         """Return what the robot file and the settings say of the shared unknowns."""
         exits = self._names[: self.exits.size]
-        sigma = np.full(len(mean), settings.length_at_zero_sigma)
+        sigma = np.full(len(mean), LENGTH_AT_ZERO_SIGMA_M)
         sigma[: len(exits)] = settings.exit_sigma
-        sigma[self.radii] = settings.drum_radius_sigma
-        sigma[self.buildups] = settings.drum_buildup_sigma * np.maximum(mean[self.buildups], 1e-9)
+        sigma[self.radii] = DRUM_RADIUS_SIGMA_M
+        sigma[self.buildups] = DRUM_BUILDUP_SIGMA_SHARE * np.maximum(mean[self.buildups], 1e-9)
         covariance = np.diag(sigma**2)
         block = slice(0, len(exits))
         covariance[block, block] = prior_covariance(self.robot, exits, sigma[block])
@@ -190,7 +192,7 @@ class MotorAngleProblem:
 
 
 def _alike(empty: Array, reference: Array, makes: Sequence[tuple[float, ...]]) -> list[int]:
-    """Groups of drums of one make: the same radius with all line wound in, or at the reference."""
+    """Group drums of one make: the same radius with all line wound in, or at the reference."""
     group: list[int] = []
     for i in range(len(makes)):
         for j in range(i):
@@ -204,7 +206,7 @@ def _alike(empty: Array, reference: Array, makes: Sequence[tuple[float, ...]]) -
 
 
 def _joined(cables: Sequence[str], group: Sequence[int], g: int) -> str:
-    """Cables of one group."""
+    """Return the cables of one group."""
     return ", ".join(name for name, mine in zip(cables, group, strict=True) if mine == g)
 
 

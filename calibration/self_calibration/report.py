@@ -23,12 +23,12 @@ POSITION_HEADER = ("sample", "x [mm]", "y [mm]", "z [mm]", "1 sigma x, y, z [mm]
 
 
 def blunder_rows(result: SelfCalibration) -> Rows:
-    """Samples that were left out."""
+    """Return the samples that were left out."""
     return [(b.sample, b.what, f"{b.sigmas:.1f}") for b in result.blunders]
 
 
 def left_out_rows(result: SelfCalibration) -> Rows:
-    """Predicted less known positions."""
+    """Return predicted less known positions."""
     return [
         (
             one.sample,
@@ -78,7 +78,7 @@ def report_content(result: SelfCalibration) -> ReportContent:
 
 
 def _position_rows(result: SelfCalibration) -> Rows:
-    """Where every sample was."""
+    """Return the positions of all samples."""
     blunders = {b.sample: b.what for b in result.blunders}
     rows: Rows = []
     for k, name in enumerate(result.samples):

@@ -1,4 +1,4 @@
-"""What a self-calibration found."""
+"""The result of a self-calibration."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class SelfCalibration(CalibrationResult):
         return float(np.sqrt(((self.residual * self.advantage)[self.used] ** 2).mean()))
 
     def data(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return all numbers, ready for JSON."""
         rows = zip(self.samples, self.position, self.position_sigma, self.residual, strict=True)
         each = [(name, place, sigma, miss) for name, place, sigma, miss in rows]
         return {

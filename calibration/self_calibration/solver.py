@@ -24,7 +24,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trust:
-    """What is believed of the data.
+    """Data that a fit uses, and their noise.
 
     Attributes:
         line_sigma: One standard deviation of the line paid out [m].
@@ -41,7 +41,7 @@ class Trust:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampleFit:
-    """Where a fit ended.
+    """End of a fit.
 
     Attributes:
         shared: Shape (m,).
@@ -173,12 +173,12 @@ def fit(
 
 
 def free_lengths(problem: MotorAngleProblem) -> int:
-    """Lengths of a sample beyond those that its position takes."""
+    """Return the lengths of a sample beyond those that its position takes."""
     return max(problem.robot.n - 3, 1)
 
 
 def _weights(square: Array, free: int, robust: bool) -> tuple[Array, Array]:
-    """Weights and losses of squared whitened residuals, shapes (N,)."""
+    """Return the weights and losses of squared whitened residuals, shapes (N,)."""
     if not robust:
         return np.ones(len(square)), square
     return cauchy(square, free * CAUCHY_SIGMAS**2)
@@ -187,5 +187,4 @@ def _weights(square: Array, free: int, robust: bool) -> tuple[Array, Array]:
 def _solve(matrix: Array, vector: Array) -> Array:
     """Solve a positive definite system whose unknowns have very different scales."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
-    found: Array = scale * np.linalg.solve(matrix * np.outer(scale, scale), vector * scale)
-    return found
+    return np.asarray(scale * np.linalg.solve(matrix * np.outer(scale, scale), vector * scale))

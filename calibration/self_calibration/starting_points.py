@@ -77,18 +77,18 @@ def starts(problem: MotorAngleProblem) -> list[SampleFit]:
 
 
 def _different(problem: MotorAngleProblem, fits: list[SampleFit]) -> list[SampleFit]:
-    """The best of those that are at the same place, the best first."""
+    """Keep the best of the fits at one place, the best first."""
     kept: list[SampleFit] = []
     near = SAME_PLACE_SHARE * problem.longest
-    for found in sorted(fits, key=lambda one: one.cost):
-        here = found.shared[problem.exits]
+    for solution in sorted(fits, key=lambda one: one.cost):
+        here = solution.shared[problem.exits]
         if all(np.abs(here - other.shared[problem.exits]).max() > near for other in kept):
-            kept.append(found)
+            kept.append(solution)
     return kept[:STARTS_KEPT]
 
 
 def _places(problem: MotorAngleProblem, cable: int) -> list[Place]:
-    """Where one exit point may be, by its lengths to the known positions."""
+    """Find places of one exit point by its lengths to the known positions."""
     angles, robot = problem.angles, problem.robot
     known = angles.is_known
     anchor = robot.home_rotation @ robot.anchor_points[cable]
@@ -100,13 +100,13 @@ def _places(problem: MotorAngleProblem, cable: int) -> list[Place]:
     unknown = np.column_stack([np.vstack([before, guesses]), np.full(GUESS_DIRECTIONS + 1, zero)])
     rows = [*problem.exits[cable], problem.zeros[cable]]
     prior = np.linalg.inv(problem.prior.covariance[np.ix_(rows, rows)])
-    found = [_trilaterated(u, points, change, np.array([*before, zero]), prior) for u in unknown]
-    found.sort(key=lambda place: place.cost)
+    places = [_trilaterated(u, points, change, np.array([*before, zero]), prior) for u in unknown]
+    places.sort(key=lambda place: place.cost)
     kept: list[Place] = []
-    for place in found:
+    for place in places:
         near = SAME_PLACE_SHARE * zero
         new = all(np.linalg.norm(place.exit_point - k.exit_point) > near for k in kept)
-        if new and place.cost < found[0].cost + PLACE_COST_MAX:
+        if new and place.cost < places[0].cost + PLACE_COST_MAX:
             kept.append(place)
     return kept[:PLACES_KEPT]
 
@@ -114,7 +114,7 @@ def _places(problem: MotorAngleProblem, cable: int) -> list[Place]:
 def _trilaterated(
     unknown: Array, points: Array, change: Array, before: Array, prior: Array
 ) -> Place:
-    """Exit point and length at the reference downhill of a guess, robust (damped Gauss-Newton)."""
+    """Fit exit point and length at the reference downhill of a guess, robustly."""
     cost = np.inf
     damping = 1e-3
     trial = unknown
@@ -145,7 +145,7 @@ def _trilaterated(
 
 
 def _positions(problem: MotorAngleProblem, shared: Array) -> Array:
-    """Known positions as they are, the others from a grid in the workspace, shape (N, 3)."""
+    """Return known positions as they are, the others from a workspace grid, shape (N, 3)."""
     robot, angles = problem.robot, problem.angles
     corners = np.stack([robot.workspace_min, robot.workspace_max])
     sides = [np.linspace(low, high, GRID_POINTS_PER_SIDE) for low, high in corners.T]
@@ -156,7 +156,7 @@ def _positions(problem: MotorAngleProblem, shared: Array) -> Array:
 
 
 def _sphere(count: int) -> Array:
-    """Directions spread evenly (Fibonacci), shape (count, 3)."""
+    """Return the directions spread evenly (Fibonacci), shape (count, 3)."""
     k = np.arange(count) + 0.5
     z = 1.0 - 2.0 * k / count
     turn = np.pi * (1.0 + np.sqrt(5.0)) * k

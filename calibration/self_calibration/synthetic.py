@@ -31,7 +31,7 @@ class MeasurementNoise:
 
 
 def draw_robot(robot: Robot, rng: np.random.Generator, settings: SelfCalibrationSettings) -> Robot:
-    """A robot that the given one may be, as far as it is known before.
+    """Draw a robot that the given one may be, as far as it is known before.
 
     Alike drums are wrong by the same; the lengths at the reference follow from the exit points.
     """
@@ -47,7 +47,7 @@ def draw_robot(robot: Robot, rng: np.random.Generator, settings: SelfCalibration
 
 
 def draw_positions(robot: Robot, count: int, rng: np.random.Generator) -> Array:
-    """Home, and positions anywhere in the workspace [m], shape (count, 3)."""
+    """Return home, and positions drawn from the workspace [m], shape (count, 3)."""
     drawn = rng.uniform(robot.workspace_min, robot.workspace_max, (count - 1, 3))
     return np.vstack([robot.home_position, drawn])
 
@@ -61,7 +61,7 @@ def measure_motor_angles(
     *,
     blunders: Mapping[tuple[int, int], float] | None = None,
 ) -> MotorAngles:
-    """What the motors of a robot would show.
+    """Simulate what the motors of a robot show.
 
     Args:
         robot: The true one, with drums.
@@ -95,7 +95,7 @@ def measure_motor_angles(
 
 
 def _nothing(robot: Robot) -> MotorAngles:
-    """One sample, of which nothing is used."""
+    """Return one sample, of which nothing is used."""
     return MotorAngles(
         samples=("0",),
         cables=robot.cable_names,

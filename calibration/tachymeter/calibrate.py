@@ -56,8 +56,8 @@ def calibrate_tachymeter(
         exit_prior=_exit_prior(robot, survey) if use_prior else {},
         frame_tilt=frame_tilt,
     )
-    found = fit(network, _start(network, stations, points))
-    return _result(robot, network, found)
+    solution = fit(network, _start(network, stations, points))
+    return _result(robot, network, solution)
 
 
 def check_targets(robot: Robot, survey: Survey) -> None:
@@ -93,18 +93,18 @@ def check_targets(robot: Robot, survey: Survey) -> None:
 
 
 def _pulleys(robot: Robot, survey: Survey) -> dict[str, SightedPulley]:
-    """Pulleys of which something off the datum was sighted."""
+    """Return the pulleys of which something off the datum was sighted."""
     names = dict.fromkeys(shot.target for shot in survey.shots if shot.sighting.on_pulley)
-    found = {}
+    pulleys = {}
     for name in names:
         i = robot.cable_names.index(name)
-        found[name] = SightedPulley(
+        pulleys[name] = SightedPulley(
             cable=name,
             radius=float(robot.pulley_radius[i]),
             axis=robot.swivel_axis[i],
             towards=np.asarray(survey.towards[name]),
         )
-    return found
+    return pulleys
 
 
 def _sides(
@@ -113,7 +113,7 @@ def _sides(
     stations: Mapping[str, Array],
     points: Mapping[str, Array],
 ) -> tuple[float, ...]:
-    """On which side of its wheel each shot was taken; refused where a wheel was seen edge-on."""
+    """Return on which side of its wheel each shot was taken; refuse wheels seen edge-on."""
     sides = []
     for shot in survey.shots:
         side = 1.0
@@ -133,7 +133,7 @@ def _sides(
 
 
 def _exit_prior(robot: Robot, survey: Survey) -> dict[str, tuple[Array, Array]]:
-    """Sighted exit points as the robot file knows them."""
+    """Return the sighted exit points as the robot file knows them."""
     if robot.exit_covariance is None:
         allowed = "a robot whose exit points have sigma or covariance"
         raise InvalidField("use_prior", f"robot {robot.name} without them", allowed)
@@ -152,7 +152,7 @@ def _exit_prior(robot: Robot, survey: Survey) -> dict[str, tuple[Array, Array]]:
 
 
 def _start(network: Network, stations: Mapping[str, Array], points: Mapping[str, Array]) -> Any:
-    """First values for gtsam."""
+    """Return the first values for gtsam."""
     values = gtsam.Values()
     for name, key in network.keys.items():
         kind, _, owner = name.partition(" ")
@@ -165,20 +165,20 @@ def _start(network: Network, stations: Mapping[str, Array], points: Mapping[str,
     return values
 
 
-def _result(robot: Robot, network: Network, found: SurveyFit) -> TachymeterResult:
+def _result(robot: Robot, network: Network, solution: SurveyFit) -> TachymeterResult:
     """Read the result out of the fit."""
     survey = network.survey
     cables = tuple(name for name in robot.cable_names if name in survey.targets)
-    estimate = _estimate(robot, network, found, cables)
+    estimate = _estimate(robot, network, solution, cables)
     stations = {}
     for name in survey.setups:
         where = network.columns[f"setup {name}"]
         stations[name] = Station(
-            values=np.array(found.values.atVector(network.keys[f"setup {name}"])),
-            sigma=np.sqrt(np.diag(found.covariance)[where]),
+            values=np.array(solution.values.atVector(network.keys[f"setup {name}"])),
+            sigma=np.sqrt(np.diag(solution.covariance)[where]),
         )
     points = {
-        name: np.array(found.values.atVector(network.keys[f"point {name}"]))
+        name: np.array(solution.values.atVector(network.keys[f"point {name}"]))
         for name in survey.targets
     }
     return TachymeterResult(
@@ -189,23 +189,23 @@ def _result(robot: Robot, network: Network, found: SurveyFit) -> TachymeterResul
         points=points,
         stations=stations,
         swivels={
-            name: float(found.values.atVector(network.keys[f"swivel {name}"])[0])
+            name: float(solution.values.atVector(network.keys[f"swivel {name}"])[0])
             for name in network.pulleys
         },
-        blunders=_blunders(network, found),
-        unchecked=_unchecked(network, found),
-        residuals=_residuals(network, found),
+        blunders=_blunders(network, solution),
+        unchecked=_unchecked(network, solution),
+        residuals=_residuals(network, solution),
         observability=_observability(network, estimate, cables),
-        chi2=found.chi2,
-        freedom=found.freedom,
-        converged=found.converged,
+        chi2=solution.chi2,
+        freedom=solution.freedom,
+        converged=solution.converged,
     )
 
 
 def _estimate(
-    robot: Robot, network: Network, found: SurveyFit, cables: Sequence[str]
+    robot: Robot, network: Network, solution: SurveyFit, cables: Sequence[str]
 ) -> ParameterEstimate:
-    """Exit points, and the tilt of the references' frame where it was estimated."""
+    """Return the exit points, and the tilt of the references' frame where it was estimated."""
     keys = [network.keys[f"point {name}"] for name in cables]
     names = point_names("exit_points", cables)
     start = [robot.exit_points[robot.cable_names.index(name)] for name in cables]
@@ -222,15 +222,15 @@ def _estimate(
     columns = _columns_of(network, keys)
     return ParameterEstimate(
         names=tuple(names),
-        value=np.concatenate([found.values.atVector(key) for key in keys]),
-        covariance=found.covariance[np.ix_(columns, columns)],
+        value=np.concatenate([solution.values.atVector(key) for key in keys]),
+        covariance=solution.covariance[np.ix_(columns, columns)],
         start=np.concatenate(start),
         prior_sigma=np.concatenate(prior),
     )
 
 
 def _columns_of(network: Network, keys: Sequence[int]) -> list[int]:
-    """Columns of unknowns in the order of their keys."""
+    """Return the columns of unknowns in the order of their keys."""
     by_key = {key: network.columns[name] for name, key in network.keys.items()}
     return [i for key in keys for i in range(by_key[key].start, by_key[key].stop)]
 
@@ -238,7 +238,7 @@ def _columns_of(network: Network, keys: Sequence[int]) -> list[int]:
 def _observability(
     network: Network, estimate: ParameterEstimate, cables: Sequence[str]
 ) -> Observability:
-    """How well the survey alone determines the exit points."""
+    """Judge how well the survey alone determines the exit points."""
     names = [name for name in estimate.names if name.startswith("exit_points")]
     information = np.asarray(np.linalg.inv(estimate.select(names).covariance), dtype=np.float64)
     for i, cable in enumerate(cables):
@@ -248,16 +248,16 @@ def _observability(
     return judge(names, information, np.full(len(names), EXIT_SCALE_M))
 
 
-def _blunders(network: Network, found: SurveyFit) -> tuple[ReadingBlunder, ...]:
-    """Rows left out, the worst first."""
-    rows = np.flatnonzero(~found.used)
+def _blunders(network: Network, solution: SurveyFit) -> tuple[ReadingBlunder, ...]:
+    """Return the rows left out, the worst first."""
+    rows = np.flatnonzero(~solution.used)
     blunders = [
         ReadingBlunder(
             **_place(network, int(row)),
             # measured minus model: by how much the reading is too large
-            error=float(-found.residual[row] * network.sigma[row]),
-            sigmas=float(abs(found.test[row])),
-            or_else=_words(network, int(found.alike[row])) if found.alike[row] >= 0 else "",
+            error=float(-solution.residual[row] * network.sigma[row]),
+            sigmas=float(abs(solution.test[row])),
+            or_else=_words(network, int(solution.alike[row])) if solution.alike[row] >= 0 else "",
         )
         for row in rows
     ]
@@ -265,7 +265,7 @@ def _blunders(network: Network, found: SurveyFit) -> tuple[ReadingBlunder, ...]:
 
 
 def _place(network: Network, row: int) -> dict[str, Any]:
-    """Which reading a row is."""
+    """Say which reading a row is."""
     shots = network.survey.shots
     if row < 3 * len(shots):
         shot = shots[row // 3]
@@ -282,16 +282,16 @@ def _place(network: Network, row: int) -> dict[str, Any]:
 
 
 def _words(network: Network, row: int) -> str:
-    """A reading in words."""
+    """Name a reading."""
     place = _place(network, row)
     if place["shot"] is None:
         return f"{place['reading']} of {place['target']}"
     return f"{place['reading']} of shot {place['shot']}"
 
 
-def _unchecked(network: Network, found: SurveyFit) -> tuple[str, ...]:
-    """Readings in use that nothing checks: a blunder in them would pass unseen."""
-    rows = np.flatnonzero(found.used & (found.redundancy < CHECKED_REDUNDANCY))
+def _unchecked(network: Network, solution: SurveyFit) -> tuple[str, ...]:
+    """Return the readings in use that nothing checks: a blunder in them would pass unseen."""
+    rows = np.flatnonzero(solution.used & (solution.redundancy < CHECKED_REDUNDANCY))
     places = [_place(network, int(row)) for row in rows]
     by_target: dict[str, list[str]] = {}
     for place in places:
@@ -300,14 +300,14 @@ def _unchecked(network: Network, found: SurveyFit) -> tuple[str, ...]:
     return tuple(f"{target} ({', '.join(what)})" for target, what in by_target.items())
 
 
-def _residuals(network: Network, found: SurveyFit) -> Residuals:
-    """Residuals of all shots."""
+def _residuals(network: Network, solution: SurveyFit) -> Residuals:
+    """Return the residuals of all shots."""
     count = 3 * len(network.survey.shots)
     sigma = network.sigma[:count].reshape(-1, 3)
     return Residuals(
-        value=-found.residual[:count].reshape(-1, 3) * sigma,
+        value=-solution.residual[:count].reshape(-1, 3) * sigma,
         sigma=sigma,
-        test=-found.test[:count].reshape(-1, 3),
-        used=found.used[:count].reshape(-1, 3),
-        redundancy=found.redundancy[:count].reshape(-1, 3),
+        test=-solution.test[:count].reshape(-1, 3),
+        used=solution.used[:count].reshape(-1, 3),
+        redundancy=solution.redundancy[:count].reshape(-1, 3),
     )

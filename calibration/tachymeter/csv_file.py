@@ -68,7 +68,7 @@ def read_csv(path: str) -> list[Record]:
 
 
 def _header_faults(header: list[str]) -> list[str]:
-    """What is wrong with the columns."""
+    """Find what is wrong with the columns."""
     known = [*_TEXT_COLUMNS, *_OPTIONAL_COLUMNS]
     known += [f"{name}_{unit}" for name in _ANGLE_COLUMNS for unit in ANGLE_UNITS_RAD]
     known += [f"{name}_{unit}" for name in ("slope", *_SPACE_COLUMNS) for unit in LENGTH_UNITS_M]
@@ -93,9 +93,9 @@ def _header_faults(header: list[str]) -> list[str]:
         f"no column for {name}, such as '{name}_{_usual(name)}'" for name in names if not has[name]
     ]
     for group in (_ANGLE_COLUMNS, ("slope",)) if polar_given else (_SPACE_COLUMNS,):
-        found = [column for name in group for column in has[name]]
-        if len({column.rpartition("_")[2] for column in found}) > 1 or len(found) > len(group):
-            faults.append(f"mixed units: {', '.join(found)}; use one unit")
+        columns = [column for name in group for column in has[name]]
+        if len({column.rpartition("_")[2] for column in columns}) > 1 or len(columns) > len(group):
+            faults.append(f"mixed units: {', '.join(columns)}; use one unit")
     return faults
 
 
@@ -125,7 +125,7 @@ def _record(
 
 
 def _polar_row(row: dict[str, str]) -> tuple[float, float, float]:
-    """Hz, V, slope distance in face I."""
+    """Read Hz, V and slope distance, in face I."""
     hz, v = (_scaled(row, name, ANGLE_UNITS_RAD) for name in _ANGLE_COLUMNS)
     slope = _scaled(row, "slope", LENGTH_UNITS_M)
     if slope <= 0.0:
@@ -136,7 +136,7 @@ def _polar_row(row: dict[str, str]) -> tuple[float, float, float]:
 
 
 def _space_row(row: dict[str, str]) -> tuple[float, float, float]:
-    """Coordinates in the set-up's frame, as Hz, V, distance."""
+    """Read coordinates in the set-up's frame, as Hz, V, distance."""
     place = np.array([_scaled(row, name, LENGTH_UNITS_M) for name in _SPACE_COLUMNS])
     if np.linalg.norm(place) < 0.1:
         raise ValueError("a point less than 0.1 m from the instrument, the origin of its frame")
@@ -145,18 +145,18 @@ def _space_row(row: dict[str, str]) -> tuple[float, float, float]:
 
 
 def _scaled(row: dict[str, str], name: str, units: dict[str, float]) -> float:
-    """A number in SI."""
+    """Read a number in SI."""
     column = next(column for column in row if column.rpartition("_")[0] == name)
     return _number(column, row[column]) * units[column.rpartition("_")[2]]
 
 
 def _optional(row: dict[str, str], column: str) -> float | None:
-    """A number that may be missing."""
+    """Read a number that may be missing."""
     return _number(column, row[column]) if row.get(column) else None
 
 
 def _number(column: str, text: str) -> float:
-    """A finite number."""
+    """Read a finite number."""
     try:
         value = float(text)
     except ValueError:

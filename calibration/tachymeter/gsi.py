@@ -42,7 +42,7 @@ _POLAR_WORDS, _TARGET_WORDS, _STATION_WORDS = (21, 22, 31), (81, 82, 83), (84, 8
 
 @dataclass
 class _GsiReader:
-    """What carries over from line to line."""
+    """State that carries over from line to line."""
 
     path: str
     setup: str
@@ -53,7 +53,7 @@ class _GsiReader:
 
 
 class _Fault(Exception):
-    """What is wrong with a line."""
+    """Fault of a line."""
 
 
 def read_gsi(path: str) -> list[Record]:
@@ -120,14 +120,14 @@ def _read_line(reader: _GsiReader, number: int, line: str) -> None:
 
 
 def _change_station(reader: _GsiReader, name: str) -> None:
-    """A new set-up begins, if the name is new."""
+    """Begin a new set-up, if the name is new."""
     setup = f"{Path(reader.path).stem}:{name}"
     if setup != reader.setup:
         reader.setup, reader.station = setup, None
 
 
 def _split(line: str) -> list[str]:
-    """Words of a block, each with its space at the end."""
+    """Split a block into its words, each with its space at the end."""
     long = line.startswith("*")
     size, kind = (24, "GSI-16") if long else (16, "GSI-8")
     text = line[long:].rstrip()
@@ -146,12 +146,12 @@ def _split(line: str) -> list[str]:
 
 
 def _index(word: str) -> int:
-    """Word index, of two or three digits."""
+    """Return the word index, of two or three digits."""
     return int(word[:3].rstrip("."))
 
 
 def _station_name(words: list[str]) -> str | None:
-    """Word 16, if there is one."""
+    """Return the word 16, if there is one."""
     names = [plain_name(word[7:]) for word in words if _index(word) == 16]
     return names[0] if names else None
 
@@ -159,7 +159,7 @@ def _station_name(words: list[str]) -> str | None:
 def _values(
     reader: _GsiReader, number: int, words: list[str]
 ) -> tuple[dict[int, float], float | None]:
-    """Angles [rad] and lengths [m] of a block by word index, and the prism constant in it [m]."""
+    """Read angles [rad], lengths [m] by word index, and the prism constant [m] of a block."""
     values: dict[int, float] = {}
     prism = None
     for word in words:
@@ -186,7 +186,7 @@ def _parsed(word: str, parse: Any) -> Any:
 
 
 def _name(index: int) -> str:
-    """What a word holds."""
+    """Name the content of a word."""
     return _ANGLE_WORDS.get(index) or _LENGTH_WORDS[index]
 
 
@@ -210,7 +210,7 @@ def _check_unit(reader: _GsiReader, number: int, word: str, index: int) -> None:
 
 
 def _polar_reading(reader: _GsiReader, values: dict[int, float]) -> tuple[float, float, float]:
-    """Hz, V and slope distance of a block, in face I."""
+    """Return the Hz, V and slope distance of a block, in face I."""
     missing = [i for i in _POLAR_WORDS if i not in values]
     if not missing:
         if values[31] <= 0.0:

@@ -65,14 +65,14 @@ def predict(station: Array, points: Array) -> PredictedShots:
 
 
 def difference(reading: Array, predicted: Array) -> Array:
-    """Measured less predicted readings, with Hz brought to (-pi, pi], shapes (B, 3)."""
+    """Return the measured less predicted readings, with Hz brought to (-pi, pi], shapes (B, 3)."""
     error = reading - predicted
     error[:, 0] = (error[:, 0] + np.pi) % (2.0 * np.pi) - np.pi
     return error
 
 
 def _polar_slope(local: Array) -> Array:
-    """Derivative of Hz, V, distance with respect to a point of the set-up's frame, (B, 3, 3)."""
+    """Return the derivative of Hz, V, distance by a point of the set-up's frame, (B, 3, 3)."""
     x, y, z = local.T
     rho = np.maximum(np.hypot(x, y), _AXIS_DISTANCE_MIN_M)
     distance = np.hypot(rho, z)

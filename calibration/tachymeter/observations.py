@@ -1,4 +1,4 @@
-"""What was measured: shots of levelled set-ups, the points they sight, and how well all that is.
+"""Shots of levelled set-ups, the points that they sight, and their accuracy.
 
 Angles are as instruments count them: the horizontal direction Hz grows clockwise, seen from above,
 from a zero that is arbitrary in each set-up; the zenith angle V is 0 straight up.
@@ -47,7 +47,7 @@ class Instrument:
                 raise InvalidField(f"instrument.{name}", getattr(self, name), f"{name} >= 0")
 
     def sigma(self, reading: Array) -> Array:
-        """Standard deviations of polar readings.
+        """Return the standard deviations of polar readings.
 
         An error across the line of sight turns Hz the more, the steeper the sight: its standard
         deviation grows as 1 / sin V.
@@ -67,7 +67,7 @@ class Instrument:
 
 @dataclass(frozen=True)
 class Sighting:
-    """What of a target was sighted.
+    """Part of a target that was sighted.
 
     Attributes:
         kind: ``centre``: the point itself, for a cable its exit point (the datum). On a pulley,
@@ -99,7 +99,7 @@ class Sighting:
 
     @property
     def on_pulley(self) -> bool:
-        """Whether only a pulley has such a point."""
+        """True if only a pulley has such a point."""
         return self.kind != "centre"
 
 
@@ -136,7 +136,7 @@ class Shot:
 
     @property
     def where(self) -> str:
-        """How messages call it."""
+        """Name of the shot in messages."""
         return self.source or f"shot from {self.setup} to {self.target}"
 
 
@@ -224,7 +224,7 @@ def face_one(hz: float, v: float) -> tuple[float, float]:
 
 
 def polar(point: Array) -> Array:
-    """Hz [rad], V [rad] and distance [m] of points in a set-up's frame.
+    """Return the Hz [rad], V [rad] and distance [m] of points in a set-up's frame.
 
     Args:
         point: In a frame with z up, y where Hz is 0 and x to the right of it [m], shape (B, 3).

@@ -41,7 +41,7 @@ def draw_site(result: TachymeterResult) -> Figure:
 
 
 def _draw_sights(axes: Any, result: TachymeterResult, a: int, b: int) -> None:
-    """Lines of sight, the wrong ones in red."""
+    """Draw lines of sight, the wrong ones in red."""
     used = [bool(row.all()) for row in result.residuals.used]
     for k, (name, station) in enumerate(result.stations.items()):
         color = SETUP_COLORS[k % len(SETUP_COLORS)]
@@ -58,7 +58,7 @@ def _draw_sights(axes: Any, result: TachymeterResult, a: int, b: int) -> None:
 
 
 def _draw_points(axes: Any, result: TachymeterResult, a: int, b: int) -> None:
-    """Points, and the sigmas of the exit points, magnified."""
+    """Draw points, and the sigmas of the exit points, magnified."""
     known = {reference.name for reference in result.survey.known}
     kinds = {
         "exit point": (result.cables, "o", COLOR_AFTER),

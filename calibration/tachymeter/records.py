@@ -47,12 +47,12 @@ class Record:
 
 
 def plain_name(text: str) -> str:
-    """A point name without the zeros with which GSI fills its words."""
+    """Return a point name without the zeros with which GSI fills its words."""
     return text.strip().lstrip("0") or "0"
 
 
 def read_lines(path: str) -> list[str]:
-    """Lines of a text file.
+    """Read the lines of a text file.
 
     Raises:
         MissingFile: There is none.
@@ -72,6 +72,6 @@ def read_lines(path: str) -> list[str]:
 
 
 def shortened_faults(faults: list[str], most: int = 12) -> list[str]:
-    """The first faults, and how many more there are."""
+    """Return the first faults, and how many more there are."""
     more = len(faults) - most
     return faults if more <= 0 else [*faults[:most], f"and {more} more"]

@@ -54,7 +54,7 @@ def report_content(result: TachymeterResult) -> ReportContent:
 
 
 def _before(result: TachymeterResult) -> tuple[Array, Array | None]:
-    """Exit points of the sighted cables before, with their covariances."""
+    """Return the exit points of the sighted cables before, with their covariances."""
     rows = [result.before.cable_names.index(name) for name in result.cables]
     known = result.before.exit_covariance
     return result.before.exit_points[rows], None if known is None else known[rows]

@@ -1,4 +1,4 @@
-"""What a survey gave: exit points, blunders, residuals, and what they are worth."""
+"""The result of a survey: exit points, blunders and residuals."""
 
 from __future__ import annotations
 
@@ -100,10 +100,9 @@ class Residuals:
     redundancy: Array
 
     def rms(self) -> Array:
-        """Root mean square of the residuals in use [rad, rad, m], shape (3,); 0 if none is."""
+        """Return the RMS of the residuals in use [rad, rad, m], shape (3,); 0 if none is."""
         count = np.maximum(self.used.sum(axis=0), 1)
-        found: Array = np.sqrt((self.value**2 * self.used).sum(axis=0) / count)
-        return found
+        return np.asarray(np.sqrt((self.value**2 * self.used).sum(axis=0) / count))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -173,8 +172,7 @@ class TachymeterResult(CalibrationResult):
     @property
     def exit_sigma(self) -> Array:
         """Standard deviations of the exit points' coordinates [m], shape (c, 3)."""
-        found: Array = np.sqrt(np.diag(self.exit_covariance)).reshape(-1, 3)
-        return found
+        return np.asarray(np.sqrt(np.diag(self.exit_covariance)).reshape(-1, 3))
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
@@ -183,7 +181,7 @@ class TachymeterResult(CalibrationResult):
 
     @property
     def chi2_band(self) -> tuple[float, float]:
-        """Where chi2 lies with probability `CHI2_PROBABILITY` if all noise is as stated."""
+        """Band that holds chi2 with probability `CHI2_PROBABILITY` if all noise is as stated."""
         low, high = chi2_law.interval(CHI2_PROBABILITY, max(self.freedom, 1))
         return float(low), float(high)
 
@@ -200,7 +198,7 @@ class TachymeterResult(CalibrationResult):
 
     @property
     def fits(self) -> bool:
-        """Whether the residuals are no larger than the stated accuracy explains."""
+        """True if the residuals are no larger than the stated accuracy explains."""
         return (
             self.freedom > 0
             and self.chi2 <= self.chi2_band[1]
@@ -208,7 +206,7 @@ class TachymeterResult(CalibrationResult):
         )
 
     def data(self) -> dict[str, Any]:
-        """Everything for JSON."""
+        """Return everything for JSON."""
         rms = self.residuals.rms()
         return {
             "exit_points_m": dict(zip(self.cables, self.exit_points, strict=True)),

@@ -1,4 +1,4 @@
-r"""Where the sighted point of a pulley lies against the exit point, with derivatives.
+r"""Sighted points of a pulley relative to its exit point, with derivatives.
 
 The exit point :math:`e` of a cable with a pulley is the datum: the tangent point at zero wrap, on
 the swivel axis :math:`k`. The wheel swivels with the cable, so its points are known only with the
@@ -92,7 +92,7 @@ def sighted_point(
 
 
 def elevation(exit_point: Array, pulley: SightedPulley, station: Array) -> float:
-    """Angle at which an instrument sees the wheel, from its middle plane [rad]; 0 is edge-on."""
+    """Return the angle of a sight from the wheel's middle plane [rad]; 0 is edge-on."""
     plain, _, _ = _plane(exit_point, pulley)
     sight = station - exit_point
     across = float(sight @ np.cross(pulley.axis, plain))
@@ -100,7 +100,7 @@ def elevation(exit_point: Array, pulley: SightedPulley, station: Array) -> float
 
 
 def _plane(exit_point: Array, pulley: SightedPulley) -> tuple[Array, float, float]:
-    """Direction from the swivel axis to the anchor, distance from it, and distance along it."""
+    """Return direction from swivel axis to anchor, distance from the axis, and along it."""
     relative = pulley.towards - exit_point
     along = float(relative @ pulley.axis)
     outward = relative - along * pulley.axis
@@ -114,7 +114,7 @@ def _plane(exit_point: Array, pulley: SightedPulley) -> tuple[Array, float, floa
 def _in_plane(
     sighting: Sighting, pulley: SightedPulley, rho: float, along: float
 ) -> tuple[float, float, tuple[float, float], tuple[float, float]]:
-    """Offset from the datum along u and k [m], and its derivatives by rho and `along`."""
+    """Return the offset from the datum along u and k [m], with derivatives by rho and `along`."""
     r = pulley.radius
     if sighting.kind == "axle":
         return r, 0.0, (0.0, 0.0), (0.0, 0.0)

@@ -99,11 +99,11 @@ def _shots(path: str, records: list[Record], targets: SurveyTargets, robot: Robo
 
 
 class _Fault(Exception):
-    """What is wrong with a line."""
+    """Fault of a line."""
 
 
 def _shot(record: Record, point: SurveyPoint, targets: SurveyTargets, robot: Robot) -> Shot:
-    """One observation with its target."""
+    """Return one observation with its target."""
     return Shot(
         setup=record.setup,
         target=point.target,
@@ -116,7 +116,7 @@ def _shot(record: Record, point: SurveyPoint, targets: SurveyTargets, robot: Rob
 
 
 def _sighting(record: Record, point: SurveyPoint, targets: SurveyTargets, robot: Robot) -> Sighting:
-    """What was sighted; a pulley leaves no default."""
+    """Return what was sighted; a pulley leaves no default."""
     kind = record.sighted or point.sighted
     pulley = point.cable and robot.pulley_radius[robot.cable_names.index(point.target)] > 0.0
     if kind is None and pulley:
@@ -142,7 +142,7 @@ def _sighting(record: Record, point: SurveyPoint, targets: SurveyTargets, robot:
 
 
 def _prism(record: Record, point: SurveyPoint, targets: SurveyTargets) -> float:
-    """What is still to be added to a slope distance [m]."""
+    """Return what is still to be added to a slope distance [m]."""
     if record.prism_constant is not None and point.prism_constant is not None:
         raise _Fault(
             f"prism constant given twice: prism_constant_mm here, and points.{record.point} of "

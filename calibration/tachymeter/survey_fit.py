@@ -106,7 +106,7 @@ def fit(network: Network, start: Any) -> SurveyFit:
 
 
 def _graduated(network: Network, values: Any) -> tuple[NDArray[np.bool_], Any]:
-    """Graduated non-convexity with truncated least squares; rows in use, and the estimate."""
+    """Fit truncated least squares by graduated non-convexity; return rows in use and values."""
     weight = np.ones(len(network.sigma))
     square = BLUNDER_SIGMAS**2
     values = _optimize(network, values, weight, 20)
@@ -149,14 +149,14 @@ def _fewest(network: Network, values: Any, used: NDArray[np.bool_]) -> NDArray[n
 
 
 def _targets(network: Network) -> list[str]:
-    """Target of every weighted row."""
+    """Return the target of every weighted row."""
     names = [shot.target for shot in network.survey.shots]
     names += [reference.name for reference in network.survey.known]
     return [name for name in names for _ in range(3)]
 
 
 def _truncated_cost(jacobian: Array, residual: Array, used: NDArray[np.bool_]) -> float:
-    """Truncated least-squares cost of the linearised problem with some rows."""
+    """Return the truncated least-squares cost of the linearised problem with some rows."""
     active = np.ones(len(residual), dtype=bool)
     active[: len(used)] = used
     rows, right = jacobian[active], residual[active]
@@ -165,12 +165,12 @@ def _truncated_cost(jacobian: Array, residual: Array, used: NDArray[np.bool_]) -
 
 
 def _solve(network: Network, values: Any, used: NDArray[np.bool_]) -> Any:
-    """Least squares with some rows."""
+    """Fit by least squares with some rows."""
     return _optimize(network, values, np.where(used, 1.0, _WEIGHT_MIN), 50)
 
 
 def _optimize(network: Network, values: Any, weight: Array, iterations: int) -> Any:
-    """Levenberg-Marquardt."""
+    """Optimise by Levenberg-Marquardt."""
     settings = gtsam.LevenbergMarquardtParams()
     settings.setMaxIterations(iterations)
     settings.setRelativeErrorTol(1e-12)
@@ -216,7 +216,7 @@ def _tested(network: Network, values: Any, used: NDArray[np.bool_]) -> _TestedFi
 
 
 def _inverse(jacobian: Array) -> tuple[Array | None, Array]:
-    """Inverse of the normal matrix, or None with the combination of unknowns that is free."""
+    """Return the inverse of the normal matrix, or None and the free combination."""
     normal = jacobian.T @ jacobian
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
@@ -227,7 +227,7 @@ def _inverse(jacobian: Array) -> tuple[Array | None, Array]:
 
 
 def _worst(trial: _TestedFit) -> int | None:
-    """The next row to leave out, or else to use again."""
+    """Return the next row to leave out, or else to use again."""
     size = np.abs(trial.test)
     worst = int(np.argmax(np.where(trial.used, size, -1.0)))
     if trial.used[worst] and size[worst] > BLUNDER_SIGMAS:
@@ -237,7 +237,7 @@ def _worst(trial: _TestedFit) -> int | None:
 
 
 def _finished(trial: _TestedFit, network: Network, *, converged: bool) -> SurveyFit:
-    """The final fit."""
+    """Return the final fit."""
     used = trial.used
     active = np.concatenate([used, np.ones(network.prior_rows, dtype=bool)])
     return SurveyFit(
@@ -255,8 +255,8 @@ def _finished(trial: _TestedFit, network: Network, *, converged: bool) -> Survey
 
 
 def _alike(trial: _TestedFit, active: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Rows in use whose blunder would look like that of a row left out."""
-    found = np.full(len(trial.used), -1)
+    """Return the rows in use whose blunder would look like that of a row left out."""
+    alike_rows = np.full(len(trial.used), -1)
     for i in np.flatnonzero(~trial.used):
         rows = np.append(np.flatnonzero(active), i)
         covariance, _ = _inverse(trial.jacobian[rows])
@@ -269,12 +269,12 @@ def _alike(trial: _TestedFit, active: NDArray[np.bool_]) -> NDArray[np.intp]:
         alike = np.abs(cofactor) / np.sqrt(np.maximum(own * own[-1], 1e-300))
         alike[(own < 1e-6) | (rows == i) | (rows >= len(trial.used))] = 0.0
         if alike.max() > ALIKE_CORRELATION:
-            found[i] = rows[int(np.argmax(alike))]
-    return found
+            alike_rows[i] = rows[int(np.argmax(alike))]
+    return alike_rows
 
 
 def _loose_unknowns(network: Network, free: Array) -> str:
-    """Which unknowns nothing determines."""
+    """Name the unknowns that nothing determines."""
     share = {name: float(np.abs(free[where]).max()) for name, where in network.columns.items()}
     most = max(share.values())
     names = [name for name, size in share.items() if size > 0.1 * most][:6]

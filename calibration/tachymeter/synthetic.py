@@ -32,10 +32,13 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.robot import Robot
 
+EXIT_ERROR_M = 0.05  # standard deviation of the robot file, per axis: as measured with a tape
+BLUNDER_ANGLE_RAD, BLUNDER_DISTANCE_M = 0.02, 0.5  # gross, but not beyond what a hall allows
+
 
 @dataclass(frozen=True, kw_only=True)
 class SurveyPlan:
-    """How a survey is drawn.
+    """Settings of a drawn survey.
 
     Attributes:
         setups: Number of set-ups.
@@ -43,11 +46,8 @@ class SurveyPlan:
         references: Number of reference points with known coordinates.
         ties: Number of reference points without.
         reference_sigma: Of the known coordinates, per axis [m]; drawn too.
-        exit_sigma: By how much the robot file is off, per axis [m].
         instrument: Its accuracy; noise is drawn from it.
-        blunders: Share of shots in which one reading is grossly wrong.
-        blunder_angle: Its size if it is a direction or zenith angle [rad].
-        blunder_distance: Its size if it is a distance [m].
+        blunders: Share of shots in which one reading is grossly wrong [1].
         sighting: What is sighted of a cable that has a pulley.
         swivel_sigma: By how much pulleys stand off their cables' direction [rad]; drawn too.
     """
@@ -57,11 +57,8 @@ class SurveyPlan:
     references: int = 6
     ties: int = 0
     reference_sigma: float = 0.5e-3
-    exit_sigma: float = 0.05
     instrument: Instrument = field(default_factory=Instrument)
     blunders: float = 0.0
-    blunder_angle: float = 0.02
-    blunder_distance: float = 0.5
     sighting: Sighting = field(default_factory=lambda: Sighting("axle"))
     swivel_sigma: float = np.deg2rad(2.0)
 
@@ -107,7 +104,7 @@ def draw_survey(
         The survey with its truth.
     """
     plan = plan or SurveyPlan()
-    offset = rng.normal(0.0, plan.exit_sigma, (robot.n, 3))
+    offset = rng.normal(0.0, EXIT_ERROR_M, (robot.n, 3))
     truth = replace(robot, exit_points=robot.exit_points + offset)
     low, high = truth.exit_points.min(axis=0), truth.exit_points.max(axis=0)
     stations = {chr(65 + i): _draw_station(low, high, i, rng, plan) for i in range(plan.setups)}
@@ -146,7 +143,7 @@ def draw_survey(
 def _draw_station(
     low: Array, high: Array, index: int, rng: np.random.Generator, plan: SurveyPlan
 ) -> Array:
-    """A set-up in the hall, each in its own part of the longer side."""
+    """Draw a set-up in the hall, each in its own part of the longer side."""
     size = high - low
     longer = int(np.argmax(size[:2]))
     share = rng.uniform(0.25, 0.75, 2)
@@ -159,7 +156,7 @@ def _draw_station(
 def _draw_references(
     low: Array, high: Array, rng: np.random.Generator, plan: SurveyPlan
 ) -> tuple[dict[str, Array], dict[str, ReferencePoint]]:
-    """Places of the reference points, and what is known of them."""
+    """Draw places of the reference points, and what is known of them."""
     places, references = {}, {}
     around = 0.5 * (low + high)[:2]
     for i in range(plan.references + plan.ties):
@@ -170,13 +167,13 @@ def _draw_references(
         name = f"R{i + 1}" if known else f"T{i + 1 - plan.references}"
         places[name] = place
         sigma = np.full(3, plan.reference_sigma)
-        told = place + rng.normal(0.0, plan.reference_sigma, 3)
-        references[name] = ReferencePoint(name, told, sigma) if known else ReferencePoint(name)
+        measured = place + rng.normal(0.0, plan.reference_sigma, 3)
+        references[name] = ReferencePoint(name, measured, sigma) if known else ReferencePoint(name)
     return places, references
 
 
 def _shoot(setup: str, station: Array, target: str, point: Array, sighting: Sighting) -> Shot:
-    """A perfect shot."""
+    """Return a perfect shot."""
     hz, v, distance = predict(station, point[None]).reading[0]
     return Shot(setup=setup, target=target, hz=hz, v=v, distance=distance, sighting=sighting)
 
@@ -190,7 +187,7 @@ def _spoil(
     wrong = []
     for i in sorted(rng.choice(len(shots), round(plan.blunders * len(shots)), replace=False)):
         column = int(rng.integers(3))
-        size = plan.blunder_distance if column == 2 else plan.blunder_angle
+        size = BLUNDER_DISTANCE_M if column == 2 else BLUNDER_ANGLE_RAD
         gross = float(size * rng.choice([-1.0, 1.0]))
         error[i, column] += gross
         wrong.append((int(i), column, gross))
@@ -207,7 +204,7 @@ def gsi_line(
     shot: Shot, number: int, *, long: bool, unit: GsiUnit = GsiUnit.GON, face: int = 1,
     prism_mm: int | None = 0,
 ) -> str:  # fmt: skip
-    """One block.
+    """Return one GSI block.
 
     Args:
         shot: What to write.

@@ -29,7 +29,7 @@ SHOT_HEADER = (
 
 
 def exit_rows(result: TachymeterResult) -> Rows:
-    """One row for each cable, measured or not."""
+    """Return one row for each cable, measured or not."""
     rows: Rows = []
     for i, name in enumerate(result.before.cable_names):
         before = result.before.exit_points[i]
@@ -52,7 +52,7 @@ def exit_rows(result: TachymeterResult) -> Rows:
 
 
 def blunder_rows(result: TachymeterResult) -> Rows:
-    """One row for each reading left out, the worst first."""
+    """Return one row for each reading left out, the worst first."""
     return [
         (
             str(b.shot or "-"), b.setup or "-", b.target, b.reading, b.size, f"{b.sigmas:.1f}",
@@ -63,7 +63,7 @@ def blunder_rows(result: TachymeterResult) -> Rows:
 
 
 def setup_rows(result: TachymeterResult) -> Rows:
-    """One row for each set-up."""
+    """Return one row for each set-up."""
     rows: Rows = []
     residuals = result.residuals
     for name, station in result.stations.items():
@@ -87,7 +87,7 @@ def setup_rows(result: TachymeterResult) -> Rows:
 
 
 def shot_rows(result: TachymeterResult) -> Rows:
-    """One row for each shot, with residuals; those left out in brackets."""
+    """Return one row for each shot, with residuals; those left out in brackets."""
     rows: Rows = []
     residuals = result.residuals
     for i, shot in enumerate(result.survey.shots):

@@ -40,7 +40,7 @@ _REFERENCE_KEYS = ("position", "sigma", "prism_constant")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SurveyPoint:
-    """What a point of the observations is.
+    """Meaning of a point of the observations.
 
     Attributes:
         target: Cable, or name of the reference point.
@@ -128,7 +128,7 @@ def read_targets(path: str, robot: Robot) -> SurveyTargets:
 
 
 def _name_of(value: Any) -> str:
-    """A point name that YAML may have taken for a number."""
+    """Return a point name that YAML may have taken for a number."""
     whole = isinstance(value, float) and value.is_integer()
     return str(int(value)) if whole else str(value)
 
@@ -155,7 +155,7 @@ class _Walk:
     def number(
         self, where: FieldPath, value: Any, unit: str, *, positive: bool = False
     ) -> float | None:
-        """A quantity, or None where there is none."""
+        """Read a quantity; None where there is none."""
         if value is None:
             return None
         try:
@@ -169,36 +169,36 @@ class _Walk:
         return number
 
     def vector(self, where: FieldPath, value: Any) -> Array | None:
-        """Three lengths, or None where there are none."""
+        """Read three lengths; None where there are none."""
         if value is None:
             return None
         if not isinstance(value, list) or len(value) != 3:
             self.fault(where, f"got {value!r}; allowed: [x, y, z] in m")
             return None
         numbers = [self.number((*where, i), entry, "m") for i, entry in enumerate(value)]
-        found = [number for number in numbers if number is not None]
-        if len(found) != 3:
+        coordinates = [number for number in numbers if number is not None]
+        if len(coordinates) != 3:
             if None in value:
                 self.fault(where, f"got {value!r}; allowed: [x, y, z] in m")
             return None
-        return np.array(found)
+        return np.array(coordinates)
 
 
 def _instrument(walk: _Walk, data: Any) -> Instrument:
-    """Accuracy of the instrument; what is not given keeps its default."""
+    """Read the accuracy of the instrument; what is not given keeps its default."""
     if data is None:
         return Instrument()
     if not isinstance(data, dict):
         walk.fault(("instrument",), f"allowed: a mapping of {', '.join(_INSTRUMENT_KEYS)}")
         return Instrument()
     walk.unknown(("instrument",), data, tuple(_INSTRUMENT_KEYS))
-    given = {}
+    accuracy = {}
     for key, (name, scale) in _INSTRUMENT_KEYS.items():
         value = walk.number(("instrument", key), data.get(key), "1")
         if value is not None:
-            given[name] = value * scale
+            accuracy[name] = value * scale
     try:
-        return Instrument(**given)
+        return Instrument(**accuracy)
     except InvalidField as error:
         bad = error.field.rpartition(".")[2]
         key = next(key for key, (name, _) in _INSTRUMENT_KEYS.items() if name == bad)
@@ -209,7 +209,7 @@ def _instrument(walk: _Walk, data: Any) -> Instrument:
 def _points(
     walk: _Walk, data: Any, robot: Robot
 ) -> tuple[dict[str, SurveyPoint], dict[str, ReferencePoint]]:
-    """All points."""
+    """Read all points."""
     points: dict[str, SurveyPoint] = {}
     references: dict[str, ReferencePoint] = {}
     if not isinstance(data, dict) or not data:
@@ -236,7 +236,7 @@ def _points(
 def _cable_point(
     walk: _Walk, where: FieldPath, entry: Mapping[str, Any], robot: Robot
 ) -> SurveyPoint | None:
-    """A point on a cable's exit."""
+    """Read a point on a cable's exit."""
     walk.unknown(where, entry, _CABLE_KEYS)
     cable = _name_of(entry["cable"])
     if cable not in robot.cable_names:
@@ -265,7 +265,7 @@ def _cable_point(
 def _reference_point(
     walk: _Walk, where: FieldPath, name: str, entry: Mapping[str, Any]
 ) -> tuple[SurveyPoint, ReferencePoint]:
-    """A reference point, known or not."""
+    """Read a reference point, known or not."""
     walk.unknown(where, entry, (*_REFERENCE_KEYS, "cable"))
     prism = walk.number((*where, "prism_constant"), entry.get("prism_constant"), "m")
     position = walk.vector((*where, "position"), entry.get("position"))

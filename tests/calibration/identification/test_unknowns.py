@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ import carosac_toolkit as ct
 from calibration.identification.settings import IdentificationSettings
 from calibration.identification.unknowns import choose_coordinates
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.robot.parameters import values_of
+from carosac_toolkit.robot.parameters import field_of, values_of
 
 
 @pytest.fixture(scope="module")
@@ -73,10 +73,19 @@ def test_sigmas_of_factors_are_shares_of_their_value(unknowns):
     assert estimate.prior_sigma[mass] == pytest.approx(0.05 * unknowns.robot.mass, rel=1e-4)
 
 
-def test_a_sigma_of_zero_holds_a_parameter():
-    settings = IdentificationSettings(mass=0.0, anchor_points=0.0)
-    names = choose_coordinates(ct.load_robot("carosac"), settings).prior.names
-    assert not [name for name in names if name.startswith(("mass", "anchor"))]
+SIGMAS = [
+    each.name for each in fields(IdentificationSettings)
+    if each.name not in ("rate", "iterations", "time_step")
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("field", SIGMAS)
+def test_a_sigma_of_zero_holds_a_parameter(field):
+    robot = ct.load_robot("carosac")
+    every = choose_coordinates(robot, IdentificationSettings()).prior.names
+    held = choose_coordinates(robot, IdentificationSettings(**{field: 0.0})).prior.names
+    gone = set(every) - set(held)
+    assert gone and {field_of(name) for name in gone} == {field}
 
 
 def test_a_factor_cannot_begin_at_zero():

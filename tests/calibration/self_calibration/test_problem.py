@@ -121,3 +121,12 @@ def test_a_robot_without_drums_is_refused():
 def test_settings_that_mean_nothing_are_refused(change, message):
     with pytest.raises(InvalidField, match=message):
         SelfCalibrationSettings(**change)
+
+
+def test_lengths_measured_by_hand_are_where_the_search_starts():
+    before, _, _, angles = scene()
+    by_hand = SelfCalibrationSettings(length_at_zero=np.array([1.6, 1.8, 1.5, 2.4]))
+    problem = MotorAngleProblem(before, angles, by_hand)
+    assert problem.prior.mean[problem.zeros] == pytest.approx([1.6, 1.8, 1.5, 2.4])
+    assert problem.prior.sigma[problem.zeros] == pytest.approx(0.02)
+    assert problem.longest == 2.4

@@ -273,3 +273,11 @@ def test_swapped_targets_are_named():
     assert first.startswith(f"{names[0]} is ") and f"the file has {names[1]}" in first
     assert second.startswith(f"{names[1]} is ") and f"the file has {names[0]}" in second
     assert calibrate_tachymeter(ROBOT, scene.survey).misplaced() == []
+
+
+def test_more_set_ups_make_exit_points_surer():
+    sigma = [
+        calibrate_tachymeter(ROBOT, drawn(18, setups=count).survey).exit_sigma.mean()
+        for count in (1, 2, 4)
+    ]
+    assert (np.diff(sigma) < 0.0).all()
