@@ -100,7 +100,7 @@ class Fitter:
         excess = self._excess(errors, jacobian, noise, information)
         return CoordinateFit(
             coordinates=at,
-            covariance=np.linalg.inv(information / excess + self._precision),
+            covariance=np.asarray(np.linalg.inv(information / excess + self._precision), float),
             information=information / excess,
             excess=excess,
             iterations=count,

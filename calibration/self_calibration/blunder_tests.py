@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.linear_samples import LinearSamples
 from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.settings import SelfCalibrationSettings
 from calibration.self_calibration.solver import (
-    LinearSamples,
     Mask,
     SampleFit,
     Trust,

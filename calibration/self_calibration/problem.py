@@ -78,7 +78,7 @@ class MotorAngleProblem:
         self._drums = drums
         self._drum_angle = angles.motor_angle / drums.gear
         self._set_places(_alike(drums.radius, self.radius, self._makes()))
-        mean = [robot.exit_points.ravel(), np.zeros(self._groups), self._buildups, length]
+        mean = [robot.exit_points.ravel(), np.zeros(self._groups), np.array(self._buildups), length]
         self.prior = self._prior(np.concatenate(mean), settings)
         spread = angles.known_sigma
         self.known_sigma = np.tile(settings.known_sigma, (len(angles.samples), 1))

@@ -99,7 +99,7 @@ def _places(problem: MotorAngleProblem, cable: int) -> list[Place]:
     guesses = robot.home_position + anchor + zero * _sphere(GUESS_DIRECTIONS)
     unknown = np.column_stack([np.vstack([before, guesses]), np.full(GUESS_DIRECTIONS + 1, zero)])
     rows = [*problem.exits[cable], problem.zeros[cable]]
-    prior = np.linalg.inv(problem.prior.covariance[np.ix_(rows, rows)])
+    prior: Array = np.asarray(np.linalg.inv(problem.prior.covariance[np.ix_(rows, rows)]), float)
     places = [_trilaterated(u, points, change, np.array([*before, zero]), prior) for u in unknown]
     places.sort(key=lambda place: place.cost)
     kept: list[Place] = []
