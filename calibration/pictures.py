@@ -71,7 +71,7 @@ def _draw_point(axes: Any, moved: Array, prior: Array | None, posterior: Array) 
 
     Args:
         axes: The panel.
-        moved: Where the point was before, from where it is [mm], shape (2,).
+        moved: Place of the point before, relative to its place now [mm], shape (2,).
         prior: Covariance before [m^2], shape (2, 2); None: nothing was known.
         posterior: Covariance after [m^2], shape (2, 2).
     """
@@ -164,7 +164,7 @@ def draw_learnt(estimate: ParameterEstimate) -> Figure:
     second.set(xlabel="moved by, in sigmas before")
     for axes in (first, second):
         axes.grid(alpha=0.25, axis="x")
-    figure.suptitle("What the data taught: short bars on the left were learnt")
+    figure.suptitle("Learnt from the data: short bars on the left")
     return figure
 
 

@@ -18,7 +18,7 @@ class Prior:
 
     Attributes:
         names: Of the unknowns; those of robot parameters as in `carosac_toolkit.robot.parameters`.
-        mean: Where the search starts, shape (k,).
+        mean: Start of the search, shape (k,).
         covariance: Positive definite, shape (k, k).
     """
 

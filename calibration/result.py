@@ -25,8 +25,8 @@ class CalibrationResult(ABC):
     Attributes:
         before: The robot as it was known.
         estimate: The parameters that go into the robot.
-        observability: What the data alone can tell.
-        warnings: What must not be overlooked.
+        observability: Judgement of what the data alone can tell.
+        warnings: Sentences that must not be overlooked.
     """
 
     before: Robot

@@ -49,8 +49,3 @@ def truncated(residual: Array, cut: float, convexity: float) -> Array:
     size = np.maximum(np.abs(residual), 1e-12)
     between = np.sqrt(cut**2 * convexity * (convexity + 1.0)) / size - convexity
     return np.asarray(np.clip(between, 0.0, 1.0))
-
-
-def median_size(residual: Array) -> Array:
-    """Return the median absolute value along the first axis, at least 1 of them."""
-    return np.asarray(np.median(np.abs(residual), axis=0))

@@ -49,8 +49,8 @@ class Options(CommonOptions):
     recording: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING")]
     """A bundled recording such as `synthetic`, or a .parquet, .csv or .mat file, with poses."""
     robot: str | None = None
-    """Where the search starts, a bundled robot or a YAML file, best one that was calibrated; by
-    default the one that the recording names, or else the bundled one with its exit points."""
+    """Robot at the start of the search, bundled or a YAML file, best a calibrated one; by default
+    the one that the recording names, or else the bundled one with its exit points."""
     train: Annotated[str | None, tyro.conf.arg(metavar="START:STOP")] = None
     """Length samples START <= i < STOP whose poses are fitted; by default the first two thirds. The
     simulation always begins at sample 0, where the platform must be at rest."""

@@ -84,7 +84,7 @@ class Options(CommonOptions):
     stop: int | None = None
     """One past the last sample to use; by default all are used."""
     suggest_poses: int = 0
-    """How many further poses to suggest, those that would teach most about the exit points."""
+    """Number of further poses to suggest, those that would teach most about the exit points."""
     length_noise: float | None = None
     """Standard deviation of a reading [m]; by default estimated from what the fit leaves."""
     position_noise: float = LengthSettings.position_noise
@@ -92,20 +92,20 @@ class Options(CommonOptions):
     rotation_noise: float = LengthSettings.rotation_noise
     """Standard deviation of a measured orientation, per axis [rad]."""
     exit_prior: float = LengthSettings.exit_prior
-    """How well the exit points are known before, per axis [m]; covariances in the robot file
-    come first. This and the other priors: one standard deviation, 0 holds the value."""
+    """Prior standard deviation of the exit points, per axis [m]; covariances in the robot file
+    come first. 0 holds the value, as with all priors."""
     anchor_prior: float = LengthSettings.anchor_prior
-    """How well the anchor points are known before, per axis [m]."""
+    """Prior standard deviation of the anchor points, per axis [m]."""
     offset_prior: float = LengthSettings.offset_prior
-    """How well the zeros of the readings are known before [m]; nothing where they are relative."""
+    """Prior standard deviation of the readings' zeros [m]; without effect on relative readings."""
     scale_prior: float = LengthSettings.scale_prior
-    """How well the scales of the readings are known before."""
+    """Prior standard deviation of the readings' scales [1]."""
     delay_prior: float = LengthSettings.delay_prior
-    """How well the delay between readings and poses is known before [s]."""
+    """Prior standard deviation of the delay between readings and poses [s]."""
     tilt_prior: float = LengthSettings.tilt_prior
-    """How level the frame of the poses is [rad]."""
+    """Prior standard deviation of the tilt of the poses' frame [rad]."""
     center_prior: float = LengthSettings.center_prior
-    """How well the centre of mass is known before, per axis [m]; fewer than 6 cables only."""
+    """Prior standard deviation of the centre of mass, per axis [m]; fewer than 6 cables only."""
 
 
 def run(options: Options) -> CommandResult:

@@ -45,7 +45,7 @@ class Options(CommonOptions):
     robot: str
     """A bundled robot or a YAML file."""
     targets: str
-    """What each surveyed point is, known coordinates, and the instrument (YAML)."""
+    """YAML file with the meaning of each surveyed point, known coordinates, and the instrument."""
     output: OutputFile = None
     """The new robot file; never the old one."""
     report: OutputFolder = None

@@ -41,10 +41,10 @@ class CoordinateFit:
     Attributes:
         coordinates: shape (k,).
         covariance: shape (k, k).
-        information: What the data say of the coordinates, without the prior, shape (k, k).
-        excess: By how much the data count for less than independent innovations would.
+        information: Fisher information of the data alone, shape (k, k).
+        excess: Factor by which the data count for less than independent innovations [1].
         iterations: Steps taken.
-        converged: Whether the last step was small.
+        converged: True if the last step was small.
     """
 
     coordinates: Array
@@ -71,7 +71,7 @@ class Fitter:
             unknowns: k coordinates.
             path: Readings.
             poses: Measured ones to be fitted.
-            settings: How it is computed.
+            settings: Settings of the computation.
         """
         self._unknowns = unknowns
         self._path = path

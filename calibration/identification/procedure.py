@@ -48,7 +48,7 @@ def identify(
 
     Args:
         recording: Readings of the lengths and measured poses, as recorded.
-        robot: Where the search starts, with as many cables.
+        robot: Start of the search, with as many cables.
         settings: None takes the defaults.
         train: Length samples start <= i < stop whose poses are fitted.
         test: Samples that are scored only; None: none.

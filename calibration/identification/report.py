@@ -46,7 +46,7 @@ def report_content(result: Identification, recording: Recording) -> ReportConten
             png(draw_rests(result)),
             "Mean measured position of each rest against the equilibrium of its lengths.",
         ),
-        "learnt": (png(draw_learnt(result.estimate)), "What the data taught about each parameter."),
+        "learnt": (png(draw_learnt(result.estimate)), "Prior and posterior of each parameter."),
     }
     scores = (
         "<h2>Open-loop errors</h2><p>Root mean squares of simulated minus measured poses, in world "

@@ -78,8 +78,8 @@ class Identification(CalibrationResult):
         position_after: Of the identified robot [m], shape (K, 3).
         errors: Of the identified robot, shape (K, 6): [m] and [rad].
         iterations: Steps of the search.
-        converged: Whether it ended by itself.
-        excess: By how much the data count for less than independent innovations would.
+        converged: True if it ended by itself.
+        excess: Factor by which the data count for less than independent innovations [1].
         fitted_samples: Poses that were fitted.
     """
 
@@ -155,7 +155,7 @@ class Identification(CalibrationResult):
                 words.append(field if len(rows) == 1 else f"{field} ({known} of {len(rows)})")
         if not words:
             return []
-        return [f"the data hardly tell, so that what was known before decides: {', '.join(words)}"]
+        return [f"weakly determined by the data, so that the prior decides: {', '.join(words)}"]
 
     def _contradictions(self) -> list[str]:
         """Return the parameters that moved further than was thought possible."""
@@ -166,7 +166,7 @@ class Identification(CalibrationResult):
         ]
         if not far:
             return []
-        return [f"moved further than what was known before suggests: {', '.join(far)}"]
+        return [f"moved further than their priors suggest: {', '.join(far)}"]
 
 
 def _rms(values: Array) -> float:

@@ -47,7 +47,7 @@ class SyntheticRun:
     """A recording and the truth behind it.
 
     Attributes:
-        recording: What the sensors said.
+        recording: Readings of the sensors.
         plant: The robot that moved; its length sensors are described as they were.
     """
 

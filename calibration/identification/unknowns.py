@@ -39,11 +39,11 @@ class Coordinates:
     """k coordinates about a robot.
 
     Attributes:
-        robot: Where all coordinates are 0.
+        robot: The robot at coordinates 0.
         prior: Of the coordinates, under the names of the parameters that they change; the
             inertia's stand for the spread of mass along that axis. The mean is 0.
-        scale: What a coordinate of 1 changes a parameter by, or the logarithm of its factor, (k,).
-        factor: Whether it is a factor, shape (k,).
+        scale: Change of a parameter by a coordinate of 1, or logarithm of its factor, shape (k,).
+        factor: 1 for a factor, 0 for a change, shape (k,).
         lower: Least coordinates, shape (k,).
         reach: Mean length of the cables at home, straight [m].
     """
@@ -120,8 +120,8 @@ def choose_coordinates(robot: Robot, settings: IdentificationSettings) -> Coordi
     """Choose coordinates for all that is not held, with the robot file as their prior.
 
     Args:
-        robot: Where the search starts.
-        settings: How well the rest is known.
+        robot: Start of the search.
+        settings: Prior sigmas of all else.
 
     Raises:
         InvalidField: Everything is held, or a number that would be a factor is 0.

@@ -36,7 +36,7 @@ def check_order(robot: Robot, reading: Array, pose: Pose, *, relative: bool) -> 
         robot: Before the calibration.
         reading: [m], shape (S, n).
         pose: Measured at the same times.
-        relative: Whether the readings have an unknown constant each.
+        relative: True if the readings have an unknown constant each.
 
     Raises:
         MixUp: Names what is mixed up.

@@ -47,7 +47,7 @@ class Reweighting:
         weight: Of the readings and of the balance, shape (S, m); 0: left out.
         length_noise: [m].
         balance_noise: [rad].
-        inflation: How many samples, following each other, tell as much as one independent one.
+        inflation: Number of successive samples that tell as much as one independent sample.
         rounds: Of reweighting.
     """
 

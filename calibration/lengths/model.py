@@ -72,7 +72,7 @@ class SagCorrection:
 
     Attributes:
         value: Unstrained length of the hanging cable less the length of a straight one [m], (S, n).
-        by_tension: By how much a larger tension changes it, per share of the tension [m], (S, n).
+        by_tension: Its change per relative change of the tension [m], (S, n).
     """
 
     value: Array
@@ -102,8 +102,8 @@ def predict(
         robot: With the parameters to judge.
         poses: In W.
         correction: As of a robot nearby [m], shape (S, n).
-        with_balance: Whether the balance of the platform is compared as well; n < 6.
-        anchored: Whether a tilt turns the poses, or gravity alone.
+        with_balance: True if the balance of the platform is compared as well; n < 6.
+        anchored: True if a tilt turns the poses, or gravity alone.
     """
     cables = straight_length(robot, poses.position, poses.rotation)
     length = cables.length + correction

@@ -76,11 +76,11 @@ def images(
     )
     drawn["learnt"] = (
         png(draw_learnt(result.estimate)),
-        "What is left of the prior standard deviation of each parameter, and how far it moved.",
+        "Posterior over prior standard deviation of each parameter, and how far it moved.",
     )
     drawn["poses"] = (
         png(draw_poses(result, suggested)),
-        "Where the platform was measured"
+        "Measured poses of the platform"
         + (", which poses would teach most, and what they would." if suggested else "."),
     )
     return drawn

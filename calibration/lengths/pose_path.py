@@ -26,7 +26,7 @@ class PosesAt:
         position: [m], shape (S, 3).
         rotation: From P to F, shape (S, 3, 3).
         twist: In F, at the platform origin [m/s, rad/s], (S, 6); zero at lone poses.
-        valid: Whether there is a pose, shape (S,).
+        valid: True if there is a pose, shape (S,).
     """
 
     position: Array

@@ -35,7 +35,7 @@ class LengthCalibration(CalibrationResult):
     Attributes:
         unknowns: All parameters, with their priors.
         gravity: Of the frame of the poses, or None where nothing depends on it.
-        anchored: Whether exit points are in a frame of their own; if not, W is that of the poses.
+        anchored: True if exit points are in a frame of their own; if not, W is that of the poses.
         sample: Number of each used sample in the recording, shape (S,).
         time: [s], shape (S,).
         position: Measured, of the platform origin, in W [m], shape (S, 3).
@@ -47,11 +47,11 @@ class LengthCalibration(CalibrationResult):
         balance_outlier: Samples whose balance was left out, shape (S,).
         length_noise: One standard deviation of a reading [m].
         balance_noise: Of the balance of the platform [rad], or None where it tells nothing.
-        inflation: How many samples tell as much as one independent one.
+        inflation: Number of samples that tell as much as one independent sample.
         notes: What else should be known about the data, in words.
         skipped: Samples without a pose or without tensions, by reason.
         rounds: Of reweighting.
-        converged: Whether the last round changed nothing.
+        converged: True if the last round changed nothing.
         covariance: Of all unknowns, gravity included, shape (k, k).
         seconds: Duration of the fit [s].
     """

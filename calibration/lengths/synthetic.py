@@ -34,10 +34,10 @@ class LengthScene:
     """A recording and the truth behind it.
 
     Attributes:
-        recording: What was measured.
+        recording: The measurements.
         plant: The robot that it was measured on.
         truth: Values of its parameters by name.
-        outlier: Which readings are blunders, shape (S, n).
+        outlier: True for blunders, shape (S, n).
     """
 
     recording: Recording
@@ -76,9 +76,9 @@ def draw_length_scene(
     Args:
         robot: The description; its covariances are priors.
         rng: Source of everything random.
-        settings: How it is measured.
-        prior: How far the plant is from the description; offsets are drawn within 0.2 m.
-        relative: Whether the readings are lengths up to an unknown constant.
+        settings: Settings of the measurement.
+        prior: Spread of the plant about the description; offsets are drawn within 0.2 m.
+        relative: True if the readings are lengths up to an unknown constant.
     """
     made, known = settings or LengthSceneSettings(), prior or LengthSettings()
     close = replace(known, offset_prior=min(known.offset_prior, 0.2))

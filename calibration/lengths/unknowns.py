@@ -26,7 +26,7 @@ class LengthUnknowns:
         robot: The robot before the calibration.
         prior: Names, values and covariance before, k of them.
         columns: Column of each in the Jacobians by all parameters, shape (k,).
-        anchored: Whether the exit points are known in a levelled frame of their own, as by a
+        anchored: True if the exit points are known in a levelled frame of their own, as by a
             tachymeter. If not, W is the frame of the measured poses, and the tilt of that frame
             turns gravity alone.
     """
@@ -54,7 +54,7 @@ def all_names(cable_names: Sequence[str], *, center: bool) -> tuple[str, ...]:
 
     Args:
         cable_names: Of the robot.
-        center: Whether the centre of mass is among them.
+        center: True if the centre of mass is among them.
     """
     names = point_names("exit_points", cable_names) + point_names("anchor_points", cable_names)
     names += [f"length_offset[{c}]" for c in cable_names]
@@ -69,7 +69,7 @@ def find_unknowns(robot: Robot, settings: LengthSettings, *, relative: bool) -> 
     Args:
         robot: Before the calibration; its covariances are priors.
         settings: Priors of what it knows no covariance of.
-        relative: Whether the readings are lengths up to an unknown constant, which is another one
+        relative: True if the readings are lengths up to an unknown constant, which is another one
             in each recording: what an earlier calibration knew of it counts for nothing.
     """
     names = all_names(robot.cable_names, center=robot.n < 6)

@@ -40,9 +40,9 @@ class SampleTests:
 
     Attributes:
         closure: Of the lengths of each sample, shape (N,).
-        closure_free: How many combinations it is of, shape (N,).
+        closure_free: Number of combinations in it, shape (N,).
         square: Sum of squares of each closure, not divided by its own variance, shape (N,).
-        share: What the noise makes of that on average, shape (N,).
+        share: Mean of that by noise alone, shape (N,).
         place: Of each known position, 0 where unknown, shape (N,).
         place_free: shape (N,).
     """

@@ -47,7 +47,7 @@ def calibrate_motor_angles(
     Args:
         motor_angles: N samples, a few with known positions.
         robot: As known before: exit points, drums, home and workspace.
-        settings: What else is known before.
+        settings: Priors of all else.
 
     Returns:
         Parameters with covariances, positions with sigmas, residuals and blunders.

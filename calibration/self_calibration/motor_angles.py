@@ -18,11 +18,11 @@ class MotorAngles:
 
     Attributes:
         samples: One name per sample, N of them.
-        cables: What the motors are called, n of them: names of cables, or 01, 02, ... in order.
+        cables: Names of the motors, n of them: names of cables, or 01, 02, ... in order.
         motor_angle: Since one common reference, at which all are 0 [rad], positive paying cable
             out, shape (N, n).
         known_position: Platform origin in W where it is known, else 0 [m], shape (N, 3).
-        is_known: Where it is known, shape (N,).
+        is_known: True if it is known, shape (N,).
         known_sigma: One standard deviation of known positions per axis [m], shape (N, 3); None:
             up to the settings.
     """

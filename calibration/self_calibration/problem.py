@@ -45,10 +45,10 @@ class MotorAngleProblem:
 
     Attributes:
         prior: Of the shared unknowns, m of them.
-        exits: Where the exit points stand among them, shape (n, 3).
-        radii: Where the radius error of each cable stands, shape (n,).
-        buildups: Where its build-up stands, shape (n,).
-        zeros: Where its length at the reference stands, shape (n,).
+        exits: Places of the exit points among them, shape (n, 3).
+        radii: Place of each cable's radius error, shape (n,).
+        buildups: Place of its build-up, shape (n,).
+        zeros: Place of its length at the reference, shape (n,).
         advantage: Line paid out per length of cable, shape (n,).
         radius: Of the drums at the reference, as known before [m], shape (n,).
         known_sigma: Of known positions [m], shape (N, 3).
@@ -62,7 +62,7 @@ class MotorAngleProblem:
         Args:
             robot: As known before.
             angles: N samples, the motors in the order of the robot's cables.
-            settings: What is known before.
+            settings: Priors.
 
         Raises:
             InvalidField: The robot file does not say how motor angle and length belong together.
@@ -101,7 +101,7 @@ class MotorAngleProblem:
         Args:
             shared: Shape (m,).
             position: Of the chosen samples [m], shape (N, 3).
-            rows: Which samples.
+            rows: Chosen samples.
         """
         angle = self._drum_angle[rows]
         count, n = angle.shape

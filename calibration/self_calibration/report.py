@@ -61,7 +61,7 @@ def report_content(result: SelfCalibration) -> ReportContent:
             draw_residuals(numbers, result.residual, out, names, label="sample, in order"),
             "Length by the drum less straight length, by cable.",
         ),
-        "learnt": (draw_learnt(result.estimate), "What the data taught about each parameter."),
+        "learnt": (draw_learnt(result.estimate), "Prior and posterior of each parameter."),
     }
     if result.left_out:
         drawn["left_out"] = (draw_left_out(result), "Known positions predicted from all else.")

@@ -52,13 +52,13 @@ class SelfCalibration(CalibrationResult):
         position_sigma: One standard deviation [m], shape (N, 3); infinite for a sample whose motor
             angles are a blunder and whose position is not known.
         residual: Length by the drum less straight length [m], shape (N, n).
-        used: Whose motor angles were used, shape (N,).
-        is_known: Whose position was given, shape (N,).
-        known_position: The given ones, 0 elsewhere [m], shape (N, 3).
+        used: Samples whose motor angles were used, shape (N,).
+        is_known: Samples whose position is known, shape (N,).
+        known_position: Known positions, 0 elsewhere [m], shape (N, 3).
         advantage: Line paid out per length of cable, shape (n,).
         length_at_zero: Lengths where the motor angles are 0 [m], shape (n,).
         length_at_zero_sigma: [m], shape (n,).
-        line_sigma: Noise of the line paid out, as found or given [m].
+        line_sigma: Noise of the line paid out, as estimated or set [m].
         redundancy: Lengths beyond those that the unknowns take.
         blunders: Samples that were left out.
         left_out: Known positions predicted one at a time, where the others suffice.

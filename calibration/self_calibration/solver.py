@@ -28,9 +28,9 @@ class Trust:
 
     Attributes:
         line_sigma: One standard deviation of the line paid out [m].
-        lengths: Whose motor angles count, shape (N,).
-        known: Whose known position counts, shape (N,).
-        robust: Whether samples far off lose weight (Cauchy).
+        lengths: Samples whose motor angles count, shape (N,).
+        known: Samples whose known position counts, shape (N,).
+        robust: True if samples far off lose weight (Cauchy).
     """
 
     line_sigma: float
@@ -47,7 +47,7 @@ class SampleFit:
         shared: Shape (m,).
         position: [m], shape (N, 3).
         cost: Sum of squares, whitened, or of what takes their place where robust.
-        converged: Whether the cost settled.
+        converged: True if the cost settled.
     """
 
     shared: Array
@@ -97,7 +97,7 @@ def equations(
         problem: The samples.
         shared: Shape (m,).
         position: [m], shape (N, 3).
-        trust: Which data count.
+        trust: Data that count.
         damping: Relative growth of the diagonals (Levenberg-Marquardt).
     """
     white = whiten(problem, shared, position, trust.line_sigma)
@@ -147,9 +147,9 @@ def fit(
 
     Args:
         problem: The samples.
-        shared: Where to start, shape (m,).
-        position: Where to start [m], shape (N, 3).
-        trust: Which data count.
+        shared: Start of the shared unknowns, shape (m,).
+        position: Start of the positions [m], shape (N, 3).
+        trust: Data that count.
         steps: At most.
     """
     damping, cost, converged = 1e-3, equations(problem, shared, position, trust).cost, False

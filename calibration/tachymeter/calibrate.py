@@ -34,7 +34,7 @@ def calibrate_tachymeter(
 
     Args:
         robot: Tells cables, pulleys and the exit points before; those are no prior, unless asked.
-        survey: What was measured.
+        survey: The measurements.
         frame_tilt: Standard deviation of the tilt of the references' frame against W, whose z is
             up, about x and y [rad]; it is estimated then. 0: the references' frame is level.
         use_prior: Take the exit points' covariances in the robot as prior knowledge.

@@ -113,7 +113,7 @@ class Shot:
         hz: Horizontal direction, clockwise [rad].
         v: Zenith angle, in face I [rad].
         distance: Slope distance with the prism constant in it [m].
-        sighting: What of the target was sighted.
+        sighting: Part of the target that was sighted.
         source: File and line, for messages.
     """
 

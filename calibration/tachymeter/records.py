@@ -20,10 +20,10 @@ class Record:
         hz: Horizontal direction, clockwise, in face I [rad].
         v: Zenith angle, in face I [rad].
         distance: Slope distance as the file has it [m].
-        prism_set: Prism constant that the instrument has added already [m]; None: not said.
-        prism_constant: Constant to add, by the file [m]; None: not said.
-        sighted: What was sighted, by the file; None: not said.
-        rim_deg: Rim angle by the file [deg]; None: not said.
+        prism_set: Prism constant that the instrument has added already [m]; None: not given.
+        prism_constant: Constant to add, by the file [m]; None: not given.
+        sighted: Sighted part, by the file; None: not given.
+        rim_deg: Rim angle by the file [deg]; None: not given.
         path: The file.
         line: Its line, from 1.
     """

@@ -110,7 +110,7 @@ class TachymeterResult(CalibrationResult):
     """All that a survey gave.
 
     Attributes:
-        survey: What was measured.
+        survey: The measurements.
         cables: Cables that were sighted, in the robot's order, c of them.
         points: Every sighted point in W [m], by name, (3,).
         stations: Set-ups by name.
@@ -120,7 +120,7 @@ class TachymeterResult(CalibrationResult):
         residuals: Of all shots.
         chi2: Sum of squared whitened residuals.
         freedom: Its degrees of freedom.
-        converged: Whether the choice of blunders came to rest.
+        converged: True if the choice of blunders came to rest.
     """
 
     survey: Survey

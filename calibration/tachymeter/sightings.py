@@ -63,7 +63,7 @@ def sighted_point(
 
     Args:
         exit_point: Datum of the cable in W [m], shape (3,).
-        sighting: What was sighted; not ``centre``.
+        sighting: Sighted part; not ``centre``.
         pulley: The pulley.
         swivel: Turn of its plane about the swivel axis, beyond the cable's direction [rad].
         side: On which side of the wheel the instrument stood: the sign of `elevation`.

@@ -61,7 +61,7 @@ class SurveyFit:
         covariance: Of all unknowns in the order of `Network.columns`.
         chi2: Sum of squares of all residuals in use, priors included.
         freedom: Its degrees of freedom.
-        converged: Whether the tests came to rest.
+        converged: True if the tests came to rest.
     """
 
     values: Any

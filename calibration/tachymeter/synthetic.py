@@ -48,8 +48,8 @@ class SurveyPlan:
         reference_sigma: Of the known coordinates, per axis [m]; drawn too.
         instrument: Its accuracy; noise is drawn from it.
         blunders: Share of shots in which one reading is grossly wrong [1].
-        sighting: What is sighted of a cable that has a pulley.
-        swivel_sigma: By how much pulleys stand off their cables' direction [rad]; drawn too.
+        sighting: Sighted part of a cable that has a pulley.
+        swivel_sigma: Standard deviation of pulleys from their cables' direction [rad]; drawn too.
     """
 
     setups: int = 2
@@ -75,7 +75,7 @@ class DrawnSurvey:
     Attributes:
         robot: The robot as its file has it: its exit points are off.
         truth: The robot as it stands.
-        survey: What the engineer brings home.
+        survey: The measured survey.
         stations: Set-ups by name, (6,) as in `model.predict`.
         wrong: Blunders as (shot from 0, 0 for Hz, 1 for V, 2 for distance; error), in order.
     """
@@ -96,9 +96,9 @@ def draw_survey(
     over floor and walls.
 
     Args:
-        robot: What the robot file says; the truth is drawn around it.
+        robot: Robot of the file; the truth is drawn around it.
         rng: All randomness.
-        plan: How it is drawn; None for the defaults.
+        plan: Settings; None for the defaults.
 
     Returns:
         The survey with its truth.
@@ -207,7 +207,7 @@ def gsi_line(
     """Return one GSI block.
 
     Args:
-        shot: What to write.
+        shot: Shot to write.
         number: Block number.
         long: GSI-16 instead of GSI-8.
         unit: Of the angles.
@@ -234,8 +234,8 @@ def write_gsi(
     """Write one GSI file for each set-up, every second shot of a target in face II.
 
     Args:
-        folder: Where they go.
-        survey: What to write; names of up to 8 characters with GSI-8.
+        folder: Folder of the files.
+        survey: Survey to write; names of up to 8 characters with GSI-8.
         long: GSI-16 instead of GSI-8.
         unit: Of the angles.
     """
@@ -270,9 +270,9 @@ def write_targets(path: Path, survey: Survey, *, platform_position: Array | None
     """Write the targets file of a survey.
 
     Args:
-        path: Where it goes.
+        path: The file.
         survey: Points, references and instrument.
-        platform_position: Where the platform was in W [m], (3,), which pulleys need.
+        platform_position: Position of the platform in W [m], (3,), which pulleys need.
     """
     lines = [f"schema: {TARGETS_SCHEMA}", *_instrument_lines(survey.instrument)]
     if platform_position is not None:

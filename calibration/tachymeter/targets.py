@@ -44,12 +44,12 @@ class SurveyPoint:
 
     Attributes:
         target: Cable, or name of the reference point.
-        cable: Whether it is a cable.
-        sighted: What was sighted; None: not said.
-        rim_deg: [deg]; None: not said.
+        cable: True if it is a cable.
+        sighted: Sighted part; None: not given.
+        rim_deg: [deg]; None: not given.
         rim_radius: [m]; None: that of the groove.
         side: [m].
-        prism_constant: Of the prism that stood there [m]; None: not said.
+        prism_constant: Of the prism that stood there [m]; None: not given.
     """
 
     target: str
@@ -71,7 +71,7 @@ class SurveyTargets:
         references: By name.
         ignore: Points to pass over.
         instrument: Accuracy.
-        platform_position: Where the platform was during the survey in W [m], (3,); None: not said.
+        platform_position: Platform during the survey, in W [m], shape (3,); None: not given.
         swivel_sigma: [rad].
         prism_constant_set: Constant that the instrument applied, where its file does not say [m].
     """
