@@ -19,6 +19,7 @@ from geocompy.gsi.gsiformat import GsiPPMPrismConstantWord, GsiUnit, parse_gsi_w
 from calibration.tachymeter.observations import face_one, polar
 from calibration.tachymeter.records import (
     MILLIMETRE_M,
+    LineFault,
     Record,
     plain_name,
     read_lines,
@@ -52,10 +53,6 @@ class _GsiReader:
     faults: list[str] = field(default_factory=list)
 
 
-class _Fault(Exception):
-    """Fault of a line."""
-
-
 def read_gsi(path: str) -> list[Record]:
     """Read a file of one or more set-ups.
 
@@ -78,7 +75,7 @@ def read_gsi(path: str) -> list[Record]:
             continue
         try:
             _read_line(reader, number, line)
-        except _Fault as fault:
+        except LineFault as fault:
             reader.faults.append(f"line {number}: {fault}")
     if reader.faults:
         raise InvalidFile(path, shortened_faults(reader.faults))
@@ -93,7 +90,7 @@ def _read_line(reader: _GsiReader, number: int, line: str) -> None:
     if words[0][:2] == "41":
         return
     if words[0][:2] != "11":
-        raise _Fault(f"starts with '{words[0].strip()}'; a GSI block starts with word 11 or 41")
+        raise LineFault(f"starts with '{words[0].strip()}'; a GSI block starts with word 11 or 41")
     name = plain_name(words[0][7:])
     values, prism = _values(reader, number, words[1:])
     station = _station_name(words[1:])
@@ -133,7 +130,7 @@ def _split(line: str) -> list[str]:
     text = line[long:].rstrip()
     if len(text) % size != size - 1:
         whole = len(text) // size
-        raise _Fault(
+        raise LineFault(
             f"cut off or damaged: {len(text) - whole * size} characters after word {whole}, where "
             f"{kind} has words of {size - 1} characters and a space"
         )
@@ -141,7 +138,7 @@ def _split(line: str) -> list[str]:
     words = [text[i : i + size] for i in range(0, len(text), size)]
     for word in words:
         if word[-1] != " " or not word[:2].isdigit() or word[6] not in "+-":
-            raise _Fault(f"'{word.strip()}' is no {kind} word; is the line damaged?")
+            raise LineFault(f"'{word.strip()}' is no {kind} word; is the line damaged?")
     return words
 
 
@@ -170,7 +167,7 @@ def _values(
         if index not in _ANGLE_WORDS and index not in _LENGTH_WORDS:
             continue
         if index in values:
-            raise _Fault(f"word {index} ({_name(index)}) twice in one block")
+            raise LineFault(f"word {index} ({_name(index)}) twice in one block")
         _check_unit(reader, number, word, index)
         value = float(_parsed(word, lambda text: parse_gsi_word(text, strict=True)).value)
         values[index] = -value if index in _ANGLE_WORDS and word[6] == "-" else value
@@ -182,7 +179,7 @@ def _parsed(word: str, parse: Any) -> Any:
     try:
         return parse(word)
     except (ValueError, IndexError) as error:
-        raise _Fault(f"word {_index(word)} '{word.strip()}' cannot be read") from error
+        raise LineFault(f"word {_index(word)} '{word.strip()}' cannot be read") from error
 
 
 def _name(index: int) -> str:
@@ -198,12 +195,16 @@ def _check_unit(reader: _GsiReader, number: int, word: str, index: int) -> None:
     angular = unit is not None and unit not in ("m", "ft")
     if unit is None or angular != (kind == "angles"):
         allowed = "2 gon, 3 degrees, 4 DMS, 5 mil" if kind == "angles" else "0, 6, 8 m; 1, 7 ft"
-        raise _Fault(f"word {index} ({_name(index)}) has unit digit '{digit}'; allowed: {allowed}")
+        raise LineFault(
+            f"word {index} ({_name(index)}) has unit digit '{digit}'; allowed: {allowed}"
+        )
     if digit == "4" and (int(word[-6:-4]) > 59 or int(word[-4:-2]) > 59):
-        raise _Fault(f"word {index} ({_name(index)}) '{word.strip()}': minutes or seconds over 59")
+        raise LineFault(
+            f"word {index} ({_name(index)}) '{word.strip()}': minutes or seconds over 59"
+        )
     known, first = reader.units.setdefault(kind, (unit, number))
     if unit != known:
-        raise _Fault(
+        raise LineFault(
             f"word {index} ({_name(index)}) in {unit}, but line {first} has {kind} in {known}: "
             "mixed units; export the job again with one setting, or split the file"
         )
@@ -214,19 +215,19 @@ def _polar_reading(reader: _GsiReader, values: dict[int, float]) -> tuple[float,
     missing = [i for i in _POLAR_WORDS if i not in values]
     if not missing:
         if values[31] <= 0.0:
-            raise _Fault(f"slope distance (word 31) is {values[31]:g} m: none was measured")
+            raise LineFault(f"slope distance (word 31) is {values[31]:g} m: none was measured")
         if not 0.0 < values[22] % (2.0 * np.pi) < 2.0 * np.pi or values[22] < 0.0:
-            raise _Fault(f"V (word 22) is {np.rad2deg(values[22]):g} deg: no zenith angle")
+            raise LineFault(f"V (word 22) is {np.rad2deg(values[22]):g} deg: no zenith angle")
         hz, v = face_one(values[21], values[22])
         return hz, v, values[31]
     if any(i in values for i in _POLAR_WORDS) and not all(i in values for i in _TARGET_WORDS):
         lost = ", ".join(f"{i} ({_name(i)})" for i in missing)
-        raise _Fault(f"no word {lost}: cut off, or not exported?")
+        raise LineFault(f"no word {lost}: cut off, or not exported?")
     lost_too = [f"{i} ({_name(i)})" for i in _TARGET_WORDS if i not in values]
     if lost_too:
-        raise _Fault(f"no word {', '.join(lost_too)}: cut off, or not exported?")
+        raise LineFault(f"no word {', '.join(lost_too)}: cut off, or not exported?")
     if reader.station is None:
-        raise _Fault(
+        raise LineFault(
             "coordinates (81 to 83) without those of the station (84 to 86), here or above: where "
             "the instrument stood is unknown; export Hz, V and slope distance (21, 22, 31)"
         )

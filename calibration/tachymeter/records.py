@@ -46,6 +46,10 @@ class Record:
         return f"{Path(self.path).name}:{self.line}"
 
 
+class LineFault(Exception):
+    """Fault of a line of a file."""
+
+
 def plain_name(text: str) -> str:
     """Return a point name without the zeros with which GSI fills its words."""
     return text.strip().lstrip("0") or "0"

@@ -10,7 +10,7 @@ import numpy as np
 from calibration.tachymeter.csv_file import read_csv
 from calibration.tachymeter.gsi import read_gsi
 from calibration.tachymeter.observations import SIGHTING_KINDS, Shot, Sighting, Survey
-from calibration.tachymeter.records import Record, shortened_faults
+from calibration.tachymeter.records import LineFault, Record, shortened_faults
 from calibration.tachymeter.targets import SurveyPoint, SurveyTargets, read_targets
 from carosac_toolkit.base.errors import InvalidField, InvalidFile
 from carosac_toolkit.robot.robot import Robot
@@ -86,20 +86,16 @@ def _shots(path: str, records: list[Record], targets: SurveyTargets, robot: Robo
         try:
             if point is None:
                 known = list(targets.points)
-                raise _Fault(
+                raise LineFault(
                     f"point '{record.point}' is neither in points nor in ignore of {targets.path}"
                     + did_you_mean(record.point, known)
                 )
             shots.append(_shot(record, point, targets, robot))
-        except (InvalidField, _Fault) as fault:
+        except (InvalidField, LineFault) as fault:
             faults.append(f"line {record.line}: {fault}")
     if faults:
         raise InvalidFile(path, shortened_faults(faults))
     return shots
-
-
-class _Fault(Exception):
-    """Fault of a line."""
 
 
 def _shot(record: Record, point: SurveyPoint, targets: SurveyTargets, robot: Robot) -> Shot:
@@ -120,15 +116,15 @@ def _sighting(record: Record, point: SurveyPoint, targets: SurveyTargets, robot:
     kind = record.sighted or point.sighted
     pulley = point.cable and robot.pulley_radius[robot.cable_names.index(point.target)] > 0.0
     if kind is None and pulley:
-        raise _Fault(
+        raise LineFault(
             f"cable {point.target} has a pulley: say what was sighted, one of "
             f"{', '.join(SIGHTING_KINDS)}, at points.{record.point} of {targets.path}"
         )
     if kind not in (None, "centre") and not pulley:
         what = "has no pulley in the robot file" if point.cable else "is no cable"
-        raise _Fault(f"sighted: {kind}, but {point.target} {what}; allowed: centre")
+        raise LineFault(f"sighted: {kind}, but {point.target} {what}; allowed: centre")
     if kind not in (None, "centre") and targets.platform_position is None:
-        raise _Fault(
+        raise LineFault(
             f"sighted: {kind} needs to know where the pulley of {point.target} pointed: give "
             f"platform_position, where the platform was during the survey, in {targets.path}"
         )
@@ -144,7 +140,7 @@ def _sighting(record: Record, point: SurveyPoint, targets: SurveyTargets, robot:
 def _prism(record: Record, point: SurveyPoint, targets: SurveyTargets) -> float:
     """Return what is still to be added to a slope distance [m]."""
     if record.prism_constant is not None and point.prism_constant is not None:
-        raise _Fault(
+        raise LineFault(
             f"prism constant given twice: prism_constant_mm here, and points.{record.point} of "
             f"{targets.path}"
         )
@@ -154,7 +150,7 @@ def _prism(record: Record, point: SurveyPoint, targets: SurveyTargets) -> float:
         return 0.0
     applied = record.prism_set if record.prism_set is not None else targets.prism_constant_set
     if applied is None:
-        raise _Fault(
+        raise LineFault(
             f"point '{record.point}' has a prism_constant in {targets.path}, but nothing says "
             "which one the instrument has added already (no word 51 or 58): give "
             "prism_constant_set there"
