@@ -11,7 +11,7 @@ import numpy as np
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from calibration.self_calibration import SelfCalibration, calibrate, load_motor_angles
+from calibration import SelfCalibration, calibrate_motor_angles, load_motor_angles
 
 COMMAND = "python -m benchmarks.calibration_hangprinter"
 PUBLISHED = np.array(
@@ -37,13 +37,13 @@ def main() -> None:
     if not path.is_file():
         sys.exit(f"no {path} (set CAROSAC_DATA)")
     angles, robot = load_motor_angles(path), ct.load_robot("hangprinter")
-    calibrate(angles, robot)  # compiles
+    calibrate_motor_angles(angles, robot)  # compiles
     start = time.process_time()
-    result = calibrate(angles, robot)
+    result = calibrate_motor_angles(angles, robot)
     seconds = time.process_time() - start
     errors = []
     for sample in (name for name, k in zip(angles.samples, angles.is_known, strict=True) if k):
-        again = calibrate(angles.without_known([sample]), robot)
+        again = calibrate_motor_angles(angles.without_known([sample]), robot)
         row = angles.index(sample)
         error = 1e3 * np.linalg.norm(again.position[row] - angles.known_position[row])
         errors.append(f"{sample}: {error:.2f}")

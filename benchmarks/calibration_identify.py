@@ -16,11 +16,9 @@ import numpy as np
 
 import carosac_toolkit as ct
 from benchmarks.results import write_section
-from calibration.identification import identify
+from calibration import IdentificationSettings, identify, simulate_run
 from calibration.identification.open_loop import simulate
 from calibration.identification.procedure import poses_of
-from calibration.identification.settings import IdentificationSettings
-from calibration.identification.synthetic import simulate_run
 from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.robot.parameters import values_of
 

@@ -11,17 +11,24 @@ from scipy.stats import chi2
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from calibration.lengths import LengthCalibration, MixUp, calibrate
-from calibration.lengths.settings import Settings
-from calibration.lengths.synthetic import Scene, SceneSettings, draw_scene
-from calibration.observability import Unobservable
+from calibration import (
+    LengthCalibration,
+    LengthScene,
+    LengthSceneSettings,
+    LengthSettings,
+    MixUp,
+    Unobservable,
+    calibrate_lengths,
+    draw_length_scene,
+)
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
 COMMAND = "python -m benchmarks.calibration_lengths"
 SCENES = 50
 TACHYMETER = 1e-3  # [m]
-ALONE = Settings(  # only exit points, to the stated prior, and offsets are wrong, and that is known
+# Only exit points (by the stated prior) and offsets are wrong, and the calibration knows that.
+ALONE = LengthSettings(
     anchor_prior=1e-6, scale_prior=1e-7, delay_prior=1e-6, tilt_prior=1e-6, center_prior=1e-6
 )
 
@@ -53,7 +60,7 @@ def with_pulleys(name: str, sigma: float | None) -> Robot:
     )
 
 
-def judge(scene: Scene, found: LengthCalibration, wall: float, cpu: float) -> Outcome:
+def judge(scene: LengthScene, found: LengthCalibration, wall: float, cpu: float) -> Outcome:
     """Compare a calibration with the truth."""
     estimate = found.estimate
     error = estimate.value - np.array([scene.truth[name] for name in estimate.names])
@@ -73,14 +80,14 @@ def judge(scene: Scene, found: LengthCalibration, wall: float, cpu: float) -> Ou
     )
 
 
-def run(name: str, sigma: float | None, known: Settings) -> list[Outcome]:
+def run(name: str, sigma: float | None, known: LengthSettings) -> list[Outcome]:
     """Calibrate `SCENES` random robots."""
     robot = with_pulleys(name, sigma)
     outcomes = []
     for seed in range(SCENES + 1):
-        scene = draw_scene(robot, np.random.default_rng(seed), prior=known)
+        scene = draw_length_scene(robot, np.random.default_rng(seed), prior=known)
         wall, cpu = perf_counter(), process_time()
-        found = calibrate(scene.recording, robot, settings=known)
+        found = calibrate_lengths(scene.recording, robot, settings=known)
         outcomes.append(judge(scene, found, perf_counter() - wall, process_time() - cpu))
     return outcomes[1:]  # the first one loads libraries and kernels
 
@@ -117,7 +124,7 @@ def refused() -> list[tuple[str, str]]:
     """What is refused, and with which words."""
     robot = with_pulleys("cogiro", None)
     rng = np.random.default_rng(0)
-    scene = draw_scene(robot, rng, settings=SceneSettings(samples=200))
+    scene = draw_length_scene(robot, rng, settings=LengthSceneSettings(samples=200))
     poor = {
         "200 poses within 4 cm": ((0.005, 0.008, 0.016), 200),
         "200 poses on a line of 8 m": ((1.0, 0.001, 0.001), 200),
@@ -125,18 +132,18 @@ def refused() -> list[tuple[str, str]]:
     }
     rows = []
     for what, (spread, samples) in poor.items():
-        settings = SceneSettings(samples=samples, spread=spread, turn=0.01)
-        recording = draw_scene(robot, rng, settings=settings).recording
-        rows.append((what, said(lambda r=recording: calibrate(r, robot))))  # type: ignore[misc]
-    rows.append(("6 poses", said(lambda: calibrate(scene.recording.slice(0, 6), robot))))
+        settings = LengthSceneSettings(samples=samples, spread=spread, turn=0.01)
+        recording = draw_length_scene(robot, rng, settings=settings).recording
+        rows.append((what, said(lambda r=recording: calibrate_lengths(r, robot))))  # type: ignore[misc]
+    rows.append(("6 poses", said(lambda: calibrate_lengths(scene.recording.slice(0, 6), robot))))
     order = np.arange(8)
     order[[2, 5]] = 5, 2
     swapped = replace(
         scene.recording, unstrained_length=scene.recording.unstrained_length[:, order]
     )
-    rows.append(("readings 3 and 6 swapped", said(lambda: calibrate(swapped, robot))))
+    rows.append(("readings 3 and 6 swapped", said(lambda: calibrate_lengths(swapped, robot))))
     wrong = replace(scene.recording, unstrained_length=1e3 * scene.recording.unstrained_length)
-    rows.append(("lengths in millimetres", said(lambda: calibrate(wrong, robot))))
+    rows.append(("lengths in millimetres", said(lambda: calibrate_lengths(wrong, robot))))
     return rows
 
 
@@ -154,7 +161,7 @@ def main() -> None:
     rows = []
     for name in ("carosac", "cogiro"):
         for prior, sigma in (("5 cm", None), ("1 mm, tachymeter", TACHYMETER)):
-            for wrong, known in (("all", Settings()), ("exit points and offsets", ALONE)):
+            for wrong, known in (("all", LengthSettings()), ("exit points and offsets", ALONE)):
                 rows.append(row(name, prior, wrong, run(name, sigma, known)))
                 print(rows[-1], flush=True)
     header = (

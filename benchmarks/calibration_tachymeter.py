@@ -17,9 +17,8 @@ from scipy.stats import chi2
 
 import carosac_toolkit as ct
 from benchmarks.results import table, write_section
-from calibration.tachymeter import Sighting, calibrate
-from calibration.tachymeter.observations import READINGS
-from calibration.tachymeter.synthetic import SurveyPlan, draw_survey
+from calibration import Sighting, SurveyPlan, calibrate_tachymeter, draw_survey
+from calibration.tachymeter.observations import READING_NAMES
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
@@ -62,18 +61,18 @@ def score(robot: Robot, plan: SurveyPlan, scenarios: int = SCENARIOS) -> Score:
     for number in range(scenarios):
         scene = draw_survey(robot, np.random.default_rng([SEED, number]), plan)
         start = time.process_time()
-        result = calibrate(robot, scene.survey)
+        result = calibrate_tachymeter(robot, scene.survey)
         seconds += time.process_time() - start
         off = result.exit_points - scene.truth.exit_points
         error.append(np.linalg.norm(off, axis=1))
         nees.append(off.ravel() @ np.linalg.solve(result.exit_covariance, off.ravel()))
         total, freedom = total + result.chi2, freedom + result.freedom
         found = {(b.shot, b.reading) for b in result.blunders}
-        wrong = {(i + 1, READINGS[column]): size for i, column, size in scene.wrong}
+        wrong = {(i + 1, READING_NAMES[column]): size for i, column, size in scene.wrong}
         sigma = result.residuals.sigma
         big = {
             key for key, size in wrong.items()
-            if abs(size) > 10.0 * sigma[key[0] - 1, READINGS.index(key[1])]
+            if abs(size) > 10.0 * sigma[key[0] - 1, READING_NAMES.index(key[1])]
         }  # fmt: skip
         drawn, large, named = drawn + len(wrong), large + len(big), named + len(big & found)
         good += len(found - set(wrong))

@@ -1,3 +1,181 @@
-"""Calibration and identification: tachymeter, self-calibration from lengths, dynamics."""
+"""Calibration and identification: tachymeter, cable lengths, motor angles, dynamics.
+
+The names below are the public face; each is imported when it is first used, so that
+``import calibration`` stays light.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from calibration.estimate import ParameterEstimate
+    from calibration.identification.procedure import identify
+    from calibration.identification.result import Identification
+    from calibration.identification.settings import IdentificationSettings
+    from calibration.identification.synthetic import RunSettings, SyntheticRun, simulate_run
+    from calibration.lengths.calibrate import calibrate_lengths
+    from calibration.lengths.checks import MixUp
+    from calibration.lengths.planning import SuggestedPoses, suggest_poses
+    from calibration.lengths.result import LengthCalibration
+    from calibration.lengths.settings import LengthSettings
+    from calibration.lengths.synthetic import LengthScene, LengthSceneSettings, draw_length_scene
+    from calibration.observability import Observability, Unobservable
+    from calibration.prior import Prior
+    from calibration.result import CalibrationResult
+    from calibration.robot_update import updated, write_robot
+    from calibration.self_calibration.calibrate import calibrate_motor_angles
+    from calibration.self_calibration.motor_angle_files import (
+        holds_motor_angles,
+        load_motor_angles,
+        write_motor_angles,
+    )
+    from calibration.self_calibration.motor_angles import MotorAngles
+    from calibration.self_calibration.result import LeftOut, SampleBlunder, SelfCalibration
+    from calibration.self_calibration.settings import SelfCalibrationSettings
+    from calibration.self_calibration.synthetic import (
+        MeasurementNoise,
+        draw_positions,
+        draw_robot,
+        measure_motor_angles,
+    )
+    from calibration.tachymeter.calibrate import calibrate_tachymeter
+    from calibration.tachymeter.observations import (
+        Instrument,
+        ReferencePoint,
+        Shot,
+        Sighting,
+        Survey,
+    )
+    from calibration.tachymeter.result import ReadingBlunder, TachymeterResult
+    from calibration.tachymeter.survey_files import read_survey
+    from calibration.tachymeter.synthetic import (
+        DrawnSurvey,
+        SurveyPlan,
+        draw_survey,
+        write_gsi,
+        write_survey_csv,
+        write_targets,
+    )
 
 __carosac__ = True  # marks this package as ours: the name is not unique
+
+_MODULES = {
+    "CalibrationResult": "result",
+    "DrawnSurvey": "tachymeter.synthetic",
+    "Identification": "identification.result",
+    "IdentificationSettings": "identification.settings",
+    "Instrument": "tachymeter.observations",
+    "LeftOut": "self_calibration.result",
+    "LengthCalibration": "lengths.result",
+    "LengthScene": "lengths.synthetic",
+    "LengthSceneSettings": "lengths.synthetic",
+    "LengthSettings": "lengths.settings",
+    "MeasurementNoise": "self_calibration.synthetic",
+    "MixUp": "lengths.checks",
+    "MotorAngles": "self_calibration.motor_angles",
+    "Observability": "observability",
+    "ParameterEstimate": "estimate",
+    "Prior": "prior",
+    "ReadingBlunder": "tachymeter.result",
+    "ReferencePoint": "tachymeter.observations",
+    "RunSettings": "identification.synthetic",
+    "SampleBlunder": "self_calibration.result",
+    "SelfCalibration": "self_calibration.result",
+    "SelfCalibrationSettings": "self_calibration.settings",
+    "Shot": "tachymeter.observations",
+    "Sighting": "tachymeter.observations",
+    "SuggestedPoses": "lengths.planning",
+    "Survey": "tachymeter.observations",
+    "SurveyPlan": "tachymeter.synthetic",
+    "SyntheticRun": "identification.synthetic",
+    "TachymeterResult": "tachymeter.result",
+    "Unobservable": "observability",
+    "calibrate_lengths": "lengths.calibrate",
+    "calibrate_motor_angles": "self_calibration.calibrate",
+    "calibrate_tachymeter": "tachymeter.calibrate",
+    "draw_length_scene": "lengths.synthetic",
+    "draw_positions": "self_calibration.synthetic",
+    "draw_robot": "self_calibration.synthetic",
+    "draw_survey": "tachymeter.synthetic",
+    "holds_motor_angles": "self_calibration.motor_angle_files",
+    "identify": "identification.procedure",
+    "load_motor_angles": "self_calibration.motor_angle_files",
+    "measure_motor_angles": "self_calibration.synthetic",
+    "read_survey": "tachymeter.survey_files",
+    "simulate_run": "identification.synthetic",
+    "suggest_poses": "lengths.planning",
+    "updated": "robot_update",
+    "write_gsi": "tachymeter.synthetic",
+    "write_motor_angles": "self_calibration.motor_angle_files",
+    "write_robot": "robot_update",
+    "write_survey_csv": "tachymeter.synthetic",
+    "write_targets": "tachymeter.synthetic",
+}
+__all__ = [
+    "CalibrationResult",
+    "DrawnSurvey",
+    "Identification",
+    "IdentificationSettings",
+    "Instrument",
+    "LeftOut",
+    "LengthCalibration",
+    "LengthScene",
+    "LengthSceneSettings",
+    "LengthSettings",
+    "MeasurementNoise",
+    "MixUp",
+    "MotorAngles",
+    "Observability",
+    "ParameterEstimate",
+    "Prior",
+    "ReadingBlunder",
+    "ReferencePoint",
+    "RunSettings",
+    "SampleBlunder",
+    "SelfCalibration",
+    "SelfCalibrationSettings",
+    "Shot",
+    "Sighting",
+    "SuggestedPoses",
+    "Survey",
+    "SurveyPlan",
+    "SyntheticRun",
+    "TachymeterResult",
+    "Unobservable",
+    "calibrate_lengths",
+    "calibrate_motor_angles",
+    "calibrate_tachymeter",
+    "draw_length_scene",
+    "draw_positions",
+    "draw_robot",
+    "draw_survey",
+    "holds_motor_angles",
+    "identify",
+    "load_motor_angles",
+    "measure_motor_angles",
+    "read_survey",
+    "simulate_run",
+    "suggest_poses",
+    "updated",
+    "write_gsi",
+    "write_motor_angles",
+    "write_robot",
+    "write_survey_csv",
+    "write_targets",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return sorted({*globals(), *__all__})

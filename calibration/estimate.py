@@ -14,7 +14,7 @@ from carosac_toolkit.robot.parameters import unit_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Estimate:
+class ParameterEstimate:
     """k parameters; units are those of `carosac_toolkit.robot.parameters.unit_of`.
 
     Attributes:
@@ -53,24 +53,21 @@ class Estimate:
     @property
     def sigma(self) -> Array:
         """One standard deviation of each parameter, shape (k,)."""
-        found: Array = np.sqrt(np.diag(self.covariance))
-        return found
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def moved(self) -> Array:
-        """How far each parameter moved, in prior sigmas, shape (k,); 0 without a prior."""
-        found: Array = np.abs(self.value - self.start) / self.prior_sigma
-        return found
+        """Distance from the start in prior sigmas, shape (k,); 0 without a prior."""
+        return np.asarray(np.abs(self.value - self.start) / self.prior_sigma)
 
     @property
     def correlation(self) -> Array:
         """Correlation matrix, shape (k, k); 0 beside a parameter that is known exactly."""
         sigma = np.where(self.sigma > 0.0, self.sigma, 1.0)
-        found: Array = self.covariance / np.outer(sigma, sigma)
-        return found
+        return np.asarray(self.covariance / np.outer(sigma, sigma))
 
     def index(self, name: str) -> int:
-        """Where a parameter stands.
+        """Return the place of a parameter.
 
         Raises:
             InvalidField: It was not estimated.
@@ -79,10 +76,10 @@ class Estimate:
             raise InvalidField("parameter", repr(name), f"one of {list(self.names)}")
         return self.names.index(name)
 
-    def select(self, names: Sequence[str]) -> Estimate:
-        """Some of the parameters, in the order of `names`."""
+    def select(self, names: Sequence[str]) -> ParameterEstimate:
+        """Return some of the parameters, in the order of `names`."""
         rows = [self.index(name) for name in names]
-        return Estimate(
+        return ParameterEstimate(
             names=tuple(names),
             value=self.value[rows],
             covariance=self.covariance[np.ix_(rows, rows)],
@@ -91,7 +88,7 @@ class Estimate:
         )
 
     def data(self) -> dict[str, dict[str, Any]]:
-        """Every parameter by name, ready for JSON; an infinite prior becomes null."""
+        """Return every parameter by name, ready for JSON; an infinite prior becomes null."""
         columns = zip(
             self.names, self.value, self.sigma, self.start, self.prior_sigma, self.units,
             strict=True,

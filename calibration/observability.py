@@ -1,4 +1,4 @@
-"""What data can tell about parameters, and what they cannot, in words."""
+"""Judgement, in words, of what data can tell about parameters."""
 
 from __future__ import annotations
 
@@ -11,12 +11,16 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 
-BLIND = 1e-9  # of the largest eigenvalue of the scaled information: smaller ones may be none
-ROUNDING = 1e-14  # of the largest one: smaller ones are none
-WEAK = 0.5  # share of its prior variance that a combination of parameters keeps: the rest is data
-PARTS = 0.35  # of the largest entry of a combination: smaller entries are not named
-NAMED = 4  # parameters of a combination that are named
-SAID = 6  # combinations of a kind that are named
+BLIND_EIGENVALUE_SHARE = (
+    1e-9  # of the largest eigenvalue of the scaled information: smaller ones may be none
+)
+ROUNDING_EIGENVALUE_SHARE = 1e-14  # of the largest one: smaller ones are none
+WEAK_VARIANCE_SHARE = (
+    0.5  # share of its prior variance that a combination of parameters keeps: the rest is data
+)
+NAMED_ENTRY_SHARE = 0.35  # of the largest entry of a combination: smaller entries are not named
+NAMED_PARAMETERS_MAX = 4  # parameters of a combination that are named
+NAMED_COMBINATIONS_MAX = 6  # combinations of a kind that are named
 
 
 class Unobservable(CarosacError):
@@ -25,7 +29,7 @@ class Unobservable(CarosacError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observability:
-    """What the data alone say of k parameters, each measured in its own scale.
+    """Information of the data alone on k parameters, each measured in its own scale.
 
     Attributes:
         parameters: k.
@@ -44,7 +48,7 @@ class Observability:
     weak: tuple[str, ...]
 
     def sentences(self) -> list[str]:
-        """What people should know before they trust the numbers."""
+        """Return what people should know before they trust the numbers."""
         lines = [
             f"the data say something of {self.rank} of {self.parameters} combinations of the "
             f"parameters, and more than was known before of {self.rank - len(self.weak)}"
@@ -55,7 +59,7 @@ class Observability:
         return lines
 
     def data(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return all numbers, ready for JSON."""
         return {
             "parameters": self.parameters,
             "rank": self.rank,
@@ -82,8 +86,8 @@ def judge(names: Sequence[str], information: Array, scale: Array) -> Observabili
     scaled = information * np.outer(scale, scale)
     values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
     most = max(float(values[-1]), np.finfo(float).tiny)
-    blind = values <= min(BLIND * most, max(1.0, ROUNDING * most))
-    weak = ~blind & (1.0 / (1.0 + np.maximum(values, 0.0)) > WEAK)
+    blind = values <= min(BLIND_EIGENVALUE_SHARE * most, max(1.0, ROUNDING_EIGENVALUE_SHARE * most))
+    weak = ~blind & (1.0 / (1.0 + np.maximum(values, 0.0)) > WEAK_VARIANCE_SHARE)
     full = not blind.any()
     return Observability(
         parameters=len(names),
@@ -95,21 +99,25 @@ def judge(names: Sequence[str], information: Array, scale: Array) -> Observabili
 
 
 def _some(start: str, combinations: Sequence[str]) -> list[str]:
-    """A sentence for each of the first combinations, and how many more there are."""
-    said = [f"{start} {words}" for words in combinations[:SAID]]
-    if len(combinations) > SAID:
-        said[-1] += f"; and {len(combinations) - SAID} more such combinations"
-    return said
+    """Name the first combinations in sentences, and count the others."""
+    lines = [f"{start} {words}" for words in combinations[:NAMED_COMBINATIONS_MAX]]
+    if len(combinations) > NAMED_COMBINATIONS_MAX:
+        lines[-1] += f"; and {len(combinations) - NAMED_COMBINATIONS_MAX} more such combinations"
+    return lines
 
 
 def _words(names: Sequence[str], direction: Array) -> str:
-    """A combination of parameters in words, largest part first."""
+    """Name a combination of parameters, largest part first."""
     order = np.argsort(-np.abs(direction))
-    chosen = [i for i in order if abs(direction[i]) >= PARTS * abs(direction[order[0]])]
+    chosen = [i for i in order if abs(direction[i]) >= NAMED_ENTRY_SHARE * abs(direction[order[0]])]
     sign = np.sign(direction[order[0]])
     parts = [
         f"{'' if k == 0 else ' + ' if sign * direction[i] > 0 else ' - '}{names[i]}"
-        for k, i in enumerate(chosen[:NAMED])
+        for k, i in enumerate(chosen[:NAMED_PARAMETERS_MAX])
     ]
-    more = f" and {len(chosen) - NAMED} more" if len(chosen) > NAMED else ""
+    more = (
+        f" and {len(chosen) - NAMED_PARAMETERS_MAX} more"
+        if len(chosen) > NAMED_PARAMETERS_MAX
+        else ""
+    )
     return "".join(parts) + more

@@ -8,18 +8,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.estimate import Estimate
+from calibration.estimate import ParameterEstimate
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.pictures.drawing import COLORS, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-BEFORE, AFTER = "#9aa3ad", "#1f6f8b"
-OUTLIER = "#c0392b"
-QUANTILE_95 = 2.4477  # radius of the 95 % ellipse of two dimensions, in standard deviations
-SMALLEST, LARGEST = 1.4, 6.0  # reach of a panel, in radii of the ellipse after the calibration
-_PLANES = ((0, 1), (0, 2), (1, 2))
+COLOR_BEFORE, COLOR_AFTER = "#9aa3ad", "#1f6f8b"
+COLOR_OUTLIER = "#c0392b"
+ELLIPSE_95_RADIUS = 2.4477  # radius of the 95 % ellipse of two dimensions, in standard deviations
+PANEL_REACH_MIN, PANEL_REACH_MAX = (
+    1.4,
+    6.0,
+)  # reach of a panel, in radii of the ellipse after the calibration
+_COORDINATE_PLANES = ((0, 1), (0, 2), (1, 2))
 
 
 def draw_exit_points(
@@ -46,7 +49,7 @@ def draw_exit_points(
     grid = figure.subplots(n, 3, squeeze=False)
     for i, name in enumerate(cable_names):
         known = before_covariance is not None and np.isfinite(before_covariance[i]).all()
-        for axes, plane in zip(grid[i], _PLANES, strict=True):
+        for axes, plane in zip(grid[i], _COORDINATE_PLANES, strict=True):
             part = np.ix_(plane, plane)
             prior = before_covariance[i][part] if known and before_covariance is not None else None
             moved = (before[i] - after[i])[list(plane)] * 1e3
@@ -68,20 +71,20 @@ def _draw_point(axes: Any, moved: Array, prior: Array | None, posterior: Array) 
 
     Args:
         axes: The panel.
-        moved: Where the point was before, from where it is [mm], shape (2,).
+        moved: Place of the point before, relative to its place now [mm], shape (2,).
         prior: Covariance before [m^2], shape (2, 2); None: nothing was known.
         posterior: Covariance after [m^2], shape (2, 2).
     """
-    size = max(QUANTILE_95 * 1e3 * float(np.sqrt(np.diag(posterior).max())), 1e-6)
+    size = max(ELLIPSE_95_RADIUS * 1e3 * float(np.sqrt(np.diag(posterior).max())), 1e-6)
     furthest = float(np.abs(moved).max())
-    reach = float(np.clip(1.2 * furthest, SMALLEST * size, LARGEST * size))
+    reach = float(np.clip(1.2 * furthest, PANEL_REACH_MIN * size, PANEL_REACH_MAX * size))
     if prior is not None:
-        _ellipse(axes, moved, prior, BEFORE, "--", "known before")
-    _ellipse(axes, np.zeros(2), posterior, AFTER, "-", "known after")
-    axes.plot(0.0, 0.0, "o", color=AFTER, ms=5, label="after")
+        _ellipse(axes, moved, prior, COLOR_BEFORE, "--", "known before")
+    _ellipse(axes, np.zeros(2), posterior, COLOR_AFTER, "-", "known after")
+    axes.plot(0.0, 0.0, "o", color=COLOR_AFTER, ms=5, label="after")
     start = moved
     if furthest < reach:
-        axes.plot(*moved, "o", color=BEFORE, ms=6, label="before")
+        axes.plot(*moved, "o", color=COLOR_BEFORE, ms=6, label="before")
     else:
         start = moved * reach / furthest
     if furthest > 0.05 * reach:
@@ -94,7 +97,7 @@ def _draw_point(axes: Any, moved: Array, prior: Array | None, posterior: Array) 
 
 
 def _legend(axes: Any) -> list[tuple[Any, str]]:
-    """Marks of a panel with their labels."""
+    """Return the marks of a panel with their labels."""
     return list(zip(*axes.get_legend_handles_labels(), strict=True))
 
 
@@ -127,7 +130,7 @@ def draw_residuals(
         over.plot(where[good], values[good], ".", color=color, ms=3.5)
         outside = np.clip(values[~good], -reach, reach)
         if len(outside):
-            over.plot(where[~good], outside, "x", color=OUTLIER, ms=5, label="left out")
+            over.plot(where[~good], outside, "x", color=COLOR_OUTLIER, ms=5, label="left out")
             over.legend(fontsize=8, loc="upper right")
         over.set(ylabel=f"{name}\n[mm]", ylim=(-reach, reach))
         over.axhline(0.0, color="#808080", lw=0.6)
@@ -142,7 +145,7 @@ def draw_residuals(
     return figure
 
 
-def draw_learnt(estimate: Estimate) -> Figure:
+def draw_learnt(estimate: ParameterEstimate) -> Figure:
     """Draw what is left of the prior sigma of each parameter, and how far the parameter moved."""
     known = np.isfinite(estimate.prior_sigma)
     names = [name for name, has in zip(estimate.names, known, strict=True) if has]
@@ -151,7 +154,7 @@ def draw_learnt(estimate: Estimate) -> Figure:
     figure = new_figure(9.5, 1.4 + 0.22 * len(names))
     first, second = figure.subplots(1, 2, sharey=True)
     place = np.arange(len(names))
-    first.barh(place, left, color=AFTER, alpha=0.75)
+    first.barh(place, left, color=COLOR_AFTER, alpha=0.75)
     first.axvline(1.0, color="#808080", lw=0.8)
     first.set(xlabel="1 sigma after / before", xlim=(0.0, max(1.05, float(left.max(initial=0.0)))))
     first.set_yticks(place, names, fontsize=8)
@@ -161,7 +164,7 @@ def draw_learnt(estimate: Estimate) -> Figure:
     second.set(xlabel="moved by, in sigmas before")
     for axes in (first, second):
         axes.grid(alpha=0.25, axis="x")
-    figure.suptitle("What the data taught: short bars on the left were learnt")
+    figure.suptitle("Learnt from the data: short bars on the left")
     return figure
 
 
@@ -172,6 +175,6 @@ def _ellipse(
     values, vectors = np.linalg.eigh(covariance)
     turn = np.linspace(0.0, 2.0 * np.pi, 73)
     unit = np.stack([np.cos(turn), np.sin(turn)])
-    reach = QUANTILE_95 * 1e3 * np.sqrt(np.maximum(values, 0.0))
+    reach = ELLIPSE_95_RADIUS * 1e3 * np.sqrt(np.maximum(values, 0.0))
     x, y = center[:, None] + vectors @ (reach[:, None] * unit)
     axes.plot(x, y, style, color=color, lw=1.6, label=label)

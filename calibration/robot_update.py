@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.estimate import Estimate
+from calibration.estimate import ParameterEstimate
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.files import check_writable, replacing
@@ -17,7 +17,7 @@ from carosac_toolkit.robot.robot import Robot
 
 
 def prior_covariance(robot: Robot, names: tuple[str, ...], sigma: Array) -> Array:
-    """What a robot file knows of parameters: its calibration, its exit covariances, or `sigma`.
+    """Return what a robot file knows: its calibration, its exit covariances, or else `sigma`.
 
     Args:
         robot: The robot.
@@ -47,8 +47,8 @@ def prior_covariance(robot: Robot, names: tuple[str, ...], sigma: Array) -> Arra
     return covariance
 
 
-def updated(robot: Robot, estimate: Estimate) -> Robot:
-    """The robot with estimated parameters and all that is known of them.
+def updated(robot: Robot, estimate: ParameterEstimate) -> Robot:
+    """Return the robot with estimated parameters and their covariance.
 
     What an earlier calibration knew of other parameters stays, as independent of the new ones.
 
@@ -95,7 +95,12 @@ def check_output(option: str, output: Path | None, robot: str) -> None:
 
 
 def write_robot(
-    source: str, estimate: Estimate, output: Path, *, provenance: str, name: str | None = None
+    source: str,
+    estimate: ParameterEstimate,
+    output: Path,
+    *,
+    provenance: str,
+    name: str | None = None,
 ) -> Robot:
     """Write a robot file with estimated parameters and covariances; comments of the old one stay.
 
@@ -126,7 +131,7 @@ def write_robot(
 
 
 def _exit_covariance(robot: Robot, names: list[str], covariance: Array) -> Array | None:
-    """Blocks of the exit points; those of before where a point was not estimated."""
+    """Return the blocks of the exit points; those of before where a point was not estimated."""
     blocks = []
     for i, cable in enumerate(robot.cable_names):
         rows = [names.index(name) for name in point_names("exit_points", [cable]) if name in names]

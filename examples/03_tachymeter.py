@@ -14,15 +14,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import carosac_toolkit as ct
-from calibration.tachymeter import calibrate
-from calibration.tachymeter.synthetic import SurveyPlan, draw_survey
+from calibration import SurveyPlan, calibrate_tachymeter, draw_survey
 
 MAGNIFIED = 500.0  # times that the ellipses are drawn
 COLORS = {"A": "tab:blue", "B": "tab:green"}
 
 robot = ct.load_robot("carosac")
 scene = draw_survey(robot, np.random.default_rng(3), SurveyPlan(blunders=0.05))
-result = calibrate(robot, scene.survey)
+result = calibrate_tachymeter(robot, scene.survey)
 shots, used = scene.survey.shots, result.residuals.used
 
 figure, (site, tests, errors) = plt.subplots(

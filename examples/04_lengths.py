@@ -16,12 +16,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import carosac_toolkit as ct
-from calibration.lengths import calibrate, suggest_poses
-from calibration.lengths.synthetic import draw_scene
+from calibration import calibrate_lengths, draw_length_scene, suggest_poses
 
 robot = ct.load_robot("cogiro")
-scene = draw_scene(robot, np.random.default_rng(4))
-found = calibrate(scene.recording, robot)
+scene = draw_length_scene(robot, np.random.default_rng(4))
+found = calibrate_lengths(scene.recording, robot)
 further = suggest_poses(found, 8, rng=np.random.default_rng(4))
 
 truth = np.array([[scene.truth[f"exit_points[{c}].{a}"] for a in "xyz"] for c in robot.cable_names])

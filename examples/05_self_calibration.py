@@ -18,8 +18,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import carosac_toolkit as ct
-from calibration.self_calibration import calibrate
-from calibration.self_calibration.synthetic import Noise, draw_positions, measure
+from calibration import (
+    MeasurementNoise,
+    calibrate_motor_angles,
+    draw_positions,
+    measure_motor_angles,
+)
 
 EXITS = [[0.02, -1.59, -0.11], [1.29, 1.23, -0.16], [-1.42, 0.74, -0.15], [0.02, 0.0, 2.35]]  # [m]
 KNOWN = [[0, 0, 0], [-0.3, -0.3, 0], [0.3, 0, 0], [0.3, 0.4, 0], [-0.2, 0.4, 0], [0.1, -0.1, 1.4]]
@@ -30,13 +34,13 @@ truth = replace(guess, exit_points=EXITS, drum_radius=guess.drum_radius + 1e-3)
 rng = np.random.default_rng(5)
 place = draw_positions(truth, 40, rng)
 place[: len(KNOWN)] = KNOWN
-angles = measure(
-    truth, place, np.arange(len(KNOWN)), Noise(line=1e-3, known=1e-3), rng,
+angles = measure_motor_angles(
+    truth, place, np.arange(len(KNOWN)), MeasurementNoise(line=1e-3, known=1e-3), rng,
     blunders={(SLIPPED, 1): 0.15},
 )  # fmt: skip
 written = angles.known_position.copy()
 written[MISWRITTEN, 0] += 0.1
-result = calibrate(replace(angles, known_position=written), guess)
+result = calibrate_motor_angles(replace(angles, known_position=written), guess)
 
 exits = result.estimate.value[:12].reshape(4, 3)
 unknown = ~angles.is_known & result.used

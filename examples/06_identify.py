@@ -15,8 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import carosac_toolkit as ct
-from calibration.identification import identify
-from calibration.identification.synthetic import RunSettings, simulate_run
+from calibration import RunSettings, identify, simulate_run
 from carosac_toolkit.robot.parameters import values_of
 
 robot = ct.load_robot("carosac")
@@ -30,7 +29,8 @@ figure, (motion, learnt) = plt.subplots(
 )
 time, measured = found.measured.time, found.measured.position
 for label, position, color in (
-    ("nominal robot", found.before, "tab:gray"), ("identified robot", found.after, "tab:blue")
+    ("nominal robot", found.position_before, "tab:gray"),
+    ("identified robot", found.position_after, "tab:blue"),
 ):  # fmt: skip
     motion.plot(time, 1e3 * (position - measured)[:, 0], color=color, lw=1.2, label=label)
 motion.axvline(run.recording.time[cut], color="tab:red", lw=1.5)

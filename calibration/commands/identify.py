@@ -20,9 +20,15 @@ from typing import Annotated
 import tyro
 
 from calibration.identification import Identification, identify
-from calibration.identification.report import write_identification
-from calibration.report import print_parameters, print_sentences
-from calibration.robot_update import check_output, write_robot
+from calibration.identification.report import report_content
+from calibration.report import (
+    option_words,
+    print_parameters,
+    print_sentences,
+    write_new_robot,
+    write_report,
+)
+from calibration.robot_update import check_output
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.recordings.bundled import find_recording
@@ -32,7 +38,8 @@ from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.robot import Robot
 
 Range = tuple[int, int]
-_SHARE = 2.0 / 3.0  # of the samples that are fitted, where nothing else is asked for
+COMMAND_OPTIONS = ("recording", "robot", "train", "test", "report", "json", "seed")  # as resolved
+_TRAIN_SHARE_DEFAULT = 2.0 / 3.0  # of the samples that are fitted, where nothing else is asked for
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +49,8 @@ class Options(CommonOptions):
     recording: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING")]
     """A bundled recording such as `synthetic`, or a .parquet, .csv or .mat file, with poses."""
     robot: str | None = None
-    """Where the search starts, a bundled robot or a YAML file, best one that was calibrated; by
-    default the one that the recording names, or else the bundled one with its exit points."""
+    """Robot at the start of the search, bundled or a YAML file, best a calibrated one; by default
+    the one that the recording names, or else the bundled one with its exit points."""
     train: Annotated[str | None, tyro.conf.arg(metavar="START:STOP")] = None
     """Length samples START <= i < STOP whose poses are fitted; by default the first two thirds. The
     simulation always begins at sample 0, where the platform must be at rest."""
@@ -59,32 +66,39 @@ def run(options: Options) -> CommandResult:
     """Identify a robot."""
     path = find_recording(options.recording)
     recording = load_recording(path)
-    found = find_robot(recording, path, options.robot)
-    check_output("--output", options.output, found.name)
-    folder = options.report or _default_folder(path, found)
+    robot_source = find_robot(recording, path, options.robot)
+    check_output("--output", options.output, robot_source.name)
+    folder = options.report or _default_folder(path, robot_source)
     check_folder("--report", folder)
     train, test = _ranges(options, recording)
-    result = identify(recording, found.robot, train=train, test=test, report=_Steps(found.robot))
+    result = identify(
+        recording, robot_source.robot, train=train, test=test, report=_Steps(robot_source.robot)
+    )
     print()
     _print(result)
-    words = _words(options, found, train, test)
-    files = write_identification(
-        folder, result, recording, _provenance(options, recording, found), words
+    command = ["carosac", "identify", options.recording, "--robot", robot_source.name]
+    command += ["--train", f"{train[0]}:{train[1]}"]
+    command += [] if test is None else ["--test", f"{test[0]}:{test[1]}"]
+    files = write_report(
+        folder,
+        f"Identification of {result.robot.name}",
+        result,
+        report_content(result, recording),
+        provenance=_provenance(options, recording, robot_source),
+        command=command + option_words(options, COMMAND_OPTIONS),
     )
     print(f"\nreport: {files[-1]} and {len(files) - 1} pictures beside it")
-    if options.output is not None:
-        name = Path(options.recording).name
-        source = f"carosac identify, samples {train[0]}:{train[1]} of {name}"
-        write_robot(
-            found.name, result.estimate, options.output,
-            provenance=source, name=options.output.stem,
-        )  # fmt: skip
-        print(f"robot:  {options.output}")
+    name = Path(options.recording).name
+    write_new_robot(
+        result, robot_source.name, options.output,
+        name=options.output.stem if options.output else None,
+        provenance=f"carosac identify, samples {train[0]}:{train[1]} of {name}",
+    )  # fmt: skip
     sys.stdout.flush()
-    for line in result.warnings():
+    for line in result.warnings:
         print(f"carosac: warning: {line}", file=sys.stderr)
-    data = {"recording": options.recording, "robot": found.name, **result.data()}
-    return CommandResult(data, status=1 if result.warnings() else 0)
+    data = {"recording": options.recording, "robot": robot_source.name, **result.data()}
+    return CommandResult(data, status=1 if result.warnings else 0)
 
 
 class _Steps:
@@ -114,9 +128,9 @@ def _print(result: Identification) -> None:
 
 
 def _ranges(options: Options, recording: Recording) -> tuple[Range, Range | None]:
-    """The samples that are fitted, and those that are scored."""
+    """Return the range of samples to fit and the range to score."""
     count = len(recording.time)
-    train = (0, round(_SHARE * count))
+    train = (0, round(_TRAIN_SHARE_DEFAULT * count))
     if options.train is not None:
         train = _range("train", options.train, count)
     if options.test is not None:
@@ -132,14 +146,14 @@ def _range(name: str, text: str, count: int) -> Range:
     return int(match[1] or 0), int(match[2] or count)
 
 
-def _default_folder(path: Path, found: FoundRobot) -> Path:
-    """Where a report goes that was not sent anywhere."""
-    name = re.sub(r"[^\w.-]+", "_", f"{path.stem}-{found.robot.name}")
+def _default_folder(path: Path, robot_source: FoundRobot) -> Path:
+    """Return the folder of a report for which none was given."""
+    name = re.sub(r"[^\w.-]+", "_", f"{path.stem}-{robot_source.robot.name}")
     return Path("carosac-results") / "identify" / name
 
 
-def _provenance(options: Options, recording: Recording, found: FoundRobot) -> dict[str, str]:
-    """What went in."""
+def _provenance(options: Options, recording: Recording, robot_source: FoundRobot) -> dict[str, str]:
+    """Return the inputs by name."""
     metadata = recording.metadata
     return {
         "recording": options.recording,
@@ -147,13 +161,5 @@ def _provenance(options: Options, recording: Recording, found: FoundRobot) -> di
         "source": metadata.source,
         "licence": metadata.licence,
         "cite": metadata.citation,
-        "robot before": f"{found.name}: {found.robot.description}",
+        "robot before": f"{robot_source.name}: {robot_source.robot.description}",
     }
-
-
-def _words(options: Options, found: FoundRobot, train: Range, test: Range | None) -> list[str]:
-    """The command that repeats this."""
-    words = ["carosac", "identify", options.recording, "--robot", found.name]
-    words += ["--train", f"{train[0]}:{train[1]}"]
-    words += [] if test is None else ["--test", f"{test[0]}:{test[1]}"]
-    return words + ([] if options.output is None else ["--output", str(options.output)])

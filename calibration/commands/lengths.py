@@ -20,12 +20,12 @@ import tyro
 
 from calibration.lengths import (
     LengthCalibration,
-    Settings,
+    LengthSettings,
     SuggestedPoses,
-    calibrate,
+    calibrate_lengths,
     suggest_poses,
 )
-from calibration.lengths.planning import COUNT_MAX
+from calibration.lengths.planning import SUGGESTED_POSES_MAX
 from calibration.lengths.report import (
     CABLE_GROUPS,
     CABLE_HEADER,
@@ -33,13 +33,18 @@ from calibration.lengths.report import (
     POSE_HEADER,
     cable_rows,
     pose_rows,
-    sentences,
-    write_report,
+    report_content,
 )
 from calibration.observability import Unobservable
-from calibration.report import print_parameters, print_sentences
-from calibration.robot_update import check_output, write_robot
-from calibration.self_calibration.files import holds_motor_angles
+from calibration.report import (
+    option_words,
+    print_parameters,
+    print_sentences,
+    write_new_robot,
+    write_report,
+)
+from calibration.robot_update import check_output
+from calibration.self_calibration.motor_angle_files import holds_motor_angles
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.tables import fit, terminal_width
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile, OutputFolder
@@ -49,8 +54,15 @@ from carosac_toolkit.recordings.robot import find_robot
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.robot import Robot
 
-WITHOUT_POSES = ("recording", "robot", "output", "report", "json", "seed")  # options that count
-SENTENCES = 8  # on what is hardly known, on the screen; the report has all
+MOTOR_ANGLE_OPTIONS = (
+    "recording",
+    "robot",
+    "output",
+    "report",
+    "json",
+    "seed",
+)  # options that count
+WEAK_SENTENCES_MAX = 8  # on what is hardly known, on the screen; the report has all
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,28 +84,28 @@ class Options(CommonOptions):
     stop: int | None = None
     """One past the last sample to use; by default all are used."""
     suggest_poses: int = 0
-    """How many further poses to suggest, those that would teach most about the exit points."""
+    """Number of further poses to suggest, those that would teach most about the exit points."""
     length_noise: float | None = None
     """Standard deviation of a reading [m]; by default estimated from what the fit leaves."""
-    position_noise: float = Settings.position_noise
+    position_noise: float = LengthSettings.position_noise
     """Standard deviation of a measured position, per axis [m]."""
-    rotation_noise: float = Settings.rotation_noise
+    rotation_noise: float = LengthSettings.rotation_noise
     """Standard deviation of a measured orientation, per axis [rad]."""
-    exit_prior: float = Settings.exit_prior
-    """How well the exit points are known before, per axis [m]; covariances in the robot file
-    come first. This and the other priors: one standard deviation, 0 holds the value."""
-    anchor_prior: float = Settings.anchor_prior
-    """How well the anchor points are known before, per axis [m]."""
-    offset_prior: float = Settings.offset_prior
-    """How well the zeros of the readings are known before [m]; nothing where they are relative."""
-    scale_prior: float = Settings.scale_prior
-    """How well the scales of the readings are known before."""
-    delay_prior: float = Settings.delay_prior
-    """How well the delay between readings and poses is known before [s]."""
-    tilt_prior: float = Settings.tilt_prior
-    """How level the frame of the poses is [rad]."""
-    center_prior: float = Settings.center_prior
-    """How well the centre of mass is known before, per axis [m]; fewer than 6 cables only."""
+    exit_prior: float = LengthSettings.exit_prior
+    """Prior standard deviation of the exit points, per axis [m]; covariances in the robot file
+    come first. 0 holds the value, as with all priors."""
+    anchor_prior: float = LengthSettings.anchor_prior
+    """Prior standard deviation of the anchor points, per axis [m]."""
+    offset_prior: float = LengthSettings.offset_prior
+    """Prior standard deviation of the readings' zeros [m]; without effect on relative readings."""
+    scale_prior: float = LengthSettings.scale_prior
+    """Prior standard deviation of the readings' scales [1]."""
+    delay_prior: float = LengthSettings.delay_prior
+    """Prior standard deviation of the delay between readings and poses [s]."""
+    tilt_prior: float = LengthSettings.tilt_prior
+    """Prior standard deviation of the tilt of the poses' frame [rad]."""
+    center_prior: float = LengthSettings.center_prior
+    """Prior standard deviation of the centre of mass, per axis [m]; fewer than 6 cables only."""
 
 
 def run(options: Options) -> CommandResult:
@@ -104,32 +116,32 @@ def run(options: Options) -> CommandResult:
 
         _check_without_poses(options)
         return run_motor_angles(options, path)
-    if not 0 <= options.suggest_poses <= COUNT_MAX:
-        raise InvalidField("--suggest-poses", options.suggest_poses, f"0 to {COUNT_MAX}")
+    if not 0 <= options.suggest_poses <= SUGGESTED_POSES_MAX:
+        raise InvalidField("--suggest-poses", options.suggest_poses, f"0 to {SUGGESTED_POSES_MAX}")
     settings = _settings(options)
     recording = load_recording(path)
-    found = find_robot(recording, path, options.robot)
-    check_output("--output", options.output, found.name)
+    robot_source = find_robot(recording, path, options.robot)
+    check_output("--output", options.output, robot_source.name)
     if options.report is not None:
         check_folder("--report", options.report)
     try:
-        result = calibrate(
-            recording, found.robot, settings=settings, start=options.start, stop=options.stop
+        result = calibrate_lengths(
+            recording, robot_source.robot, settings=settings, start=options.start, stop=options.stop
         )
     except Unobservable:
-        _print_suggested(_suggested(options, settings, found.robot))
+        _print_suggested(_suggested(options, settings, robot_source.robot))
         raise
     suggested = _suggested(options, settings, result)
     print_sentences(
         [
             f"{options.recording}: {len(result.sample)} samples over {np.ptp(result.time):.1f} s; "
-            f"robot {found.name}"
+            f"robot {robot_source.name}"
         ],
         "",
     )
     _print(result, suggested)
-    _write(options, result, suggested, found.name)
-    data = {"robot": found.name, **result.data()}
+    _write(options, result, suggested, robot_source.name)
+    data = {"robot": robot_source.name, **result.data()}
     data["suggested_poses"] = suggested.data() if suggested is not None else []
     return CommandResult(data, status=1 if result.warnings else 0)
 
@@ -138,31 +150,20 @@ def _check_without_poses(options: Options) -> None:
     """Refuse options that a file of motor angles leaves without effect."""
     for name, default in vars(Options(recording="")).items():
         value = getattr(options, name)
-        if name not in WITHOUT_POSES and value != default:
+        if name not in MOTOR_ANGLE_OPTIONS and value != default:
             allowed = "not with a file of motor angles, where it has no effect"
             raise InvalidField(f"--{name.replace('_', '-')}", value, allowed)
 
 
-def _settings(options: Options) -> Settings:
-    """Noise and priors of the options."""
-    return Settings(
-        length_noise=options.length_noise,
-        position_noise=options.position_noise,
-        rotation_noise=options.rotation_noise,
-        exit_prior=options.exit_prior,
-        anchor_prior=options.anchor_prior,
-        offset_prior=options.offset_prior,
-        scale_prior=options.scale_prior,
-        delay_prior=options.delay_prior,
-        tilt_prior=options.tilt_prior,
-        center_prior=options.center_prior,
-    )
+def _settings(options: Options) -> LengthSettings:
+    """Return the noise and priors of the options."""
+    return LengthSettings(**{name: getattr(options, name) for name in vars(LengthSettings())})
 
 
 def _suggested(
-    options: Options, settings: Settings, result: LengthCalibration | Robot
+    options: Options, settings: LengthSettings, result: LengthCalibration | Robot
 ) -> SuggestedPoses | None:
-    """Further poses, if they were asked for."""
+    """Return the further poses, if they were asked for."""
     if options.suggest_poses == 0:
         return None
     return suggest_poses(
@@ -175,11 +176,13 @@ def _print(result: LengthCalibration, suggested: SuggestedPoses | None) -> None:
     width = max(80, shutil.get_terminal_size().columns)
     print_sentences(result.warnings, "WARNING: ")
     print("\n" + fit(CABLE_HEADER, cable_rows(result), CABLE_GROUPS, width), end="\n\n")
-    print_sentences(sentences(result))
-    weak = [*result.observability.sentences(), *result.sentences]
-    print_sentences(weak[:SENTENCES])
-    if len(weak) > SENTENCES:
-        print_sentences([f"and {len(weak) - SENTENCES} more such sentences, in the report"])
+    print_sentences(result.sentences())
+    weak = [*result.observability.sentences(), *result.notes]
+    print_sentences(weak[:WEAK_SENTENCES_MAX])
+    if len(weak) > WEAK_SENTENCES_MAX:
+        print_sentences(
+            [f"and {len(weak) - WEAK_SENTENCES_MAX} more such sentences, in the report"]
+        )
     print()
     print_parameters(result.estimate)
     _print_suggested(suggested)
@@ -196,33 +199,23 @@ def _write(
     options: Options, result: LengthCalibration, suggested: SuggestedPoses | None, robot: str
 ) -> None:
     """Write robot file and report."""
-    if options.output is not None:
-        write_robot(
-            robot, result.estimate, options.output, name=options.output.stem,
-            provenance=(
-                f"cable lengths and poses of {Path(options.recording).name} "
-                f"({len(result.sample)} samples, residual {1e3 * result.residual_rms:.2f} mm RMS)"
-            ),
-        )  # fmt: skip
-        print(f"\nnew robot file: {options.output}")
+    write_new_robot(
+        result, robot, options.output, name=options.output.stem if options.output else None,
+        provenance=(
+            f"cable lengths and poses of {Path(options.recording).name} "
+            f"({len(result.sample)} samples, residual {1e3 * result.residual_rms:.2f} mm RMS)"
+        ),
+    )  # fmt: skip
     if options.report is not None:
         write_report(
-            options.report, result, suggested,
-            title=f"Calibration of {result.robot.name} from {Path(options.recording).name}",
+            options.report,
+            f"Calibration of {result.robot.name} from {Path(options.recording).name}",
+            result,
+            report_content(result, suggested),
             provenance={"recording": options.recording, "robot": robot},
-            words=_words(options, robot),
+            command=[
+                "carosac", "calibrate", "lengths", options.recording, "--robot", robot,
+                *option_words(options, ("recording", "robot", "json")),
+            ],
         )  # fmt: skip
         print(f"report: {options.report / 'report.html'}")
-
-
-def _words(options: Options, robot: str) -> list[str]:
-    """The command that repeats this."""
-    words = ["carosac", "calibrate", "lengths", options.recording, "--robot", robot]
-    for name, default in vars(Options(recording="")).items():
-        value = getattr(options, name)
-        if name not in ("recording", "robot", "json", "output", "report") and value != default:
-            words += [f"--{name.replace('_', '-')}", str(value)]
-    for name in ("output", "report"):
-        value = getattr(options, name)
-        words += [f"--{name}", str(value)] if value is not None else []
-    return words

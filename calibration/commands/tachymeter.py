@@ -16,19 +16,17 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from calibration.report import print_sentences
-from calibration.robot_update import check_output, write_robot
-from calibration.tachymeter import TachymeterResult, calibrate
-from calibration.tachymeter.report import write_survey_report
+from calibration.report import option_words, print_sentences, write_new_robot, write_report
+from calibration.robot_update import check_output
+from calibration.tachymeter import TachymeterResult, calibrate_tachymeter
+from calibration.tachymeter.report import report_content
 from calibration.tachymeter.survey_files import read_survey
 from calibration.tachymeter.tables import (
     EXIT_GROUPS,
     EXIT_HEADER,
     SETUP_GROUPS,
     SETUP_HEADER,
-    cautions,
     exit_rows,
-    sentences,
     setup_rows,
 )
 from carosac_toolkit.base.errors import InvalidField
@@ -47,7 +45,7 @@ class Options(CommonOptions):
     robot: str
     """A bundled robot or a YAML file."""
     targets: str
-    """What each surveyed point is, known coordinates, and the instrument (YAML)."""
+    """YAML file with the meaning of each surveyed point, known coordinates, and the instrument."""
     output: OutputFile = None
     """The new robot file; never the old one."""
     report: OutputFolder = None
@@ -72,33 +70,33 @@ def run(options: Options) -> CommandResult:
         check_folder("--report", options.report)
     robot = load_robot(options.robot)
     survey = read_survey(options.files, options.targets, robot)
-    result = calibrate(
+    result = calibrate_tachymeter(
         robot,
         survey,
         frame_tilt=float(np.deg2rad(options.frame_tilt_deg)),
         use_prior=options.use_prior,
     )
     _print(result)
-    if options.output is not None:
-        write_robot(
-            options.robot,
-            result.estimate,
-            options.output,
-            provenance=_provenance(options, result),
-            name=options.name,
-        )
-        print(f"\nnew robot file: {options.output}")
+    write_new_robot(
+        result, options.robot, options.output, name=options.name,
+        provenance=_provenance(options, result),
+    )  # fmt: skip
     if options.report is not None:
-        write_survey_report(
+        write_report(
             options.report,
+            f"Tachymeter survey of {robot.name}",
             result,
+            report_content(result),
             provenance={
                 "robot": options.robot,
                 "observations": ", ".join(options.files),
                 "targets": options.targets,
             },
-            words=_words(options),
-        )
+            command=[
+                "carosac", "calibrate", "tachymeter", *options.files,
+                *option_words(options, ("files", "json", "seed")),
+            ],
+        )  # fmt: skip
         print(f"report: {options.report / 'report.html'}")
     sound = result.fits and result.converged and not result.misplaced()
     return CommandResult({"robot": robot.name, **result.data()}, status=0 if sound else 1)
@@ -107,30 +105,17 @@ def run(options: Options) -> CommandResult:
 def _print(result: TachymeterResult) -> None:
     """Print tables and sentences."""
     width = terminal_width()
-    for line in cautions(result):
-        print_sentences([line], "WARNING: ")
+    print_sentences(result.warnings, "WARNING: ")
     print("\n" + fit(EXIT_HEADER, exit_rows(result), EXIT_GROUPS, width), end="\n\n")
     print(fit(SETUP_HEADER, setup_rows(result), SETUP_GROUPS, width), end="\n\n")
-    print_sentences([*sentences(result), *result.observability.sentences()])
+    print_sentences([*result.sentences(), *result.observability.sentences()])
 
 
 def _provenance(options: Options, result: TachymeterResult) -> str:
-    """One line for the robot file."""
+    """Return one line for the robot file."""
     names = ", ".join(Path(path).name for path in options.files)
     left = f", {len(result.blunders)} readings left out" if result.blunders else ""
     return (
         f"tachymeter survey {names} ({len(result.survey.shots)} shots, "
         f"{len(result.survey.setups)} set-ups{left}; chi2 {result.chi2:.0f} of {result.freedom})"
     )
-
-
-def _words(options: Options) -> list[str]:
-    """The command that repeats this."""
-    words = ["carosac", "calibrate", "tachymeter", *options.files]
-    words += ["--robot", options.robot, "--targets", options.targets]
-    words += ["--output", str(options.output)] if options.output is not None else []
-    words += ["--report", str(options.report)] if options.report is not None else []
-    words += ["--name", options.name] if options.name is not None else []
-    tilt = options.frame_tilt_deg
-    words += ["--frame-tilt-deg", str(tilt)] if tilt > 0.0 else []
-    return words + (["--use-prior"] if options.use_prior else [])

@@ -8,39 +8,43 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identification.measured import MeasuredPoses
-from calibration.identification.noise import Noise, look_at
+from calibration.identification.error_noise import PoseErrorNoise, estimate_noise
+from calibration.identification.measured_poses import MeasuredPoses
 from calibration.identification.open_loop import OpenLoop, simulate
 from calibration.identification.settings import IdentificationSettings
-from calibration.identification.unknowns import Unknowns
+from calibration.identification.unknowns import Coordinates
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.robot.robot import Robot
 
-STEP = 0.005  # of the coordinates, for differences
-SETTLED = 0.1  # what a step must promise to lower the cost by, which is in squared sigmas
-SHARES = (0.15, 0.4, 1.0)  # of the poses, from the first: later ones would be out of phase at first
-STEPS = 4  # for each share but the last
-ADAPT = 6  # steps after which the noise is no longer estimated anew
-STRETCH = 5.0  # [s]
-LONGEST_STEP = 2.0  # prior sigmas that a coordinate may move in one step
-DAMPING = 1e-3  # of the Hessian's diagonal, to begin with
-TRIES = 9  # dampings that are tried before a search gives up
-Report = Callable[[int, float, float], None]
+FINITE_DIFFERENCE_STEP = 0.005  # of the coordinates, for differences
+SETTLED_DECREASE = 0.1  # what a step must promise to lower the cost by, which is in squared sigmas
+POSE_SHARES = (
+    0.15,
+    0.4,
+    1.0,
+)  # of the poses, from the first: later ones would be out of phase at first
+STEPS_PER_SHARE = 4  # for each share but the last
+NOISE_UPDATES_MAX = 6  # steps after which the noise is no longer estimated anew
+SCORE_STRETCH_S = 5.0  # [s]
+STEP_MAX_SIGMAS = 2.0  # prior sigmas that a coordinate may move in one step
+DAMPING_START = 1e-3  # of the Hessian's diagonal, to begin with
+DAMPING_TRIES_MAX = 9  # dampings that are tried before a search gives up
+ProgressCallback = Callable[[int, float, float], None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Fit:
+class CoordinateFit:
     """Coordinates that fit best.
 
     Attributes:
         coordinates: shape (k,).
         covariance: shape (k, k).
-        information: What the data say of the coordinates, without the prior, shape (k, k).
-        excess: By how much the data count for less than independent innovations would.
+        information: Fisher information of the data alone, shape (k, k).
+        excess: Factor by which the data count for less than independent innovations [1].
         iterations: Steps taken.
-        converged: Whether the last step was small.
+        converged: True if the last step was small.
     """
 
     coordinates: Array
@@ -56,7 +60,7 @@ class Fitter:
 
     def __init__(
         self,
-        unknowns: Unknowns,
+        unknowns: Coordinates,
         path: LengthPath,
         poses: MeasuredPoses,
         settings: IdentificationSettings,
@@ -67,15 +71,15 @@ class Fitter:
             unknowns: k coordinates.
             path: Readings.
             poses: Measured ones to be fitted.
-            settings: How it is computed.
+            settings: Settings of the computation.
         """
         self._unknowns = unknowns
         self._path = path
         self._poses = poses
         self._settings = settings
-        self._precision = np.linalg.inv(unknowns.prior)
+        self._precision = unknowns.prior.information
 
-    def run(self, report: Report) -> Fit:
+    def run(self, report: ProgressCallback) -> CoordinateFit:
         """Search.
 
         Args:
@@ -85,48 +89,54 @@ class Fitter:
         Raises:
             CarosacError: The robot's simulation fails where the search stands.
         """
-        at = np.zeros(len(self._unknowns.names))
+        at = self._unknowns.prior.mean
         whole = self._poses
-        for share in SHARES:
+        for share in POSE_SHARES:
             self._poses = whole.rows(np.arange(round(share * len(whole.time))))
-            at, count, settled = self._settle(at, STEPS if share < 1.0 else None, report)
+            at, count, settled = self._settle(at, STEPS_PER_SHARE if share < 1.0 else None, report)
         errors, jacobian = self._linearised(at)
-        noise = look_at(errors)
+        noise = estimate_noise(errors)
         information, _ = self._normal(at, errors, jacobian, noise)
         excess = self._excess(errors, jacobian, noise, information)
-        return Fit(
+        return CoordinateFit(
             coordinates=at,
-            covariance=np.linalg.inv(information / excess + self._precision),
+            covariance=np.asarray(np.linalg.inv(information / excess + self._precision), float),
             information=information / excess,
             excess=excess,
             iterations=count,
             converged=settled,
         )
 
-    def _settle(self, at: Array, steps: int | None, report: Report) -> tuple[Array, int, bool]:
+    def _settle(
+        self, at: Array, steps: int | None, report: ProgressCallback
+    ) -> tuple[Array, int, bool]:
         """Search from somewhere, for some steps or to the end.
 
         Returns:
             Where it ended, after how many steps, and whether it settled.
         """
-        damping, settled = DAMPING, False
+        damping, settled = DAMPING_START, False
         for count in range(1, (steps or self._settings.iterations) + 1):
             errors, jacobian = self._linearised(at)
-            if count <= ADAPT:
-                noise = look_at(errors)
+            if count <= NOISE_UPDATES_MAX:
+                noise = estimate_noise(errors)
             report(len(errors), *_rms(errors))
             information, gradient = self._normal(at, errors, jacobian, noise)
             hessian = information + self._precision
-            settled = self._promise(at, hessian, gradient) <= SETTLED
-            if settled and count > ADAPT:
+            settled = self._promise(at, hessian, gradient) <= SETTLED_DECREASE
+            if settled and count > NOISE_UPDATES_MAX:
                 break
             at, damping = self._search(at, hessian, gradient, noise.cost(errors), noise, damping)
         return at, count, settled
 
-    def _excess(self, errors: Array, jacobian: Array, noise: Noise, information: Array) -> float:
-        """By how much scores of whole stretches of time vary more than independent ones, >= 1."""
+    def _excess(
+        self, errors: Array, jacobian: Array, noise: PoseErrorNoise, information: Array
+    ) -> float:
+        """Return by how much scores of long stretches vary more than independent ones, >= 1."""
         scores = np.einsum("nci,nc->ni", jacobian, noise.weights(errors) * errors)
-        length = max(1, int(np.searchsorted(self._poses.time, self._poses.time[0] + STRETCH)))
+        length = max(
+            1, int(np.searchsorted(self._poses.time, self._poses.time[0] + SCORE_STRETCH_S))
+        )
         edges = np.arange(0, len(scores), length)
         sums = np.add.reduceat(scores, edges, axis=0)
         inverse = np.linalg.inv(information + self._precision)
@@ -134,7 +144,7 @@ class Fitter:
         return max(1.0, spread / float(np.trace(inverse @ information)))
 
     def _simulated(self, points: Array) -> tuple[OpenLoop, NDArray[np.bool_]]:
-        """What the robots at some coordinates (B, k) do, and which of them exist."""
+        """Simulate robots at coordinates (B, k); return motions, and which robots exist."""
         robots: list[Robot] = []
         exists = np.ones(len(points), dtype=np.bool_)
         for k, point in enumerate(points):
@@ -143,26 +153,30 @@ class Fitter:
             except InvalidField:
                 robots.append(self._unknowns.robot)
                 exists[k] = False
-        found = simulate(robots, self._path, self._poses.time, time_step=self._settings.time_step)
-        return found, exists & ~found.failed
+        motion = simulate(robots, self._path, self._poses.time, time_step=self._settings.time_step)
+        return motion, exists & ~motion.failed
 
     def _linearised(self, at: Array) -> tuple[Array, Array]:
-        """Errors (K, 6) and their Jacobian (K, 6, k)."""
-        motion, good = self._simulated(np.vstack([at, at + STEP * np.eye(len(at))]))
+        """Return the errors (K, 6) and their Jacobian (K, 6, k)."""
+        motion, good = self._simulated(
+            np.vstack([at, at + FINITE_DIFFERENCE_STEP * np.eye(len(at))])
+        )
         if not good.all():
             row = int(np.argmin(good))
-            beside = f" with another {self._unknowns.names[row - 1]}" if row else ""
+            beside = f" with another {self._unknowns.prior.names[row - 1]}" if row else ""
             raise CarosacError(f"identification: no finite motion of the robot{beside}")
         errors = [
             self._poses.errors(motion.position[:, k], motion.rotation[:, k])
             for k in range(len(at) + 1)
         ]
-        return errors[0], np.stack([(error - errors[0]) / STEP for error in errors[1:]], axis=2)
+        return errors[0], np.stack(
+            [(error - errors[0]) / FINITE_DIFFERENCE_STEP for error in errors[1:]], axis=2
+        )
 
     def _normal(
-        self, at: Array, errors: Array, jacobian: Array, noise: Noise
+        self, at: Array, errors: Array, jacobian: Array, noise: PoseErrorNoise
     ) -> tuple[Array, Array]:
-        """Information of the data (k, k), and gradient with the prior (k,)."""
+        """Return the information of the data (k, k), and gradient with the prior (k,)."""
         weights = noise.weights(errors)
         information = np.einsum("nci,nc,ncj->ij", jacobian, weights, jacobian)
         pull = np.einsum("nci,nc->i", jacobian, weights * errors)
@@ -174,48 +188,46 @@ class Fitter:
         hessian: Array,
         gradient: Array,
         cost: float,
-        noise: Noise,
+        noise: PoseErrorNoise,
         damping: float,
     ) -> tuple[Array, float]:
-        """A step of Levenberg and Marquardt that lowers the cost, and its damping.
+        """Search a Levenberg-Marquardt step that lowers the cost; return its end and damping.
 
         Returns:
             Where it leads, `at` itself where none helps; the damping to begin with next time.
         """
         lowest = cost + float(at @ self._precision @ at)
-        for _ in range(TRIES):
+        for _ in range(DAMPING_TRIES_MAX):
             point = self._stepped(at, hessian, gradient, damping)
             motion, good = self._simulated(point[None])
             errors = self._poses.errors(motion.position[:, 0], motion.rotation[:, 0])
-            found = noise.cost(errors) + float(point @ self._precision @ point)
-            if good[0] and found < lowest:
+            trial = noise.cost(errors) + float(point @ self._precision @ point)
+            if good[0] and trial < lowest:
                 return point, max(damping / 8.0, 1e-6)
             damping *= 5.0
-        return at, DAMPING
+        return at, DAMPING_START
 
     def _free(self, at: Array, gradient: Array) -> NDArray[np.bool_]:
-        """Coordinates that are not held at their bound."""
-        found: NDArray[np.bool_] = ~((at <= self._unknowns.lower + 1e-9) & (gradient > 0.0))
-        return found
+        """Return the coordinates that are not held at their bound."""
+        return np.asarray(~((at <= self._unknowns.lower + 1e-9) & (gradient > 0.0)))
 
     def _promise(self, at: Array, hessian: Array, gradient: Array) -> float:
-        """By how much a whole Gauss-Newton step would lower the cost."""
+        """Return by how much a whole Gauss-Newton step would lower the cost."""
         free = self._free(at, gradient)
         inverse = np.linalg.inv(hessian[np.ix_(free, free)])
         return float(gradient[free] @ inverse @ gradient[free])
 
     def _stepped(self, at: Array, hessian: Array, gradient: Array, damping: float) -> Array:
-        """Where a damped step leads; coordinates that would leave their bound stay on it."""
+        """Return the end of a damped step; coordinates that would leave their bound stay on it."""
         lower, free = self._unknowns.lower, self._free(at, gradient)
         stiff = hessian + damping * np.diag(np.diag(hessian))
         step = np.zeros(len(at))
         step[free] = -np.linalg.solve(stiff[np.ix_(free, free)], gradient[free])
-        longest = float(np.abs(step / np.sqrt(np.diag(self._unknowns.prior))).max())
-        found: Array = np.maximum(at + step * min(1.0, LONGEST_STEP / longest), lower)
-        return found
+        longest = float(np.abs(step / self._unknowns.prior.sigma).max())
+        return np.asarray(np.maximum(at + step * min(1.0, STEP_MAX_SIGMAS / longest), lower))
 
 
 def _rms(errors: Array) -> tuple[float, float]:
-    """RMS distance [m] and angle [rad] of errors (K, 6)."""
+    """Return the RMS distance [m] and angle [rad] of errors (K, 6)."""
     power = (errors**2).mean(axis=0)
     return float(np.sqrt(power[:3].sum())), float(np.sqrt(power[3:].sum()))

@@ -20,13 +20,13 @@ from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.robot.robot import Robot
 from sim_warp import Simulator
 
-GRID = 0.05  # [s]: lengths go straight over no longer time
-SHORTEST = 1e-9  # [s]: less is rounding
+LENGTH_GRID_S = 0.05  # [s]: lengths go straight over no longer time
+TIME_ROUNDING_S = 1e-9  # [s]: less is rounding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OpenLoop:
-    """What B robots do at K times.
+    """Motion of B robots, sampled at K times.
 
     Attributes:
         position: Platform origins in W [m], shape (K, B, 3).
@@ -56,9 +56,9 @@ def simulate(
         CarosacError: The first robot cannot hang on the first lengths.
     """
     size, count = len(robots), len(time)
-    grid = np.arange(path.first, time[-1], GRID)
+    grid = np.arange(path.first, time[-1], LENGTH_GRID_S)
     when = np.unique(np.concatenate([grid, time]))
-    when = when[np.concatenate([[True], np.diff(when) > SHORTEST])]
+    when = when[np.concatenate([[True], np.diff(when) > TIME_ROUNDING_S])]
     delays = np.array([robot.length_delay or 0.0 for robot in robots])
     readings = path.at(when[:, None] - delays)  # (M, B, n)
     lengths = np.stack(
@@ -68,21 +68,21 @@ def simulate(
         raise CarosacError(f"a length of {lengths.min():.4g} m: do readings and offsets belong?")
     simulator = Simulator(robots, cables="catenary", time_step=time_step)
     hangs = _hang(simulator, lengths[0])
-    found = OpenLoop(
+    motion = OpenLoop(
         position=np.empty((count, size, 3)),
         rotation=np.empty((count, size, 3, 3)),
         failed=~hangs,
     )
-    rows = np.searchsorted(when, time - SHORTEST)
+    rows = np.searchsorted(when, time - TIME_ROUNDING_S)
     row = 0
     for k, end in enumerate(rows):
         while row < end:
             row += 1
             simulator.follow(lengths[row], float(when[row] - when[row - 1]))
         state = simulator.state.numpy()
-        found.position[k], found.rotation[k] = state.position, state.rotation
-    found.failed[:] |= state.failed
-    return found
+        motion.position[k], motion.rotation[k] = state.position, state.rotation
+    motion.failed[:] |= state.failed
+    return motion
 
 
 def _hang(simulator: Simulator, lengths: Array) -> NDArray[np.bool_]:

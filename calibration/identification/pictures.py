@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.identification.result import Identification
-from calibration.pictures import AFTER, BEFORE
+from calibration.pictures import COLOR_AFTER, COLOR_BEFORE
 from carosac_toolkit.pictures.drawing import COLORS, REST, new_figure
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.validation.phases import find_phases
@@ -27,13 +27,13 @@ def draw_motion(result: Identification, recording: Recording) -> Figure:
         for first, end in rests:
             axes.axvspan(recording.time[first], recording.time[end - 1], color=REST, lw=0)
         if i < 3:
-            before = (result.before - result.measured.position)[:, i] * 1e3
-            axes.plot(time, before, color=BEFORE, lw=0.9, label="before")
-            axes.plot(time, result.errors[:, i] * 1e3, color=AFTER, lw=1.1, label="after")
+            before = (result.position_before - result.measured.position)[:, i] * 1e3
+            axes.plot(time, before, color=COLOR_BEFORE, lw=0.9, label="before")
+            axes.plot(time, result.errors[:, i] * 1e3, color=COLOR_AFTER, lw=1.1, label="after")
             axes.set_ylabel(f"error in {'xyz'[i]} [mm]")
         else:
             angle = np.degrees(np.linalg.norm(result.errors[:, 3:], axis=1))
-            axes.plot(time, angle, color=AFTER, lw=1.0)
+            axes.plot(time, angle, color=COLOR_AFTER, lw=1.0)
             axes.set_ylabel("angle after [deg]")
         if result.test is not None:
             axes.axvline(limit, color=COLORS[0], lw=1.5)
@@ -54,8 +54,8 @@ def draw_rests(result: Identification) -> Figure:
     figure = new_figure(10.0, 3.8)
     axes = figure.subplots()
     place = np.arange(len(result.rests.starts))
-    axes.bar(place - 0.2, result.rests.before * 1e3, 0.4, color=BEFORE, label="before")
-    axes.bar(place + 0.2, result.rests.after * 1e3, 0.4, color=AFTER, label="after")
+    axes.bar(place - 0.2, result.rests.before * 1e3, 0.4, color=COLOR_BEFORE, label="before")
+    axes.bar(place + 0.2, result.rests.after * 1e3, 0.4, color=COLOR_AFTER, label="after")
     axes.set_xticks(place, [str(start) for start in result.rests.starts], fontsize=8, rotation=60)
     axes.set(xlabel="first sample of the rest", ylabel="distance [mm]")
     axes.grid(alpha=0.25, axis="y")

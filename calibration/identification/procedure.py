@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.identification.fit import Fit, Fitter, Report
-from calibration.identification.measured import MeasuredPoses, poses_of
+from calibration.identification.fit import CoordinateFit, Fitter, ProgressCallback
+from calibration.identification.measured_poses import MeasuredPoses, poses_of
 from calibration.identification.open_loop import simulate
-from calibration.identification.result import Identification, Part, RestErrors
+from calibration.identification.result import Identification, RestErrors, ScoredRange
 from calibration.identification.settings import IdentificationSettings
-from calibration.identification.unknowns import Unknowns, choose_unknowns
-from calibration.observability import Observability, Unobservable, judge
+from calibration.identification.unknowns import choose_coordinates
+from calibration.observability import Unobservable
 from calibration.robot_update import updated
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
@@ -26,9 +26,10 @@ from carosac_toolkit.validation.plausibility import find_mix_ups
 from carosac_toolkit.validation.scores import PoseScores, score_poses
 
 Range = tuple[int, int]
-FEWEST = 5.0  # seconds of motion, below which no dynamics are identified
-ELSEWHERE = 0.5  # [m]
-STILL = 0.01  # [m]: a platform that moves by less does not show its dynamics
+REST_SPEED_MAX_M_S = 0.05  # a platform that is faster does not rest
+MOTION_MIN_S = 5.0  # seconds of motion, below which no dynamics are identified
+START_DISTANCE_MAX_M = 0.5  # [m]
+MOTION_MIN_M = 0.01  # [m]: a platform that moves by less does not show its dynamics
 
 
 def identify(
@@ -38,7 +39,7 @@ def identify(
     *,
     train: Range,
     test: Range | None = None,
-    report: Report = lambda poses, position, rotation: None,
+    report: ProgressCallback = lambda poses, position, rotation: None,
 ) -> Identification:
     """Fit the simulator, open loop through recorded lengths, to measured poses.
 
@@ -47,7 +48,7 @@ def identify(
 
     Args:
         recording: Readings of the lengths and measured poses, as recorded.
-        robot: Where the search starts, with as many cables.
+        robot: Start of the search, with as many cables.
         settings: None takes the defaults.
         train: Length samples start <= i < stop whose poses are fitted.
         test: Samples that are scored only; None: none.
@@ -62,7 +63,7 @@ def identify(
     chosen = settings or IdentificationSettings()
     poses = _check(recording, robot, train, test)
     fitted = poses.within(*train).thinned(chosen.rate)
-    unknowns = choose_unknowns(robot, chosen)
+    unknowns = choose_coordinates(robot, chosen)
     path = LengthPath(recording)
     before = _motion(robot, path, poses, chosen)
     _check_start(before)
@@ -70,17 +71,19 @@ def identify(
     estimate = unknowns.estimate(fit.coordinates, fit.covariance)
     identified = updated(robot, estimate)
     after = _motion(identified, path, poses, chosen)
+    first_speed = _first_speed(poses)
+    scored = None if test is None else _part(poses, before, after, test)
     return Identification(
-        robot=identified,
-        first_speed=_first_speed(poses),
+        before=robot,
+        warnings=tuple(_warnings(fit, first_speed, scored)),
         estimate=estimate,
-        observability=_observability(unknowns, fit),
+        observability=unknowns.prior.judge(fit.information),
         train=_part(poses, before, after, train),
-        test=None if test is None else _part(poses, before, after, test),
+        test=scored,
         rests=_rests(recording, robot, identified, poses),
         measured=poses,
-        before=before[:, :3] + poses.position,
-        after=after[:, :3] + poses.position,
+        position_before=before[:, :3] + poses.position,
+        position_after=after[:, :3] + poses.position,
         errors=after,
         iterations=fit.iterations,
         converged=fit.converged,
@@ -108,11 +111,11 @@ def _check(recording: Recording, robot: Robot, train: Range, test: Range | None)
     fitted = poses.within(*train)
     _check_order(robot, material, poses)
     duration = float(fitted.time[-1] - fitted.time[0])
-    if duration < FEWEST:
-        allowed = f"at least {FEWEST:g} s with measured poses"
+    if duration < MOTION_MIN_S:
+        allowed = f"at least {MOTION_MIN_S:g} s with measured poses"
         raise InvalidField("train", f"{duration:.3g} s", allowed)
     reach = float(np.ptp(fitted.position, axis=0).max())
-    if reach < STILL:
+    if reach < MOTION_MIN_M:
         raise Unobservable(
             f"identification: the platform moves by only {reach * 1e3:.2g} mm in samples "
             f"{train[0]}:{train[1]}; a platform at rest does not show its dynamics"
@@ -126,7 +129,7 @@ def _motion(
     poses: MeasuredPoses,
     settings: IdentificationSettings,
 ) -> Array:
-    """Errors of a robot's simulation at all measured poses, shape (K, 6)."""
+    """Return the errors of a robot's simulation at all measured poses, shape (K, 6)."""
     motion = simulate([robot], path, poses.time, time_step=settings.time_step)
     if motion.failed.any():
         raise CarosacError(f"identification: no finite motion of robot {robot.name!r}")
@@ -136,26 +139,27 @@ def _motion(
 def _check_order(robot: Robot, material: Recording, poses: MeasuredPoses) -> None:
     """Refuse cables in another order, and other units."""
     pose = Pose(position=poses.position, rotation=poses.rotation)
-    said = find_mix_ups(robot, material.unstrained_length[poses.index], pose, zeros_known=False)
-    if said:
+    mix_ups = find_mix_ups(robot, material.unstrained_length[poses.index], pose, zeros_known=False)
+    if mix_ups:
         allowed = "lengths and poses of this robot; see 'carosac calibrate lengths'"
-        raise InvalidField("recording", " ".join(said), allowed)
+        raise InvalidField("recording", " ".join(mix_ups), allowed)
 
 
 def _check_start(errors: Array) -> None:
     """Refuse a robot that hangs somewhere else than where it was measured."""
     away = float(np.linalg.norm(errors[0, :3]))
-    if away > ELSEWHERE:
+    if away > START_DISTANCE_MAX_M:
         got = f"lengths that hang the robot {away:.2f} m from the first measured pose"
         allowed = (
-            f"lengths and poses of this robot, which rests at sample 0, within {ELSEWHERE:g} m; "
-            "'carosac calibrate lengths' finds offsets, swapped cables and wrong units"
+            "lengths and poses of this robot, which rests at sample 0, within "
+            f"{START_DISTANCE_MAX_M:g} m; 'carosac calibrate lengths' finds offsets, swapped "
+            "cables and wrong units"
         )
         raise InvalidField("recording", got, allowed)
 
 
 def _first_speed(poses: MeasuredPoses) -> float:
-    """Speed of the platform in the first half second [m/s]."""
+    """Return the speed of the platform in the first half second [m/s]."""
     rows = poses.time - poses.time[0] <= 0.5
     if rows.sum() < 2:
         rows[:2] = True
@@ -163,10 +167,10 @@ def _first_speed(poses: MeasuredPoses) -> float:
     return float(np.linalg.norm(reach) / (poses.time[rows][-1] - poses.time[rows][0]))
 
 
-def _part(poses: MeasuredPoses, before: Array, after: Array, span: Range) -> Part:
-    """Scores of a range of samples."""
+def _part(poses: MeasuredPoses, before: Array, after: Array, span: Range) -> ScoredRange:
+    """Score a range of samples."""
     rows = (poses.index >= span[0]) & (poses.index < span[1])
-    return Part(
+    return ScoredRange(
         start=span[0], stop=span[1], before=_scores(before[rows]), after=_scores(after[rows])
     )
 
@@ -175,37 +179,49 @@ def _scores(errors: Array) -> PoseScores:
     return score_poses(errors[:, :3], np.linalg.norm(errors[:, 3:], axis=1))
 
 
-def _observability(unknowns: Unknowns, fit: Fit) -> Observability:
-    return judge(unknowns.names, fit.information, np.sqrt(np.diag(unknowns.prior)))
+def _warnings(fit: CoordinateFit, first_speed: float, test: ScoredRange | None) -> list[str]:
+    """Return what must not be overlooked."""
+    lines = []
+    if not fit.converged:
+        lines.append(f"the search had not settled after {fit.iterations} steps")
+    if first_speed > REST_SPEED_MAX_M_S:
+        lines.append(
+            f"the platform moves at the first sample, by {first_speed:.2g} m/s, where the "
+            "simulation begins at rest: cut the recording so that it begins in a rest"
+        )
+    if test is not None and test.after.rmse[3] > test.before.rmse[3]:
+        lines.append("the identified robot is worse than before on the samples kept back")
+    return lines
 
 
 def _rests(
     recording: Recording, robot: Robot, identified: Robot, poses: MeasuredPoses
 ) -> RestErrors:
-    """Mean measured pose of each rest against the mean equilibrium of its lengths."""
+    """Compare the mean pose of each rest with the mean equilibrium of its lengths."""
     rests = find_phases(recording.time, recording.unstrained_length).rests
     spans = [rows for a, b in rests if len(rows := _rows(poses, a, b))]
     first = [int(poses.index[rows[0]]) for rows in spans]
-    found = []
+    distances = []
     for each in (robot, identified):
         lengths = calibrated(recording, each).unstrained_length
         hung = [_mean_position(each, lengths[poses.index[rows]]) for rows in spans]
         where = [poses.position[rows].mean(axis=0) for rows in spans]
-        found.append(np.linalg.norm(np.array(hung) - np.array(where), axis=1) if spans else [])
-    return RestErrors(before=np.array(found[0]), after=np.array(found[1]), starts=np.array(first))
+        distances.append(np.linalg.norm(np.array(hung) - np.array(where), axis=1) if spans else [])
+    return RestErrors(
+        before=np.array(distances[0]), after=np.array(distances[1]), starts=np.array(first)
+    )
 
 
 def _rows(poses: MeasuredPoses, start: int, stop: int) -> NDArray[np.int64]:
-    """Rows of the poses of some length samples."""
+    """Return the rows of the poses of some length samples."""
     return np.flatnonzero((poses.index >= start) & (poses.index < stop))
 
 
 def _mean_position(robot: Robot, lengths: Array) -> Array:
-    """Mean equilibrium on some lengths (K, n), shape (3,); NaN where there is none."""
+    """Return the mean equilibrium on some lengths (K, n), shape (3,); NaN where there is none."""
     if (lengths <= 0.0).any():
         return np.full(3, np.nan)
     rest = statics.forward_kinematics(robot, lengths)
     if not rest.converged.all():
         return np.full(3, np.nan)
-    mean: Array = rest.position.mean(axis=0)
-    return mean
+    return np.asarray(rest.position.mean(axis=0))

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-
 import numpy as np
 
 from calibration.identification.pictures import draw_motion, draw_rests
-from calibration.identification.result import Identification, Part
+from calibration.identification.result import Identification, ScoredRange
 from calibration.pictures import draw_learnt
-from calibration.report import observability_html, parameters_html, write_report
+from calibration.report import ReportContent, observability_html, parameters_html
 from carosac_toolkit.base.tables import Rows
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.reports.page import png, table
@@ -21,9 +18,12 @@ SCORE_HEADER = (
 
 
 def score_rows(result: Identification) -> Rows:
-    """RMS errors before and after, of both ranges."""
+    """Return the RMS errors before and after, of both ranges."""
     rows: Rows = []
-    parts: list[tuple[str, Part | None]] = [("fitted", result.train), ("kept back", result.test)]
+    parts: list[tuple[str, ScoredRange | None]] = [
+        ("fitted", result.train),
+        ("kept back", result.test),
+    ]
     for word, part in parts:
         if part is None:
             continue
@@ -34,25 +34,8 @@ def score_rows(result: Identification) -> Rows:
     return rows
 
 
-def write_identification(
-    folder: Path,
-    result: Identification,
-    recording: Recording,
-    provenance: Mapping[str, str],
-    words: Sequence[str],
-) -> list[Path]:
-    """Write report.html and its pictures.
-
-    Args:
-        folder: Made if need be; files of an earlier report in it are replaced.
-        result: What was found.
-        recording: What it was found from.
-        provenance: What went in.
-        words: The command that repeats this.
-
-    Returns:
-        The files, the report last.
-    """
+def report_content(result: Identification, recording: Recording) -> ReportContent:
+    """Return tables and pictures of the report on an identification from a recording."""
     images = {
         "motion": (
             png(draw_motion(result, recording)),
@@ -63,19 +46,11 @@ def write_identification(
             png(draw_rests(result)),
             "Mean measured position of each rest against the equilibrium of its lengths.",
         ),
-        "learnt": (png(draw_learnt(result.estimate)), "What the data taught about each parameter."),
+        "learnt": (png(draw_learnt(result.estimate)), "Prior and posterior of each parameter."),
     }
     scores = (
         "<h2>Open-loop errors</h2><p>Root mean squares of simulated minus measured poses, in world "
         "frame W; no pose is fed back.</p>" + table(SCORE_HEADER, score_rows(result), left=2)
     )
-    return write_report(
-        folder,
-        f"Identification of {result.robot.name}",
-        [scores, parameters_html(result.estimate), observability_html(result.observability)],
-        said=result.sentences(),
-        warned=result.warnings(),
-        images=images,
-        provenance=provenance,
-        words=words,
-    )
+    parts = [scores, parameters_html(result.estimate), observability_html(result.observability)]
+    return ReportContent(parts=parts, images=images)

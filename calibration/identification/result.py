@@ -1,4 +1,4 @@
-"""What an identification found."""
+"""The result of an identification."""
 
 from __future__ import annotations
 
@@ -7,21 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from calibration.estimate import Estimate
-from calibration.identification.measured import MeasuredPoses
-from calibration.observability import Observability
+from calibration.identification.measured_poses import MeasuredPoses
+from calibration.result import CalibrationResult
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.parameters import field_of
-from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.scores import PoseScores
 
-AGAINST_PRIOR = 2.0  # sigmas: a parameter that moved further contradicts what was known
-RESTING = 0.05  # [m/s]: a platform that is faster does not rest
-TAUGHT = 0.7  # of its prior sigma: a parameter that keeps more was hardly learnt
+CONTRADICTION_SIGMAS = 2.0  # sigmas: a parameter that moved further contradicts what was known
+LEARNT_SIGMA_SHARE = 0.7  # of its prior sigma: a parameter that keeps more was hardly learnt
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Part:
+class ScoredRange:
     """A range of samples, before and after.
 
     Attributes:
@@ -37,7 +34,7 @@ class Part:
     after: PoseScores
 
     def data(self) -> dict[str, Any]:
-        """Scores after, and those before under ``before``, ready for JSON."""
+        """Return the scores after, and those before under ``before``, ready for JSON."""
         samples = {"start": self.start, "stop": self.stop}
         return {**samples, **self.after.data(), "before": self.before.data()}
 
@@ -57,7 +54,7 @@ class RestErrors:
     starts: Array
 
     def data(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return all numbers, ready for JSON."""
         return {
             "first_sample": self.starts,
             "before_m": self.before,
@@ -69,45 +66,37 @@ class RestErrors:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Identification:
+class Identification(CalibrationResult):
     """An identified robot and how well it moves as measured.
 
     Attributes:
-        robot: The identified one, with what is known of it.
-        estimate: Its parameters.
-        observability: What the data tell of the coordinates of the search.
         train: Samples that were fitted.
         test: Samples that were not; None where none were kept back.
         rests: Mean poses at rest.
         measured: All measured poses, K of them, in W.
-        before: Positions of the robot as it was known [m], shape (K, 3).
-        after: Positions of the identified robot [m], shape (K, 3).
+        position_before: Of the robot as it was known [m], shape (K, 3).
+        position_after: Of the identified robot [m], shape (K, 3).
         errors: Of the identified robot, shape (K, 6): [m] and [rad].
         iterations: Steps of the search.
-        converged: Whether it ended by itself.
-        excess: By how much the data count for less than independent innovations would.
+        converged: True if it ended by itself.
+        excess: Factor by which the data count for less than independent innovations [1].
         fitted_samples: Poses that were fitted.
-        first_speed: Of the platform where the simulation begins at rest [m/s].
     """
 
-    robot: Robot
-    estimate: Estimate
-    observability: Observability
-    train: Part
-    test: Part | None
+    train: ScoredRange
+    test: ScoredRange | None
     rests: RestErrors
     measured: MeasuredPoses
-    before: Array
-    after: Array
+    position_before: Array
+    position_after: Array
     errors: Array
     iterations: int
     converged: bool
     excess: float
     fitted_samples: int
-    first_speed: float
 
     def data(self) -> dict[str, Any]:
-        """All numbers under names with units, ready for JSON."""
+        """Return all numbers under names with units, ready for JSON."""
         return {
             "train": self.train.data(),
             "test": None if self.test is None else self.test.data(),
@@ -121,7 +110,7 @@ class Identification:
         }
 
     def sentences(self) -> list[str]:
-        """What was found, and what the data cannot tell."""
+        """Return what was found, and what the data cannot tell."""
         lines = [self._scores("fitted", self.train)]
         if self.test is not None:
             lines.append(self._scores("kept back", self.test))
@@ -140,22 +129,7 @@ class Identification:
         )
         return [*lines, *self._untaught(), *self._contradictions()]
 
-    def warnings(self) -> list[str]:
-        """What must not be overlooked."""
-        found = []
-        if not self.converged:
-            found.append(f"the search had not settled after {self.iterations} steps")
-        if self.first_speed > RESTING:
-            found.append(
-                f"the platform moves at the first sample, by {self.first_speed:.2g} m/s, where the "
-                "simulation begins at rest: cut the recording so that it begins in a rest"
-            )
-        test = self.test
-        if test is not None and test.after.rmse[3] > test.before.rmse[3]:
-            found.append("the identified robot is worse than before on the samples kept back")
-        return found
-
-    def _scores(self, word: str, part: Part) -> str:
+    def _scores(self, word: str, part: ScoredRange) -> str:
         x, y, z, norm = part.after.rmse * 1e3
         return (
             f"samples {part.start}:{part.stop} ({word}), open loop: {norm:.1f} mm RMS in norm "
@@ -164,38 +138,38 @@ class Identification:
         )
 
     def _excess(self) -> str:
-        """What the noise model does not explain, or nothing."""
+        """Return what the noise model does not explain, or nothing."""
         if self.excess < 1.05:
             return ""
         return f", and are {np.sqrt(self.excess):.2f} times larger for what that does not explain"
 
     def _untaught(self) -> list[str]:
-        """Parameters that the data say little about."""
+        """Return the parameters that the data say little about."""
         kept = self.estimate.sigma / self.estimate.prior_sigma
         fields = [field_of(name) for name in self.estimate.names]
         words = []
         for field in dict.fromkeys(fields):
             rows = [k for k, other in enumerate(fields) if other == field]
-            known = int((kept[rows] > TAUGHT).sum())
+            known = int((kept[rows] > LEARNT_SIGMA_SHARE).sum())
             if known:
                 words.append(field if len(rows) == 1 else f"{field} ({known} of {len(rows)})")
         if not words:
             return []
-        return [f"the data hardly tell, so that what was known before decides: {', '.join(words)}"]
+        return [f"weakly determined by the data, so that the prior decides: {', '.join(words)}"]
 
     def _contradictions(self) -> list[str]:
-        """Parameters that moved further than was thought possible."""
+        """Return the parameters that moved further than was thought possible."""
         far = [
             f"{name} ({share:.1f} sigmas)"
             for name, share in zip(self.estimate.names, self.estimate.moved, strict=True)
-            if share > AGAINST_PRIOR
+            if share > CONTRADICTION_SIGMAS
         ]
         if not far:
             return []
-        return [f"moved further than what was known before suggests: {', '.join(far)}"]
+        return [f"moved further than their priors suggest: {', '.join(far)}"]
 
 
 def _rms(values: Array) -> float:
-    """Root mean square of what is known; NaN where nothing is."""
+    """Return the root mean square of the finite values; NaN where there are none."""
     known = values[np.isfinite(values)]
     return float(np.sqrt((known**2).mean())) if len(known) else float("nan")

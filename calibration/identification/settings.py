@@ -1,4 +1,4 @@
-"""What is assumed before an identification, and how it is computed."""
+"""Settings of an identification: prior sigmas, and how the fit is computed."""
 
 from __future__ import annotations
 

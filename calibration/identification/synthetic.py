@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,9 +19,12 @@ from carosac_toolkit.trajectories.draws import draw_points
 from carosac_toolkit.trajectories.moves import waypoints
 from sim_warp.driver import SimDriverSettings, SimPlant
 
-PERIOD = 0.01  # [s] of the commands
-SETTLE = 20.0  # [s] before the recording begins, at rest but for the wind
-INNER = 0.4  # of the way to the edges of the workspace, where platforms tilt far
+SPEED_MAX_M_S, ACCELERATION_MAX_M_S2 = 0.8, 0.4  # of the moves
+REST_TIME_S = 2.5  # between moves, long enough for a swing or two
+LENGTH_DELAY_S = 0.02  # by which lengths lead poses
+COMMAND_PERIOD_S = 0.01  # [s] of the commands
+SETTLING_TIME_S = 20.0  # [s] before the recording begins, at rest but for the wind
+WORKSPACE_SHARE = 0.4  # of the way to the edges of the workspace, where platforms tilt far
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,25 +33,13 @@ class RunSettings:
 
     Attributes:
         condition: From which the plant is drawn.
-        moves: Between drawn places in the workspace.
-        speed: Highest of the moves [m/s].
-        acceleration: Highest of the moves [m/s^2].
-        rest: Between moves [s].
+        moves: Number of moves between drawn places in the workspace.
         rate: Of lengths and poses [Hz].
-        length_delay: By how much lengths lead poses [s].
-        sensors: Noise and bias of lengths and poses.
-        cables: Of the simulated plant.
     """
 
     condition: str = "nominal-1"
     moves: int = 14
-    speed: float = 0.8
-    acceleration: float = 0.4
-    rest: float = 2.5
     rate: float = 100.0
-    length_delay: float = 0.02
-    sensors: SensorSettings = field(default_factory=SensorSettings)
-    cables: str = "particles"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,7 +47,7 @@ class SyntheticRun:
     """A recording and the truth behind it.
 
     Attributes:
-        recording: What the sensors said.
+        recording: Readings of the sensors.
         plant: The robot that moved; its length sensors are described as they were.
     """
 
@@ -80,39 +71,39 @@ def simulate_run(robot: Robot, seed: int, settings: RunSettings | None = None) -
     plant = draw_plant(robot, condition, rng)
     start, command = _commands(robot, chosen, rng)
     options = SimDriverSettings(
-        cables=chosen.cables,  # type: ignore[arg-type]
+        cables="particles",
         wind_force=condition.wind_force,
         wind_time=condition.wind_time,
     )
     world = SimPlant(plant, options, seed=seed)
     world.reset(start[None])
-    world.advance(command[:1], SETTLE)
-    stride = round(1.0 / (chosen.rate * PERIOD))
+    world.advance(command[:1], SETTLING_TIME_S)
+    stride = round(1.0 / (chosen.rate * COMMAND_PERIOD_S))
     lengths, positions, rotations = [], [], []
     for k, asked in enumerate(command):
         if k > 0:
-            world.advance(asked[None], PERIOD)
+            world.advance(asked[None], COMMAND_PERIOD_S)
         if k % stride == 0:
             truth = world.truth()
             assert truth.unstrained_length is not None
             lengths.append(truth.unstrained_length[0])
             positions.append(truth.position[0])
             rotations.append(truth.rotation[0])
-    time: Array = PERIOD * stride * np.arange(len(lengths), dtype=np.float64)
+    time: Array = COMMAND_PERIOD_S * stride * np.arange(len(lengths), dtype=np.float64)
     return _record(
         chosen, plant, rng, time, np.array(lengths), np.array(positions), np.array(rotations)
     )
 
 
 def _commands(robot: Robot, settings: RunSettings, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Where a path of moves and rests begins, (3,), and lengths along it, shape (K, n)."""
+    """Return the start of a path of moves and rests, (3,), and lengths along it, shape (K, n)."""
     middle = 0.5 * (robot.workspace_min + robot.workspace_max)
-    points = middle + INNER * (draw_points(robot, rng, count=settings.moves) - middle)
+    points = middle + WORKSPACE_SHARE * (draw_points(robot, rng, count=settings.moves) - middle)
     path = waypoints(
-        points, speed_max=settings.speed, acceleration_max=settings.acceleration,
-        rest=settings.rest,
+        points, speed_max=SPEED_MAX_M_S, acceleration_max=ACCELERATION_MAX_M_S2,
+        rest=REST_TIME_S,
     )  # fmt: skip
-    time = np.arange(0.0, path.duration + settings.rest, PERIOD)
+    time = np.arange(0.0, path.duration + REST_TIME_S, COMMAND_PERIOD_S)
     position = path.sample(np.minimum(time, path.duration)).position
     rest = statics.inverse_kinematics(robot, position)
     assert rest.converged.all(), "the workspace of the robot holds the path"
@@ -128,17 +119,17 @@ def _record(
     position: Array,
     rotation: Array,
 ) -> SyntheticRun:
-    """What the sensors say."""
+    """Add the noise of the sensors."""
     from scipy.spatial.transform import Rotation
 
-    sensors = settings.sensors
+    sensors = SensorSettings()
     offset = sensors.encoder_bias * rng.standard_normal(plant.n)
     reading = length + offset + sensors.encoder_noise * rng.standard_normal(length.shape)
     if sensors.encoder_resolution > 0.0:
         reading = sensors.encoder_resolution * np.round(reading / sensors.encoder_resolution)
     turn = Rotation.from_rotvec(sensors.rotation_noise * rng.standard_normal(position.shape))
     poses = PoseSamples(
-        time=time + settings.length_delay,
+        time=time + LENGTH_DELAY_S,
         position=position + sensors.position_noise * rng.standard_normal(position.shape),
         quaternion=from_matrix(rotation @ turn.as_matrix()),
     )
@@ -146,7 +137,7 @@ def _record(
         plant,
         length_offset=offset,
         length_scale=np.ones(plant.n),
-        length_delay=settings.length_delay,
+        length_delay=LENGTH_DELAY_S,
     )
     metadata = RecordingMetadata(
         description=f"SYNTHETIC: simulated moves of a plant drawn from {settings.condition}",

@@ -12,77 +12,83 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.estimate import Estimate
+from calibration.estimate import ParameterEstimate
 from calibration.identification.settings import IdentificationSettings
+from calibration.prior import Prior
 from calibration.robot_update import prior_covariance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.parameters import field_of, point_names, values_of, with_values
 from carosac_toolkit.robot.robot import Robot
 
-STEP = 1e-6  # of the coordinates, for the derivatives of parameters
-_SPREADS = ("inertia.xx", "inertia.yy", "inertia.zz")
-_FACTORS = ("mass", "linear_density", "axial_stiffness", "axial_damping", "drag", "angular_drag")
-_PER_CABLE = ("linear_density", "axial_stiffness", "axial_damping", "run_length")
+PARAMETER_DERIVATIVE_STEP = 1e-6  # of the coordinates, for the derivatives of parameters
+_INERTIA_NAMES = ("inertia.xx", "inertia.yy", "inertia.zz")
+_FACTOR_FIELDS = (
+    "mass",
+    "linear_density",
+    "axial_stiffness",
+    "axial_damping",
+    "drag",
+    "angular_drag",
+)
+_PER_CABLE_FIELDS = ("linear_density", "axial_stiffness", "axial_damping", "run_length")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Unknowns:
+class Coordinates:
     """k coordinates about a robot.
 
     Attributes:
-        robot: Where all coordinates are 0.
-        names: Parameters in their order; the inertia's stand for the spread of mass along that
-            axis.
-        scale: What a coordinate of 1 changes a parameter by, or the logarithm of its factor, (k,).
-        factor: Whether it is a factor, shape (k,).
+        robot: The robot at coordinates 0.
+        prior: Of the coordinates, under the names of the parameters that they change; the
+            inertia's stand for the spread of mass along that axis. The mean is 0.
+        scale: Change of a parameter by a coordinate of 1, or logarithm of its factor, shape (k,).
+        factor: 1 for a factor, 0 for a change, shape (k,).
         lower: Least coordinates, shape (k,).
-        prior: Joint covariance of the coordinates, shape (k, k).
         reach: Mean length of the cables at home, straight [m].
     """
 
     robot: Robot
-    names: tuple[str, ...]
+    prior: Prior
     scale: Array
     factor: Array
     lower: Array
-    prior: Array
     reach: float
 
     def robot_at(self, coordinates: Array) -> Robot:
-        """The robot of some coordinates, shape (k,).
+        """Return the robot of some coordinates, shape (k,).
 
         Raises:
             InvalidField: There is no such robot.
         """
-        robot, start = self.robot, values_of(self.robot, self.names)
+        robot, start = self.robot, values_of(self.robot, self.prior.names)
         shares = self.scale * coordinates
         values = np.where(self.factor > 0.0, start * np.exp(shares), start + shares)
-        for i, name in enumerate(self.names):
+        for i, name in enumerate(self.prior.names):
             if field_of(name) == "axial_stiffness":
                 values[i] *= self._lengthening(name, values)
-        plain = [i for i, name in enumerate(self.names) if name not in _SPREADS]
-        changed = with_values(robot, [self.names[i] for i in plain], values[plain])
-        if len(plain) == len(self.names):
+        plain = [i for i, name in enumerate(self.prior.names) if name not in _INERTIA_NAMES]
+        changed = with_values(robot, [self.prior.names[i] for i in plain], values[plain])
+        if len(plain) == len(self.prior.names):
             return changed
         stretch = np.ones(3)
-        for i, name in enumerate(_SPREADS):
-            stretch[i] = np.exp(0.5 * shares[self.names.index(name)])
+        for i, name in enumerate(_INERTIA_NAMES):
+            stretch[i] = np.exp(0.5 * shares[self.prior.names.index(name)])
         spread = 0.5 * np.trace(robot.inertia) * np.eye(3) - robot.inertia
         spread = spread * np.outer(stretch, stretch)
         return replace(changed, inertia=np.trace(spread) * np.eye(3) - spread)
 
     def _lengthening(self, name: str, values: Array) -> float:
-        """By which factor the cable with its run becomes longer, for a parameter named as EA."""
+        """Return by which factor the cable of an EA becomes longer with its run."""
         run = name.replace("axial_stiffness", "run_length")
-        if run not in self.names:
+        if run not in self.prior.names:
             return 1.0
-        row = self.names.index(run)
+        row = self.prior.names.index(run)
         before = float(values_of(self.robot, (run,))[0])
         return float((self.reach + values[row]) / (self.reach + before))
 
-    def estimate(self, coordinates: Array, covariance: Array) -> Estimate:
-        """What is known of the parameters themselves.
+    def estimate(self, coordinates: Array, covariance: Array) -> ParameterEstimate:
+        """Return the parameters themselves, with covariance and prior.
 
         Args:
             coordinates: Estimated, shape (k,).
@@ -90,37 +96,40 @@ class Unknowns:
         """
 
         def values(at: Array) -> Array:
-            return values_of(self.robot_at(at), self.names)
+            return values_of(self.robot_at(at), self.prior.names)
 
         def derivative(at: Array) -> Array:
-            steps = STEP * np.eye(len(at))
+            steps = PARAMETER_DERIVATIVE_STEP * np.eye(len(at))
             here = values(at)
-            columns = [(values(at + step) - here) / STEP for step in steps]  # bounds lie below
-            found: Array = np.stack(columns, axis=1)
-            return found
+            columns = [
+                (values(at + step) - here) / PARAMETER_DERIVATIVE_STEP for step in steps
+            ]  # bounds lie below
+            return np.asarray(np.stack(columns, axis=1))
 
         slope, first = derivative(coordinates), derivative(np.zeros(len(coordinates)))
-        return Estimate(
-            names=self.names,
+        return ParameterEstimate(
+            names=self.prior.names,
             value=values(coordinates),
             covariance=slope @ covariance @ slope.T,
             start=values(np.zeros(len(coordinates))),
-            prior_sigma=np.sqrt(np.diag(first @ self.prior @ first.T)),
+            prior_sigma=np.sqrt(np.diag(first @ self.prior.covariance @ first.T)),
         )
 
 
-def choose_unknowns(robot: Robot, settings: IdentificationSettings) -> Unknowns:
-    """Coordinates for all that is not held, with what the robot file knows as their prior.
+def choose_coordinates(robot: Robot, settings: IdentificationSettings) -> Coordinates:
+    """Choose coordinates for all that is not held, with the robot file as their prior.
 
     Args:
-        robot: Where the search starts.
-        settings: How well the rest is known.
+        robot: Start of the search.
+        settings: Prior sigmas of all else.
 
     Raises:
         InvalidField: Everything is held, or a number that would be a factor is 0.
     """
     names, scale = _names(robot, settings)
-    factor = np.array([name in _SPREADS or field_of(name) in _FACTORS for name in names])
+    factor = np.array(
+        [name in _INERTIA_NAMES or field_of(name) in _FACTOR_FIELDS for name in names]
+    )
     start = values_of(robot, names) if names else np.zeros(0)
     for name, value, is_factor in zip(names, start, factor, strict=True):
         if is_factor and value <= 0.0:
@@ -130,29 +139,30 @@ def choose_unknowns(robot: Robot, settings: IdentificationSettings) -> Unknowns:
         raise InvalidField("settings", "all parameters are held", "at least one sigma > 0")
     natural = np.where(factor, start * scale, scale)  # one sigma of the parameters themselves
     known = prior_covariance(robot, names, natural)
-    prior = known / np.outer(natural, natural)
+    prior = Prior(
+        names=names, mean=np.zeros(len(names)), covariance=known / np.outer(natural, natural)
+    )
     lower = np.full(len(names), -np.inf)
     for i, name in enumerate(names):
         if field_of(name) == "run_length":
             lower[i] = -start[i] / scale[i]
-    return Unknowns(
+    return Coordinates(
         robot=robot,
-        names=names,
+        prior=prior,
         scale=scale,
         factor=factor.astype(np.float64),
         lower=lower,
-        prior=prior,
         reach=_reach(robot),
     )
 
 
 def _reach(robot: Robot) -> float:
-    """Mean distance from exit points to home [m]."""
+    """Return the mean distance from exit points to home [m]."""
     return float(np.linalg.norm(robot.exit_points - robot.home_position, axis=1).mean())
 
 
 def _names(robot: Robot, settings: IdentificationSettings) -> tuple[tuple[str, ...], Array]:
-    """Parameters that are not held, and what is known of them."""
+    """Return parameters that are not held, and one sigma of each."""
     cables = robot.cable_names
     groups: dict[str, list[str]] = {
         "exit_points": point_names("exit_points", cables),
@@ -160,13 +170,13 @@ def _names(robot: Robot, settings: IdentificationSettings) -> tuple[tuple[str, .
         "length_scale": [f"length_scale[{c}]" for c in cables],
         "anchor_points": point_names("anchor_points", cables),
         "center_of_mass": [f"center_of_mass.{a}" for a in "xyz"],
-        "inertia": list(_SPREADS),
+        "inertia": list(_INERTIA_NAMES),
         "mass": ["mass"],
         "drag": ["drag"],
         "angular_drag": ["angular_drag"],
         "length_delay": ["length_delay"],
     }
-    for field in _PER_CABLE:
+    for field in _PER_CABLE_FIELDS:
         same = np.ptp(getattr(robot, field)) == 0.0
         groups[field] = [field] if same else [f"{field}[{c}]" for c in cables]
     names: list[str] = []

@@ -1,10 +1,10 @@
-"""Whether a recording can calibrate a robot at all: mix-ups and set-ups that tell too little."""
+"""Checks that refuse mix-ups and set-ups that tell too little."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from calibration.lengths.unknowns import Unknowns
+from calibration.lengths.unknowns import LengthUnknowns
 from calibration.observability import Unobservable
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
@@ -13,12 +13,16 @@ from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.plausibility import find_mix_ups
 
-CLEAR = 0.5  # a mix-up is named where putting it right leaves less than this of the misfit
-MOVED = 0.1  # [m]: cables that move less tell no order
-UNITS_OFF = 3.0  # times as much change as the distances have: other units
-LEARNT = 0.7  # of the prior sigma of an exit point: more than that left is nothing learnt
-UNKNOWN = 0.02  # [m]: exit points that are known better than this need not be learnt
-THIN = 0.02  # of the size of the frame: extent of the poses that counts as none
+SWAP_MISFIT_SHARE = (
+    0.5  # a mix-up is named where putting it right leaves less than this of the misfit
+)
+LENGTH_CHANGE_MIN_M = 0.1  # [m]: cables that move less tell no order
+UNIT_FACTOR_MIN = 3.0  # times as much change as the distances have: other units
+LEARNT_SIGMA_SHARE = (
+    0.7  # of the prior sigma of an exit point: more than that left is nothing learnt
+)
+EXIT_SIGMA_MAX_M = 0.02  # [m]: exit points that are known better than this need not be learnt
+POSE_EXTENT_SHARE = 0.02  # of the size of the frame: extent of the poses that counts as none
 
 
 class MixUp(CarosacError):
@@ -32,21 +36,21 @@ def check_order(robot: Robot, reading: Array, pose: Pose, *, relative: bool) -> 
         robot: Before the calibration.
         reading: [m], shape (S, n).
         pose: Measured at the same times.
-        relative: Whether the readings have an unknown constant each.
+        relative: True if the readings have an unknown constant each.
 
     Raises:
         MixUp: Names what is mixed up.
     """
-    said = _changes(robot, reading, pose)
-    if not said and not relative and robot.length_offset is None:
-        said = list(find_mix_ups(robot, reading, pose, zeros_known=False))
-    if said:
+    mix_ups = _changes(robot, reading, pose)
+    if not mix_ups and not relative and robot.length_offset is None:
+        mix_ups = list(find_mix_ups(robot, reading, pose, zeros_known=False))
+    if mix_ups:
         advice = "put that right in the recording or in the robot file, then calibrate again"
-        raise MixUp("\n  ".join(["recording and robot do not fit:", *said, advice]))
+        raise MixUp("\n  ".join(["recording and robot do not fit:", *mix_ups, advice]))
 
 
 def _changes(robot: Robot, reading: Array, pose: Pose) -> list[str]:
-    """What the changes of the readings show, whatever their zeros are."""
+    """Return the mix-ups that changes of the readings show, whatever their zeros are."""
     from scipy.optimize import linear_sum_assignment
 
     cables = straight_length(robot, pose.position, pose.rotation)
@@ -54,10 +58,10 @@ def _changes(robot: Robot, reading: Array, pose: Pose) -> list[str]:
     read = reading[good] - np.median(reading[good], axis=0)
     far = cables.length[good] - np.median(cables.length[good], axis=0)
     spread = np.median(np.abs(far), axis=0)
-    if len(far) < 3 or spread.min() < MOVED:
+    if len(far) < 3 or spread.min() < LENGTH_CHANGE_MIN_M:
         return []
     times = float(np.median(np.median(np.abs(read), axis=0) / spread))
-    if times > UNITS_OFF or times < 1.0 / UNITS_OFF:
+    if times > UNIT_FACTOR_MIN or times < 1.0 / UNIT_FACTOR_MIN:
         change = f"Readings change {times:.3g} times as much as the distances at the poses"
         units = {1000.0: "mm", 100.0: "cm"}
         near = [word for factor, word in units.items() if 0.8 < times / factor < 1.25]
@@ -65,14 +69,16 @@ def _changes(robot: Robot, reading: Array, pose: Pose) -> list[str]:
     misfit = np.median(np.abs(read[:, :, None] - far[:, None, :]), axis=0)  # (n, n)
     order = linear_sum_assignment(misfit)[1]
     same = np.arange(robot.n)
-    if (order == same).all() or misfit[same, order].sum() > CLEAR * misfit[same, same].sum():
+    if (order == same).all() or misfit[same, order].sum() > SWAP_MISFIT_SHARE * misfit[
+        same, same
+    ].sum():
         return []
     names = robot.cable_names
     swaps = [f"reading {i + 1} moves as cable '{names[j]}'" for i, j in enumerate(order) if i != j]
     return [f"Cables seem swapped: {', '.join(swaps)}."]
 
 
-def check_observable(unknowns: Unknowns, data: Array, position: Array) -> None:
+def check_observable(unknowns: LengthUnknowns, data: Array, position: Array) -> None:
     """Refuse a set-up that leaves exit points as unknown as they were.
 
     Args:
@@ -86,33 +92,36 @@ def check_observable(unknowns: Unknowns, data: Array, position: Array) -> None:
     exits = unknowns.exits
     if unknowns.anchored or not len(exits):
         return
-    after = np.linalg.inv(data + unknowns.information)
-    said = []
+    after = np.linalg.inv(data + unknowns.prior.information)
+    lines = []
     for cable, rows in zip(unknowns.robot.cable_names, exits.reshape(-1, 3), strict=True):
         values, vectors = np.linalg.eigh(after[np.ix_(rows, rows)])
-        sigma, before = float(np.sqrt(values[-1])), unknowns.covariance[rows[0], rows[0]] ** 0.5
-        if sigma > max(LEARNT * before, UNKNOWN):
+        sigma, before = (
+            float(np.sqrt(values[-1])),
+            unknowns.prior.covariance[rows[0], rows[0]] ** 0.5,
+        )
+        if sigma > max(LEARNT_SIGMA_SHARE * before, EXIT_SIGMA_MAX_M):
             along = np.array2string(np.abs(vectors[:, -1]), precision=2, separator=", ")
-            said.append(
+            lines.append(
                 f"exit point '{cable}' would stay unknown by {sigma * 1e3:.0f} mm along {along} "
                 f"(it was {before * 1e3:.0f} mm)"
             )
-    if said:
+    if lines:
         advice = (
             "record more poses, spread over the whole workspace (--suggest-poses says which), or "
             "give the robot file covariances of its exit points, as from a tachymeter"
         )
-        raise Unobservable("\n  ".join([f"{_spread(unknowns.robot, position)}:", *said, advice]))
+        raise Unobservable("\n  ".join([f"{_spread(unknowns.robot, position)}:", *lines, advice]))
 
 
 def _spread(robot: Robot, position: Array) -> str:
-    """What is wrong with the poses, in words."""
+    """Return what is wrong with the poses, in words."""
     count = len(position)
     extent = np.zeros(3)
     if count > 1:
         values = np.linalg.svd(position - position.mean(axis=0), compute_uv=False)
         extent[: len(values)] = 3.5 * values / np.sqrt(count)  # the length of a uniform line
-    thin = THIN * float(np.ptp(robot.exit_points, axis=0).max())
+    thin = POSE_EXTENT_SHARE * float(np.ptp(robot.exit_points, axis=0).max())
     wide = int((extent > thin).sum())
     size = f"its {count} poses are" if count != 1 else "its only pose is"
     shape = ("in one point", "on one line", "in one plane", "too few, or too close together")[wide]
@@ -120,7 +129,7 @@ def _spread(robot: Robot, position: Array) -> str:
     return f"the recording cannot calibrate the exit points: {size} {shape} ({spans} m)"
 
 
-def radial_sentences(unknowns: Unknowns, covariance: Array, direction: Array) -> list[str]:
+def radial_sentences(unknowns: LengthUnknowns, covariance: Array, direction: Array) -> list[str]:
     """Say where the exit point along its cable and the offset are almost one unknown.
 
     Args:
@@ -128,9 +137,9 @@ def radial_sentences(unknowns: Unknowns, covariance: Array, direction: Array) ->
         covariance: Of the estimate, shape (k, k).
         direction: Mean unit vector from exit to anchor points, shape (n, 3).
     """
-    offsets, said = unknowns.index("length_offset"), list[str]()
+    offsets, lines = unknowns.prior.rows("length_offset"), list[str]()
     if len(offsets) != unknowns.robot.n or not len(unknowns.exits):
-        return said
+        return lines
     for i, name in enumerate(unknowns.robot.cable_names):
         radial = np.zeros(len(covariance))
         radial[unknowns.exits[3 * i : 3 * i + 3]] = direction[i] / np.linalg.norm(direction[i])
@@ -138,9 +147,9 @@ def radial_sentences(unknowns: Unknowns, covariance: Array, direction: Array) ->
         shared = radial @ covariance[:, offsets[i]] / np.sqrt(apart * offset)
         both = np.sqrt(max(apart + offset - 2.0 * radial @ covariance[:, offsets[i]], 0.0))
         if abs(shared) > 0.8:
-            said.append(
+            lines.append(
                 f"exit point of '{name}' along its cable and its length offset are almost one "
                 f"unknown (correlation {shared:.2f}): {np.sqrt(apart) * 1e3:.1f} mm and "
                 f"{np.sqrt(offset) * 1e3:.1f} mm each, {both * 1e3:.2f} mm together"
             )
-    return said
+    return lines

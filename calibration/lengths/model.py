@@ -1,4 +1,4 @@
-"""What the encoders should read at measured poses, with derivatives by all parameters."""
+"""Predicted encoder readings at measured poses, with derivatives by all parameters."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.lengths.samples import PosesAt
-from calibration.lengths.wrench import Balance, balance
+from calibration.lengths.platform_balance import PlatformBalance, balance
+from calibration.lengths.pose_path import PosesAt
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.cable.lengths import length_at_tension
 from carosac_toolkit.physics.cable.straight_line import StraightCables, straight_length
@@ -17,7 +17,7 @@ from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Prediction:
+class PredictedReadings:
     """Predicted readings of S samples; m = n, or 6 with the balance of a robot of n < 6 cables.
 
     Attributes:
@@ -33,7 +33,7 @@ class Prediction:
 
 
 def in_world(robot: Robot, poses: PosesAt, *, anchored: bool) -> PosesAt:
-    """Measured poses in W, which is their own frame F unless the exit points are `anchored`."""
+    """Return poses in W, which is their own frame F unless the exit points are `anchored`."""
     turn = robot.pose_rotation
     if turn is None or not anchored:
         return poses
@@ -47,13 +47,13 @@ def in_world(robot: Robot, poses: PosesAt, *, anchored: bool) -> PosesAt:
 
 
 def upwards(robot: Robot, *, anchored: bool) -> Array:
-    """Unit vector against gravity in W, shape (3,)."""
+    """Return the unit vector against gravity in W, shape (3,)."""
     level = anchored or robot.pose_rotation is None
     return np.array([0.0, 0.0, 1.0]) if level else np.asarray(robot.pose_rotation)[2]
 
 
 def tensions(robot: Robot, poses: PosesAt, up: Array) -> Array:
-    """Tensions at poses in W [N], (S, n); NaN where the platform cannot be at rest there.
+    """Return the tensions at poses in W [N], (S, n); NaN where the platform cannot rest.
 
     Those of the least squared tensions within the limits for n >= 6 cables, and those of least
     acceleration for fewer.
@@ -62,25 +62,25 @@ def tensions(robot: Robot, poses: PosesAt, up: Array) -> Array:
         rest = statics.inverse_kinematics(robot, poses.position, poses.rotation)
         return np.asarray(np.where(rest.converged[:, None], rest.tension, np.nan))
     cables = straight_length(robot, poses.position, poses.rotation)
-    found = balance(robot, poses.rotation, cables, up).tension
-    return np.asarray(np.where((found > 0.0).all(axis=1, keepdims=True), found, np.nan))
+    tension = balance(robot, poses.rotation, cables, up).tension
+    return np.asarray(np.where((tension > 0.0).all(axis=1, keepdims=True), tension, np.nan))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Correction:
-    """What sag and stretch do to lengths; NaN where there is no such cable.
+class SagCorrection:
+    """Effect of sag and stretch on lengths; NaN where there is no such cable.
 
     Attributes:
         value: Unstrained length of the hanging cable less the length of a straight one [m], (S, n).
-        by_tension: By how much a larger tension changes it, per share of the tension [m], (S, n).
+        by_tension: Its change per relative change of the tension [m], (S, n).
     """
 
     value: Array
     by_tension: Array
 
 
-def correction(robot: Robot, poses: PosesAt, tension: Array) -> Correction:
-    """Effect of sag and stretch at poses in W.
+def correction(robot: Robot, poses: PosesAt, tension: Array) -> SagCorrection:
+    """Return the effect of sag and stretch at poses in W.
 
     Args:
         robot: With n cables.
@@ -90,20 +90,20 @@ def correction(robot: Robot, poses: PosesAt, tension: Array) -> Correction:
     cables = length_at_tension(robot, poses.position, poses.rotation, tension)
     straight = straight_length(robot, poses.position, poses.rotation)
     value = np.where(straight.valid, cables.unstrained_length - straight.length, np.nan)
-    return Correction(value=value, by_tension=-2.0 * cables.sag - cables.stretch)
+    return SagCorrection(value=value, by_tension=-2.0 * cables.sag - cables.stretch)
 
 
 def predict(
-    robot: Robot, poses: PosesAt, correction: Array, *, plumb: bool, anchored: bool
-) -> Prediction:
-    """Readings at measured poses.
+    robot: Robot, poses: PosesAt, correction: Array, *, with_balance: bool, anchored: bool
+) -> PredictedReadings:
+    """Predict readings at measured poses.
 
     Args:
         robot: With the parameters to judge.
         poses: In W.
         correction: As of a robot nearby [m], shape (S, n).
-        plumb: Whether the balance of the platform is compared as well; n < 6.
-        anchored: Whether a tilt turns the poses, or gravity alone.
+        with_balance: True if the balance of the platform is compared as well; n < 6.
+        anchored: True if a tilt turns the poses, or gravity alone.
     """
     cables = straight_length(robot, poses.position, poses.rotation)
     length = cables.length + correction
@@ -117,7 +117,7 @@ def predict(
         [_by_geometry(cables, poses) * scale[:, None], ones, length[:, :, None] * np.eye(n)], axis=2
     )
     by_center, by_gravity = np.zeros((size, n, 3)), np.zeros((size, n, 2))
-    if plumb:
+    if with_balance:
         held = balance(robot, poses.rotation, cables, upwards(robot, anchored=anchored))
         value = np.concatenate([value, held.residual], axis=1)
         by_pose = np.concatenate([by_pose, held.by_pose], axis=1)
@@ -127,31 +127,30 @@ def predict(
     by_tilt = _by_tilt(by_pose, poses) if anchored else -by_gravity
     blocks = [by_cable, by_pose @ poses.twist[..., None], by_tilt]
     blocks += [by_center] if n < 6 else []
-    return Prediction(value=value, by_all=np.concatenate(blocks, axis=2), by_pose=by_pose)
+    return PredictedReadings(value=value, by_all=np.concatenate(blocks, axis=2), by_pose=by_pose)
 
 
 def _by_geometry(cables: StraightCables, poses: PosesAt) -> Array:
-    """Lengths by exit points and anchor points, shape (S, n, 6 n)."""
+    """Return the lengths by exit points and anchor points, shape (S, n, 6 n)."""
     size, n = cables.length.shape
-    found = np.zeros((size, n, 2, n, 3))
+    derivative = np.zeros((size, n, 2, n, 3))
     own = np.arange(n)
-    found[:, own, 0, own] = -cables.direction
-    found[:, own, 1, own] = cables.direction @ poses.rotation
-    return found.reshape(size, n, 6 * n)
+    derivative[:, own, 0, own] = -cables.direction
+    derivative[:, own, 1, own] = cables.direction @ poses.rotation
+    return derivative.reshape(size, n, 6 * n)
 
 
-def _balance_by_cable(held: Balance) -> Array:
-    """Balance by exit points, anchor points, offsets and scales, shape (S, 6 - n, 8 n)."""
+def _balance_by_cable(held: PlatformBalance) -> Array:
+    """Return the balance by exit points, anchor points, offsets, scales, (S, 6 - n, 8 n)."""
     size, rows, n, _ = held.by_exit.shape
     flat = [block.reshape(size, rows, 3 * n) for block in (held.by_exit, held.by_anchor)]
     return np.concatenate([*flat, np.zeros((size, rows, 2 * n))], axis=2)
 
 
 def _by_tilt(by_pose: Array, poses: PosesAt) -> Array:
-    """Derivative by a tilt of the frame of the poses about x and y of W, shape (S, m, 2)."""
+    """Return the derivative by a tilt of the poses' frame about x and y of W, (S, m, 2)."""
     motion = np.zeros((len(poses.position), 6, 2))
     for k, axis in enumerate(np.eye(3)[:2]):
         motion[:, :3, k] = np.cross(axis, poses.position)
         motion[:, 3:, k] = axis
-    found: Array = by_pose @ motion
-    return found
+    return np.asarray(by_pose @ motion)

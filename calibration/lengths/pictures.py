@@ -8,7 +8,13 @@ import numpy as np
 
 from calibration.lengths.planning import SuggestedPoses
 from calibration.lengths.result import LengthCalibration
-from calibration.pictures import AFTER, OUTLIER, draw_exit_points, draw_learnt, draw_residuals
+from calibration.pictures import (
+    COLOR_AFTER,
+    COLOR_OUTLIER,
+    draw_exit_points,
+    draw_learnt,
+    draw_residuals,
+)
 from carosac_toolkit.pictures.drawing import COLORS, MEASURED, new_figure, put_legend, views
 from carosac_toolkit.reports.page import png
 
@@ -24,9 +30,11 @@ def draw_poses(result: LengthCalibration, suggested: SuggestedPoses | None) -> F
     for axes, (pair, title) in zip(panels, views(robot), strict=False):
         rows = list(pair)
         axes.plot(*result.position[:, rows].T, ".", color=MEASURED, ms=2.5, label="measured")
-        axes.plot(*robot.exit_points[:, rows].T, "s", color=AFTER, ms=6, label="exit points")
+        axes.plot(*robot.exit_points[:, rows].T, "s", color=COLOR_AFTER, ms=6, label="exit points")
         if suggested is not None:
-            axes.plot(*suggested.position[:, rows].T, "*", color=OUTLIER, ms=11, label="suggested")
+            axes.plot(
+                *suggested.position[:, rows].T, "*", color=COLOR_OUTLIER, ms=11, label="suggested"
+            )
         axes.set(xlabel=f"{'xyz'[pair[0]]} [m]", ylabel=f"{'xyz'[pair[1]]} [m]", aspect="equal")
         axes.set_title(title, fontsize=9)
         axes.grid(alpha=0.25)
@@ -46,33 +54,33 @@ def draw_poses(result: LengthCalibration, suggested: SuggestedPoses | None) -> F
 def images(
     result: LengthCalibration, suggested: SuggestedPoses | None
 ) -> dict[str, tuple[bytes, str]]:
-    """All pictures as PNG with their captions, by name."""
+    """Draw all pictures; return PNG and caption by name."""
     names = result.robot.cable_names
-    found = {}
+    drawn = {}
     if any(name.startswith("exit_points") for name in result.estimate.names):
         assert result.robot.exit_covariance is not None
-        found["exit_points"] = (
+        drawn["exit_points"] = (
             png(
                 draw_exit_points(
-                    names, result.start.exit_points, result.prior_exit_covariance,
+                    names, result.before.exit_points, result.exit_covariance_before,
                     result.robot.exit_points, result.robot.exit_covariance,
                 )
             ),
             "Exit points before (grey) and after (blue) with their 95 % ellipses, relative to the "
             "calibrated ones.",
         )  # fmt: skip
-    found["residuals"] = (
+    drawn["residuals"] = (
         png(draw_residuals(result.time, result.residual, result.outlier, names, label="time [s]")),
         "Readings less predictions of the calibrated robot over time; crosses: left out as "
         "blunders, drawn at the edge where they are outside.",
     )
-    found["learnt"] = (
+    drawn["learnt"] = (
         png(draw_learnt(result.estimate)),
-        "What is left of the prior standard deviation of each parameter, and how far it moved.",
+        "Posterior over prior standard deviation of each parameter, and how far it moved.",
     )
-    found["poses"] = (
+    drawn["poses"] = (
         png(draw_poses(result, suggested)),
-        "Where the platform was measured"
+        "Measured poses of the platform"
         + (", which poses would teach most, and what they would." if suggested else "."),
     )
-    return found
+    return drawn

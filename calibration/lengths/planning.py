@@ -1,4 +1,4 @@
-"""Which further poses would teach most about the exit points."""
+"""Further poses that would teach most about the exit points."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.lengths.model import predict
+from calibration.lengths.pose_path import PosesAt
 from calibration.lengths.result import LengthCalibration
-from calibration.lengths.samples import PosesAt
-from calibration.lengths.settings import TYPICAL_NOISE, TYPICAL_SWAY, Settings
-from calibration.lengths.unknowns import Unknowns, find_unknowns
+from calibration.lengths.settings import TYPICAL_LENGTH_NOISE_M, TYPICAL_SWAY_RAD, LengthSettings
+from calibration.lengths.unknowns import LengthUnknowns, find_unknowns
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.rotations import from_matrix
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 
-CANDIDATES = 400
-COUNT_MAX = 40
-TURN = 0.2  # [rad]: largest rotation that is suggested, per axis
-EDGE = 0.5  # share of the candidates that lie on the edges of the workspace box
+CANDIDATE_POSES = 400
+SUGGESTED_POSES_MAX = 40
+SUGGESTED_TURN_MAX_RAD = 0.2  # [rad]: largest rotation that is suggested, per axis
+EDGE_CANDIDATES_SHARE = 0.5  # share of the candidates that lie on the edges of the workspace box
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,7 +43,7 @@ class SuggestedPoses:
     worst: Array
 
     def data(self) -> list[dict[str, Any]]:
-        """Ready for JSON."""
+        """Return all numbers, ready for JSON."""
         return [
             {"position_m": p, "quaternion_wxyz": q, "exit_sigma_m": s, "exit_sigma_max_m": w}
             for p, q, s, w in zip(
@@ -54,10 +54,10 @@ class SuggestedPoses:
 
 
 def suggest_poses(
-    found: LengthCalibration | Robot,
+    known_robot: LengthCalibration | Robot,
     count: int,
     *,
-    settings: Settings | None = None,
+    settings: LengthSettings | None = None,
     rng: np.random.Generator,
 ) -> SuggestedPoses:
     """Choose poses of rest one after the other, each the best together with those before.
@@ -65,7 +65,7 @@ def suggest_poses(
     The best is that which leaves the least sum of variances of the exit points (A-optimal).
 
     Args:
-        found: A calibration to be improved, or a robot that was not calibrated yet.
+        known_robot: A calibration to be improved, or a robot that was not calibrated yet.
         count: How many.
         settings: Noise and priors, those of the calibration.
         rng: Source of the candidates.
@@ -73,16 +73,16 @@ def suggest_poses(
     Raises:
         InvalidField: No number, or a robot that can rest nowhere in its workspace.
     """
-    if not 1 <= count <= COUNT_MAX:
-        raise InvalidField("--suggest-poses", count, f"1 to {COUNT_MAX}")
-    known = settings or Settings()
-    if isinstance(found, Robot):
-        robot, noise = found, (known.length_noise or TYPICAL_NOISE, TYPICAL_SWAY)
+    if not 1 <= count <= SUGGESTED_POSES_MAX:
+        raise InvalidField("--suggest-poses", count, f"1 to {SUGGESTED_POSES_MAX}")
+    known = settings or LengthSettings()
+    if isinstance(known_robot, Robot):
+        robot, noise = known_robot, (known.length_noise or TYPICAL_LENGTH_NOISE_M, TYPICAL_SWAY_RAD)
         unknowns = find_unknowns(robot, known, relative=False)
-        now = unknowns.covariance
+        now = unknowns.prior.covariance
     else:
-        robot, unknowns, now = found.robot, found.unknowns, found.covariance
-        noise = (found.length_noise, found.plumb_noise or TYPICAL_SWAY)
+        robot, unknowns, now = known_robot.robot, known_robot.unknowns, known_robot.covariance
+        noise = (known_robot.length_noise, known_robot.balance_noise or TYPICAL_SWAY_RAD)
     rest = _candidates(robot, rng)
     jacobian, spread = _gains(robot, unknowns, known, rest, noise)
     exits, chosen = unknowns.exits, list[int]()
@@ -100,20 +100,22 @@ def suggest_poses(
 
 
 def _candidates(robot: Robot, rng: np.random.Generator) -> PosesAt:
-    """Poses of rest with tensions within the limits, half of them on the edges of the box."""
+    """Draw poses of rest with tensions within the limits, half of them on the edges of the box."""
     from scipy.spatial.transform import Rotation
 
-    share = rng.uniform(-1.0, 1.0, (CANDIDATES, 3))
-    for row in share[: int(EDGE * CANDIDATES)]:
+    share = rng.uniform(-1.0, 1.0, (CANDIDATE_POSES, 3))
+    for row in share[: int(EDGE_CANDIDATES_SHARE * CANDIDATE_POSES)]:
         ends = rng.permutation(3)[:2]
         row[ends] = np.sign(row[ends])
     middle = 0.5 * (robot.workspace_min + robot.workspace_max)
     half = 0.5 * (robot.workspace_max - robot.workspace_min)
-    turn = Rotation.from_rotvec(rng.uniform(-TURN, TURN, (CANDIDATES, 3))).as_matrix()
+    turn = Rotation.from_rotvec(
+        rng.uniform(-SUGGESTED_TURN_MAX_RAD, SUGGESTED_TURN_MAX_RAD, (CANDIDATE_POSES, 3))
+    ).as_matrix()
     held = turn @ robot.home_rotation if robot.n >= 6 else None
     rest = statics.inverse_kinematics(robot, middle + half * share, held)
     good = rest.converged & rest.stable & ~rest.slack.any(axis=1) & rest.in_winch_range.all(axis=1)
-    if good.sum() < COUNT_MAX:
+    if good.sum() < SUGGESTED_POSES_MAX:
         allowed = "a robot that can rest in more than a tenth of its workspace box"
         raise InvalidField("robot", robot.name, allowed)
     count = int(good.sum())
@@ -126,29 +128,33 @@ def _candidates(robot: Robot, rng: np.random.Generator) -> PosesAt:
 
 
 def _gains(
-    robot: Robot, unknowns: Unknowns, known: Settings, rest: PosesAt, noise: tuple[float, float]
+    robot: Robot,
+    unknowns: LengthUnknowns,
+    known: LengthSettings,
+    rest: PosesAt,
+    noise: tuple[float, float],
 ) -> tuple[Array, Array]:
-    """Derivatives (C, m, k) and covariances (C, m, m) of what a candidate would measure."""
-    plumb = robot.n < 6
+    """Return the derivatives (C, m, k) and covariances (C, m, m) of the candidates."""
+    with_balance = robot.n < 6
     level = replace(robot, pose_rotation=None)
-    found = predict(
+    predicted = predict(
         level,
         rest,
         np.zeros((len(rest.position), robot.n)),
-        plumb=plumb,
+        with_balance=with_balance,
         anchored=unknowns.anchored,
     )
-    m = found.value.shape[1]
+    m = predicted.value.shape[1]
     own = np.where(np.arange(m) < robot.n, *noise) ** 2
     pose = np.diag([known.position_noise**2] * 3 + [known.rotation_noise**2] * 3)
-    whole = np.diag(own) + found.by_pose @ pose @ found.by_pose.swapaxes(1, 2)
-    return found.by_all[:, :, unknowns.columns], whole
+    whole = np.diag(own) + predicted.by_pose @ pose @ predicted.by_pose.swapaxes(1, 2)
+    return predicted.by_all[:, :, unknowns.columns], whole
 
 
 def _best(
     now: Array, jacobian: Array, noise: Array, exits: NDArray[np.int64], taken: list[int]
 ) -> tuple[int, Array]:
-    """The candidate that takes most off the variance of the exit points, and what it leaves."""
+    """Return the candidate that takes most off the exit points' variance, and what it leaves."""
     moved = jacobian @ now  # (C, m, k)
     gain = np.linalg.solve(moved @ jacobian.swapaxes(1, 2) + noise, moved)
     worth = (moved[:, :, exits] * gain[:, :, exits]).sum(axis=(1, 2))

@@ -1,4 +1,4 @@
-"""What a calibration from lengths found."""
+"""The result of a calibration from lengths."""
 
 from __future__ import annotations
 
@@ -8,12 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.estimate import Estimate
-from calibration.lengths.unknowns import Unknowns
-from calibration.observability import Observability
+from calibration.lengths.unknowns import LengthUnknowns
+from calibration.result import CalibrationResult
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.robot.parameters import point_names
-from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,16 +29,13 @@ class Gravity:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LengthCalibration:
+class LengthCalibration(CalibrationResult):
     """A calibrated robot with its evidence; S samples that were used, n cables.
 
     Attributes:
-        robot: As calibrated.
-        start: Before.
         unknowns: All parameters, with their priors.
-        estimate: The parameters that go into the robot.
         gravity: Of the frame of the poses, or None where nothing depends on it.
-        anchored: Whether exit points are in a frame of their own; if not, W is that of the poses.
+        anchored: True if exit points are in a frame of their own; if not, W is that of the poses.
         sample: Number of each used sample in the recording, shape (S,).
         time: [s], shape (S,).
         position: Measured, of the platform origin, in W [m], shape (S, 3).
@@ -50,24 +44,19 @@ class LengthCalibration:
             are relative, shape (S, n).
         outlier: Readings that were left out, shape (S, n).
         deviation: Residuals in standard deviations of their readings, shape (S, n).
-        plumb_outlier: Samples whose balance was left out, shape (S,).
+        balance_outlier: Samples whose balance was left out, shape (S,).
         length_noise: One standard deviation of a reading [m].
-        plumb_noise: Of the balance of the platform [rad], or None where it tells nothing.
-        inflation: How many samples tell as much as one independent one.
-        observability: What the data can tell.
-        sentences: The same, and what else should be known, in words.
-        warnings: What must not be overlooked.
+        balance_noise: Of the balance of the platform [rad], or None where it tells nothing.
+        inflation: Number of samples that tell as much as one independent sample.
+        notes: What else should be known about the data, in words.
         skipped: Samples without a pose or without tensions, by reason.
         rounds: Of reweighting.
-        converged: Whether the last round changed nothing.
+        converged: True if the last round changed nothing.
         covariance: Of all unknowns, gravity included, shape (k, k).
         seconds: Duration of the fit [s].
     """
 
-    robot: Robot
-    start: Robot
-    unknowns: Unknowns
-    estimate: Estimate
+    unknowns: LengthUnknowns
     gravity: Gravity | None
     anchored: bool
     sample: NDArray[np.int64]
@@ -77,27 +66,16 @@ class LengthCalibration:
     residual_before: Array
     outlier: NDArray[np.bool_]
     deviation: Array
-    plumb_outlier: NDArray[np.bool_]
+    balance_outlier: NDArray[np.bool_]
     length_noise: float
-    plumb_noise: float | None
+    balance_noise: float | None
     inflation: float
-    observability: Observability
-    sentences: tuple[str, ...]
-    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
     skipped: dict[str, int]
     rounds: int
     converged: bool
     covariance: Array
     seconds: float
-
-    @property
-    def prior_exit_covariance(self) -> Array:
-        """What was known of each exit point before [m^2], shape (n, 3, 3)."""
-        if self.start.exit_covariance is not None:
-            return self.start.exit_covariance
-        names = point_names("exit_points", self.start.cable_names)
-        prior = self.estimate.select(names).prior_sigma.reshape(-1, 3)
-        return np.array([np.diag(row**2) for row in prior])
 
     @property
     def residual_rms(self) -> float:
@@ -110,7 +88,7 @@ class LengthCalibration:
         return float(np.sqrt(np.mean(self.residual_before[~self.outlier] ** 2)))
 
     def outliers(self) -> list[dict[str, Any]]:
-        """The readings that were left out, ready for JSON, in the order of time."""
+        """Return the readings that were left out, ready for JSON, in the order of time."""
         return [
             {
                 "sample": int(self.sample[row]),
@@ -123,7 +101,7 @@ class LengthCalibration:
         ]
 
     def data(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return all numbers, ready for JSON."""
         gravity = None
         if self.gravity is not None:
             gravity = {"tilt_rad": self.gravity.tilt, "sigma_rad": self.gravity.sigma}
@@ -134,13 +112,13 @@ class LengthCalibration:
             "parameters": self.estimate.data(),
             "gravity": gravity,
             "frame": "robot" if self.anchored else "poses",
-            "observability": {**self.observability.data(), "sentences": list(self.sentences)},
+            "observability": {**self.observability.data(), "sentences": list(self.notes)},
             "outliers": self.outliers(),
             "samples": len(self.sample),
             "skipped": self.skipped,
             "noise": {
                 "length_m": self.length_noise,
-                "balance_rad": self.plumb_noise,
+                "balance_rad": self.balance_noise,
                 "inflation": self.inflation,
             },
             "rounds": self.rounds,
@@ -148,3 +126,36 @@ class LengthCalibration:
             "warnings": list(self.warnings),
             "fit_s": self.seconds,
         }
+
+    def sentences(self) -> list[str]:
+        """Return what was found, in words."""
+        count = int(self.outlier.sum())
+        lines = [
+            f"readings fit within {1e3 * self.residual_rms:.2f} mm RMS; with the robot as it was "
+            f"{1e3 * self.residual_rms_before:.1f} mm",
+            f"noise of one reading: {1e3 * self.length_noise:.2f} mm; {count} of "
+            f"{self.outlier.size} readings were left out as blunders",
+        ]
+        if "length_delay" in self.estimate.names:
+            row = self.estimate.index("length_delay")
+            value, sigma = 1e3 * self.estimate.value[row], 1e3 * self.estimate.sigma[row]
+            lines.append(
+                f"readings lead the measured poses by {value:.1f} ms (1 sigma {sigma:.1f} ms)"
+            )
+        if self.inflation > 1.0:
+            lines.append(
+                f"residuals are correlated in time: {self.inflation:.1f} samples count as one"
+            )
+        if self.gravity is not None:
+            x, y = 1e3 * self.gravity.tilt
+            lines.append(
+                f"the frame of the poses is tilted against gravity by {x:.1f} and {y:.1f} mrad "
+                f"about x and y (1 sigma {1e3 * self.gravity.sigma.max():.1f} mrad)"
+            )
+        if not self.anchored:
+            lines.append(
+                "the exit points are in the frame of the measured poses; covariances of the exit "
+                "points in the robot file, as from a tachymeter, would make it the robot's own"
+            )
+        lines += [f"left unused: {n} samples with {why}" for why, n in self.skipped.items() if n]
+        return lines

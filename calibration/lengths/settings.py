@@ -1,4 +1,4 @@
-"""What is known before a calibration from lengths: noise and priors, as standard deviations."""
+"""Noise and priors of a calibration from lengths, as standard deviations."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 
 from carosac_toolkit.base.errors import InvalidField
 
-TYPICAL_NOISE = 2e-3  # [m], of a reading, to judge a set-up before its noise is known
-TYPICAL_SWAY = 0.01  # [rad], of the balance of a platform
+TYPICAL_LENGTH_NOISE_M = 2e-3  # [m], of a reading, to judge a set-up before its noise is known
+TYPICAL_SWAY_RAD = 0.01  # [rad], of the balance of a platform
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class LengthSettings:
     """Noise of the measurements and priors of the parameters.
 
     A prior of 0 holds a parameter at its value in the robot file. Where the robot carries a
@@ -24,8 +24,6 @@ class Settings:
         length_noise: Of one reading [m]; None: estimated from what the fit leaves.
         position_noise: Of a measured position, per axis [m].
         rotation_noise: Of a measured rotation, per axis [rad].
-        tension_share: Share of each tension that is not known, as from the mass; the part of sag
-            and stretch that depends on it counts as noise.
         exit_prior: Exit points per axis [m], for a robot without covariance.
         anchor_prior: Anchor points per axis [m].
         offset_prior: Length offsets [m]; readings of relative length have no prior.
@@ -39,7 +37,6 @@ class Settings:
     length_noise: float | None = None
     position_noise: float = 1e-3
     rotation_noise: float = 0.5e-3
-    tension_share: float = 0.05
     exit_prior: float = 0.05
     anchor_prior: float = 2e-3
     offset_prior: float = 1.0

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.lengths.settings import Settings
-from calibration.lengths.unknowns import Unknowns, find_unknowns
+from calibration.lengths.settings import LengthSettings
+from calibration.lengths.unknowns import LengthUnknowns, find_unknowns
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.physics.rest import statics
@@ -19,21 +19,25 @@ from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.parameters import with_values
 from carosac_toolkit.robot.robot import Robot
 
-MOVE = 4.0  # [s] from stop to stop
-CHECKS = 41  # poses of a move that have to be equilibria
-TRIES = 200
-PATHS = 20
+SAMPLE_PERIOD_S = 0.2  # as of a motion capture at 5 Hz
+LENGTH_NOISE_M = 2e-3  # as of winch encoders, with errors of winding
+POSITION_NOISE_M, ROTATION_NOISE_RAD = 1e-3, 0.5e-3  # as of a motion capture in a hall
+BLUNDER_MIN_M, BLUNDER_MAX_M = 0.05, 0.5
+MOVE_TIME_S = 4.0  # [s] from stop to stop
+POSES_CHECKED_PER_MOVE = 41  # poses of a move that have to be equilibria
+STOP_TRIES_MAX = 200
+PATH_TRIES_MAX = 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scene:
+class LengthScene:
     """A recording and the truth behind it.
 
     Attributes:
-        recording: What was measured.
+        recording: The measurements.
         plant: The robot that it was measured on.
         truth: Values of its parameters by name.
-        outlier: Which readings are blunders, shape (S, n).
+        outlier: True for blunders, shape (S, n).
     """
 
     recording: Recording
@@ -43,66 +47,54 @@ class Scene:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneSettings:
-    """How a synthetic recording is made.
+class LengthSceneSettings:
+    """Settings of a synthetic recording.
 
     Attributes:
-        samples: Poses.
-        period: Between them [s].
-        length_noise: [m].
-        position_noise: [m].
-        rotation_noise: [rad].
-        outliers: Share of the readings.
-        outlier_min: Smallest blunder [m].
-        outlier_max: Largest blunder [m].
-        spread: Share of the workspace box that the path uses, per axis.
+        samples: Number of poses.
+        outliers: Share of the readings that are blunders [1].
+        spread: Share of the workspace box that the path uses, per axis [1].
         turn: Largest rotation of a platform that can be turned, per axis [rad].
     """
 
     samples: int = 500
-    period: float = 0.2
-    length_noise: float = 2e-3
-    position_noise: float = 1e-3
-    rotation_noise: float = 0.5e-3
     outliers: float = 0.05
-    outlier_min: float = 0.05
-    outlier_max: float = 0.5
     spread: tuple[float, float, float] = (1.0, 1.0, 1.0)
     turn: float = 0.2
 
 
-def draw_scene(
+def draw_length_scene(
     robot: Robot,
     rng: np.random.Generator,
     *,
-    settings: SceneSettings | None = None,
-    prior: Settings | None = None,
+    settings: LengthSceneSettings | None = None,
+    prior: LengthSettings | None = None,
     relative: bool = False,
-) -> Scene:
+) -> LengthScene:
     """Draw a plant from the priors, move it quasi-statically through its workspace, measure.
 
     Args:
         robot: The description; its covariances are priors.
         rng: Source of everything random.
-        settings: How it is measured.
-        prior: How far the plant is from the description; offsets are drawn within 0.2 m.
-        relative: Whether the readings are lengths up to an unknown constant.
+        settings: Settings of the measurement.
+        prior: Spread of the plant about the description; offsets are drawn within 0.2 m.
+        relative: True if the readings are lengths up to an unknown constant.
     """
-    made, known = settings or SceneSettings(), prior or Settings()
+    made, known = settings or LengthSceneSettings(), prior or LengthSettings()
     close = replace(known, offset_prior=min(known.offset_prior, 0.2))
     unknowns = find_unknowns(robot, close, relative=False)
-    drawn = rng.multivariate_normal(unknowns.start, unknowns.covariance)
-    truth = dict(zip(unknowns.names, drawn.tolist(), strict=True))
+    drawn = rng.multivariate_normal(unknowns.prior.mean, unknowns.prior.covariance)
+    truth = dict(zip(unknowns.prior.names, drawn.tolist(), strict=True))
     plant = _plant(unknowns, drawn)
     delay = truth.get("length_delay", 0.0)
     time = np.asarray(
-        1.0 + made.period * np.arange(made.samples), np.float64
+        1.0 + SAMPLE_PERIOD_S * np.arange(made.samples), np.float64
     )  # delays are shorter than 1 s
     there, later = _drive(plant, made, time, delay, rng)
     outlier = rng.random((made.samples, robot.n)) < made.outliers
-    size = rng.uniform(made.outlier_min, made.outlier_max, outlier.shape)
+    size = rng.uniform(BLUNDER_MIN_M, BLUNDER_MAX_M, outlier.shape)
     read = readings(plant, later.unstrained_length)
-    read = read + made.length_noise * rng.standard_normal(read.shape)
+    read = read + LENGTH_NOISE_M * rng.standard_normal(read.shape)
     read = read + np.where(outlier, size * rng.choice([-1.0, 1.0], size.shape), 0.0)
     poses = _measured(plant, there, time, made, rng)
     kind = "unstrained"
@@ -116,27 +108,27 @@ def draw_scene(
         description="synthetic: cable lengths and poses of a robot that differs from its file",
     )  # fmt: skip
     recording = Recording(time=time, unstrained_length=read, poses=poses, metadata=metadata)
-    return Scene(recording=recording, plant=plant, truth=truth, outlier=outlier)
+    return LengthScene(recording=recording, plant=plant, truth=truth, outlier=outlier)
 
 
-def _plant(unknowns: Unknowns, value: Array) -> Robot:
-    """The robot in W, z up; exit points that are not anchored are drawn in the poses' frame."""
-    plant = with_values(unknowns.robot, unknowns.names, value)
+def _plant(unknowns: LengthUnknowns, value: Array) -> Robot:
+    """Return the robot in W, z up; exit points not anchored are drawn in the poses' frame."""
+    plant = with_values(unknowns.robot, unknowns.prior.names, value)
     if unknowns.anchored or plant.pose_rotation is None:
         return plant
     return replace(plant, exit_points=plant.exit_points @ plant.pose_rotation.T)
 
 
 def _drive(
-    plant: Robot, made: SceneSettings, time: Array, delay: float, rng: np.random.Generator
+    plant: Robot, made: LengthSceneSettings, time: Array, delay: float, rng: np.random.Generator
 ) -> tuple[statics.Equilibrium, statics.Equilibrium]:
-    """Equilibria of a random path at some times and `delay` later."""
-    for _ in range(PATHS):
+    """Return the equilibria of a random path at some times and `delay` later."""
+    for _ in range(PATH_TRIES_MAX):
         path = _Path(plant, made, rng)
         there, later = path.at(time), path.at(time + delay)
         if there.converged.all() and later.converged.all():
             return there, later
-    raise CarosacError(f"robot {plant.name} finds no equilibria on any of {PATHS} paths")
+    raise CarosacError(f"robot {plant.name} finds no equilibria on any of {PATH_TRIES_MAX} paths")
 
 
 class _Path:
@@ -146,21 +138,21 @@ class _Path:
     the edges tell more than those in the middle.
     """
 
-    def __init__(self, plant: Robot, made: SceneSettings, rng: np.random.Generator) -> None:
+    def __init__(self, plant: Robot, made: LengthSceneSettings, rng: np.random.Generator) -> None:
         self._plant, self._made = plant, made
-        moves = int(np.ceil((made.samples * made.period + 2.0) / MOVE)) + 1
+        moves = int(np.ceil((made.samples * SAMPLE_PERIOD_S + 2.0) / MOVE_TIME_S)) + 1
         self._stops = [self._free_stop(rng)]
         for _ in range(moves):
             self._stops.append(self._next_stop(rng))
 
     def at(self, time: Array) -> statics.Equilibrium:
-        """Equilibria at some times after the start [s]."""
+        """Return the equilibria at some times after the start [s]."""
         stops = np.array(self._stops)
-        number = np.clip((time / MOVE).astype(int), 0, len(stops) - 2)
-        return self._hold(_between(stops[number], stops[number + 1], time / MOVE - number))
+        number = np.clip((time / MOVE_TIME_S).astype(int), 0, len(stops) - 2)
+        return self._hold(_between(stops[number], stops[number + 1], time / MOVE_TIME_S - number))
 
     def _hold(self, stop: Array) -> statics.Equilibrium:
-        """Equilibria at shares of the workspace box and of the largest turn, shape (B, 6)."""
+        """Solve equilibria at shares of the workspace box and of the largest turn, shape (B, 6)."""
         from scipy.spatial.transform import Rotation
 
         robot = self._plant
@@ -173,16 +165,16 @@ class _Path:
         return statics.inverse_kinematics(robot, middle + half * stop[:, :3], rotation)
 
     def _free_stop(self, rng: np.random.Generator) -> Array:
-        """A random point on an edge of the box, and a random turn."""
+        """Draw a point on an edge of the box, and a turn."""
         stop = rng.uniform(-1.0, 1.0, 6)
         ends = rng.permutation(3)[:2]
         stop[ends] = np.sign(stop[ends])
         return stop
 
     def _next_stop(self, rng: np.random.Generator) -> Array:
-        """One that the platform can be driven to from the last stop."""
-        share = np.linspace(0.0, 1.0, CHECKS)
-        for _ in range(TRIES):
+        """Draw a stop that the platform can be driven to from the last one."""
+        share = np.linspace(0.0, 1.0, POSES_CHECKED_PER_MOVE)
+        for _ in range(STOP_TRIES_MAX):
             stop = self._free_stop(rng)
             if self._hold(_between(self._stops[-1], stop, share)).converged.all():
                 return stop
@@ -195,21 +187,20 @@ class _Path:
 
 
 def _between(start: Array, end: Array, share: Array) -> Array:
-    """Points on the way from one stop to the next, with no jump of the acceleration."""
+    """Return the points on the way from one stop to the next, with no jump of the acceleration."""
     smooth = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-    found: Array = start + smooth[:, None] * (end - start)
-    return found
+    return np.asarray(start + smooth[:, None] * (end - start))
 
 
 def _measured(
-    plant: Robot, rest: statics.Equilibrium, time: Array, made: SceneSettings,
+    plant: Robot, rest: statics.Equilibrium, time: Array, made: LengthSceneSettings,
     rng: np.random.Generator,
 ) -> PoseSamples:  # fmt: skip
-    """Poses with noise, in the frame of the motion capture."""
+    """Draw measured poses with noise, in the frame of the motion capture."""
     from scipy.spatial.transform import Rotation
 
     turn = np.eye(3) if plant.pose_rotation is None else plant.pose_rotation
-    noise = made.rotation_noise * rng.standard_normal((len(time), 3))
-    position = rest.position + made.position_noise * rng.standard_normal((len(time), 3))
+    noise = ROTATION_NOISE_RAD * rng.standard_normal((len(time), 3))
+    position = rest.position + POSITION_NOISE_M * rng.standard_normal((len(time), 3))
     rotation = Rotation.from_rotvec(noise).as_matrix() @ rest.rotation
     return PoseSamples.from_rotation(time, position @ turn, turn.T @ rotation)

@@ -8,72 +8,53 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.lengths.settings import Settings
+from calibration.lengths.settings import LengthSettings
+from calibration.prior import Prior
 from calibration.robot_update import prior_covariance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.parameters import field_of, point_names, values_of, with_values
 from carosac_toolkit.robot.robot import Robot
 
-LOOSE = 1e3  # [m]: prior of an offset that nothing is known of
+LOOSE_OFFSET_SIGMA_M = 1e3  # [m]: prior of an offset that nothing is known of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Unknowns:
+class LengthUnknowns:
     """k parameters of a robot.
 
     Attributes:
         robot: The robot before the calibration.
-        names: Of the parameters, k of them.
+        prior: Names, values and covariance before, k of them.
         columns: Column of each in the Jacobians by all parameters, shape (k,).
-        start: Values before, shape (k,).
-        covariance: Prior, shape (k, k).
-        anchored: Whether the exit points are known in a levelled frame of their own, as by a
+        anchored: True if the exit points are known in a levelled frame of their own, as by a
             tachymeter. If not, W is the frame of the measured poses, and the tilt of that frame
             turns gravity alone.
     """
 
     robot: Robot
-    names: tuple[str, ...]
+    prior: Prior
     columns: NDArray[np.int64]
-    start: Array
-    covariance: Array
     anchored: bool
 
     @property
-    def information(self) -> Array:
-        """Inverse of the prior covariance, shape (k, k)."""
-        scale = np.sqrt(np.diag(self.covariance))
-        unit = self.covariance / np.outer(scale, scale)
-        found: Array = np.linalg.inv(unit) / np.outer(scale, scale)
-        return found
-
-    @property
     def exits(self) -> NDArray[np.int64]:
-        """Which of them are coordinates of exit points."""
-        return np.array(
-            [k for k, name in enumerate(self.names) if name.startswith("exit_")], np.int64
-        )
-
-    def index(self, prefix: str) -> NDArray[np.int64]:
-        """Which of them have names that begin so."""
-        return np.array(
-            [k for k, name in enumerate(self.names) if name.startswith(prefix)], np.int64
-        )
+        """Places of the exit points' coordinates among the parameters."""
+        return self.prior.rows("exit_points")
 
     def robot_at(self, value: Array) -> Robot:
-        """The robot with these parameters, in W; pulleys swivel about what stands on the ground."""
-        robot = with_values(self.robot, self.names, value)
+        """Return the robot with these parameters in W; swivel axes stay where they stand."""
+        robot = with_values(self.robot, self.prior.names, value)
         if self.anchored or robot.pose_rotation is None:
             return robot
         return replace(robot, swivel_axis=robot.swivel_axis @ robot.pose_rotation)
 
 
 def all_names(cable_names: Sequence[str], *, center: bool) -> tuple[str, ...]:
-    """Every parameter, in the order of the Jacobians' columns.
+    """Return every parameter, in the order of the Jacobians' columns.
 
     Args:
         cable_names: Of the robot.
-        center: Whether the centre of mass is among them.
+        center: True if the centre of mass is among them.
     """
     names = point_names("exit_points", cable_names) + point_names("anchor_points", cable_names)
     names += [f"length_offset[{c}]" for c in cable_names]
@@ -82,13 +63,13 @@ def all_names(cable_names: Sequence[str], *, center: bool) -> tuple[str, ...]:
     return (*names, *([f"center_of_mass.{axis}" for axis in "xyz"] if center else []))
 
 
-def find_unknowns(robot: Robot, settings: Settings, *, relative: bool) -> Unknowns:
-    """Parameters with a prior that leaves them free.
+def find_unknowns(robot: Robot, settings: LengthSettings, *, relative: bool) -> LengthUnknowns:
+    """Return the parameters whose prior leaves them free.
 
     Args:
         robot: Before the calibration; its covariances are priors.
         settings: Priors of what it knows no covariance of.
-        relative: Whether the readings are lengths up to an unknown constant, which is another one
+        relative: True if the readings are lengths up to an unknown constant, which is another one
             in each recording: what an earlier calibration knew of it counts for nothing.
     """
     names = all_names(robot.cable_names, center=robot.n < 6)
@@ -97,22 +78,24 @@ def find_unknowns(robot: Robot, settings: Settings, *, relative: bool) -> Unknow
     if not anchored and robot.n >= 6:  # nothing depends on it
         sigma[[names.index(f"pose_tilt.{axis}") for axis in "xy"]] = 0.0
     prior = prior_covariance(robot, names, sigma)
-    fresh = (sigma == 0.0) | (sigma == LOOSE)  # held, or of this recording alone
+    fresh = (sigma == 0.0) | (sigma == LOOSE_OFFSET_SIGMA_M)  # held, or of this recording alone
     prior[fresh] = prior[:, fresh] = 0.0
     prior[fresh, fresh] = sigma[fresh] ** 2
     free = np.flatnonzero(np.diag(prior) > 0.0)
-    return Unknowns(
+    return LengthUnknowns(
         robot=robot,
-        names=tuple(names[k] for k in free),
+        prior=Prior(
+            names=tuple(names[k] for k in free),
+            mean=values_of(robot, [names[k] for k in free]),
+            covariance=prior[np.ix_(free, free)],
+        ),
         columns=free,
-        start=values_of(robot, [names[k] for k in free]),
-        covariance=prior[np.ix_(free, free)],
         anchored=anchored,
     )
 
 
 def is_anchored(robot: Robot) -> bool:
-    """Whether the exit points are known apart from the measured poses.
+    """Return whether the exit points are known apart from the measured poses.
 
     Points that an earlier calibration found from lengths alone are in the frame of those poses, and
     so they are no anchor for others.
@@ -123,10 +106,10 @@ def is_anchored(robot: Robot) -> bool:
     return robot.pose_rotation is not None or (surveyed and not from_poses)
 
 
-def _sigma(name: str, settings: Settings, relative: bool) -> float:
-    """Prior of one parameter."""
+def _sigma(name: str, settings: LengthSettings, relative: bool) -> float:
+    """Return the prior of one parameter."""
     if name.startswith("length_offset") and relative and settings.offset_prior > 0.0:
-        return LOOSE
+        return LOOSE_OFFSET_SIGMA_M
     return {
         "exit_points": settings.exit_prior,
         "anchor_points": settings.anchor_prior,

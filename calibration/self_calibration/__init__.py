@@ -1,22 +1,22 @@
 """Self-calibration without motion capture: motor angles, and a few positions that are known."""
 
-from calibration.self_calibration.calibrate import calibrate
-from calibration.self_calibration.files import (
+from calibration.self_calibration.calibrate import calibrate_motor_angles
+from calibration.self_calibration.motor_angle_files import (
     holds_motor_angles,
     load_motor_angles,
     write_motor_angles,
 )
 from calibration.self_calibration.motor_angles import MotorAngles
-from calibration.self_calibration.result import Blunder, LeftOut, SelfCalibration
-from calibration.self_calibration.settings import Settings
+from calibration.self_calibration.result import LeftOut, SampleBlunder, SelfCalibration
+from calibration.self_calibration.settings import SelfCalibrationSettings
 
 __all__ = [
-    "Blunder",
     "LeftOut",
     "MotorAngles",
+    "SampleBlunder",
     "SelfCalibration",
-    "Settings",
-    "calibrate",
+    "SelfCalibrationSettings",
+    "calibrate_motor_angles",
     "holds_motor_angles",
     "load_motor_angles",
     "write_motor_angles",

@@ -5,10 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Protocol
 
-from calibration.report import print_parameters, print_sentences
-from calibration.robot_update import check_output, write_robot
-from calibration.self_calibration.calibrate import calibrate
-from calibration.self_calibration.files import load_motor_angles
+from calibration.report import (
+    option_words,
+    print_parameters,
+    print_sentences,
+    write_new_robot,
+    write_report,
+)
+from calibration.robot_update import check_output
+from calibration.self_calibration.calibrate import calibrate_motor_angles
+from calibration.self_calibration.motor_angle_files import load_motor_angles
 from calibration.self_calibration.motor_angles import MotorAngles
 from calibration.self_calibration.problem import check_drums
 from calibration.self_calibration.report import (
@@ -16,8 +22,7 @@ from calibration.self_calibration.report import (
     LEFT_OUT_HEADER,
     blunder_rows,
     left_out_rows,
-    sentences,
-    write_report,
+    report_content,
 )
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.tables import fit, terminal_width
@@ -26,8 +31,8 @@ from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import list_robots, load_robot
 
 
-class Options(Protocol):
-    """What this needs of the options of the command."""
+class MotorAngleOptions(Protocol):
+    """Options of the command that matter with motor angles."""
 
     @property
     def robot(self) -> str | None:
@@ -46,7 +51,7 @@ class Options(Protocol):
         """Not used: nothing is random."""
 
 
-def run_motor_angles(options: Options, path: Path) -> CommandResult:
+def run_motor_angles(options: MotorAngleOptions, path: Path) -> CommandResult:
     """Calibrate a robot from motor angles; print, and write what was asked for.
 
     Args:
@@ -63,14 +68,14 @@ def run_motor_angles(options: Options, path: Path) -> CommandResult:
         check_folder("--report", options.report)
     robot = load_robot(name)
     check_drums(robot)
-    result = calibrate(angles, robot)
+    result = calibrate_motor_angles(angles, robot)
     known = int(angles.is_known.sum())
     print(
         f"{path}: {len(angles.samples)} samples of {len(angles.cables)} motors, {known} known "
         f"position{'' if known == 1 else 's'}; robot {robot.name}"
     )
     print_sentences(result.warnings, "WARNING: ")
-    print_sentences(sentences(result))
+    print_sentences(result.sentences())
     print_sentences(result.observability.sentences())
     print()
     print_parameters(result.estimate)
@@ -80,29 +85,33 @@ def run_motor_angles(options: Options, path: Path) -> CommandResult:
     if result.blunders:
         print("\nleft out as blunders:")
         print(fit(BLUNDER_HEADER, blunder_rows(result), (2, 1), terminal_width()))
-    if options.output is not None:
-        provenance = f"self-calibration from the motor angles in {path.name}"
-        write_robot(name, result.estimate, options.output, provenance=provenance)
-        print(f"\nnew robot: {options.output}")
+    provenance = f"self-calibration from the motor angles in {path.name}"
+    write_new_robot(result, name, options.output, provenance=provenance)
     if options.report is not None:
-        files = write_report(options.report, result, path, _words(options, path, name))
+        files = write_report(
+            options.report,
+            f"Self-calibration of {robot.name} from {path.name}",
+            result,
+            report_content(result),
+            provenance={
+                "motor angles": str(path),
+                "robot": f"{robot.name}: {robot.description}",
+                "robot licence": robot.licence,
+            },
+            command=[
+                "carosac", "calibrate", "lengths", str(path), "--robot", name,
+                *option_words(options, ("recording", "robot", "json", "seed")),
+            ],
+        )  # fmt: skip
         print(f"\nreport: {files[-1]} and {len(files) - 1} pictures beside it")
     return CommandResult(result.data(), status=1 if result.warnings else 0)
 
 
 def _robot_of(angles: MotorAngles) -> str:
-    """The bundled robot with drums whose cables are called like the motors."""
+    """Return the bundled robot with drums whose cables are called like the motors."""
     for name in list_robots():
         robot = load_robot(name)
         if robot.drum_radius is not None and sorted(robot.cable_names) == sorted(angles.cables):
             return name
     allowed = f"a robot file: no bundled robot with drums has cables {list(angles.cables)}"
     raise InvalidField("--robot", "nothing", allowed)
-
-
-def _words(options: Options, path: Path, robot: str) -> list[str]:
-    """The command that repeats this."""
-    words = ["carosac", "calibrate", "lengths", str(path), "--robot", robot]
-    for option, value in (("--output", options.output), ("--report", options.report)):
-        words += [option, str(value)] if value is not None else []
-    return words

@@ -10,9 +10,9 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import S, X
 
-from calibration.self_calibration.noise import Settled
-from calibration.self_calibration.problem import Problem
-from calibration.self_calibration.solver import FAR
+from calibration.self_calibration.blunder_tests import SettledFit
+from calibration.self_calibration.problem import MotorAngleProblem
+from calibration.self_calibration.solver import POSITION_PRIOR_FACTOR
 from carosac_toolkit.base.arrays import Array
 
 
@@ -35,7 +35,7 @@ class MapEstimate:
     iterations: int
 
 
-def estimate(problem: Problem, settled: Settled) -> MapEstimate:
+def estimate(problem: MotorAngleProblem, settled: SettledFit) -> MapEstimate:
     """Optimise the graph of all believed data from where the robust fit ended.
 
     The graph has one vector of shared unknowns and one point for each sample. A sample that is
@@ -47,7 +47,7 @@ def estimate(problem: Problem, settled: Settled) -> MapEstimate:
     """
     graph = _graph(problem, settled)
     values = gtsam.Values()
-    values.insert(S(0), _unit(problem, settled.fit.shared))
+    values.insert(S(0), (settled.fit.shared - problem.prior.mean) / problem.prior.sigma)
     for k, point in enumerate(settled.fit.position):
         values.insert(X(k), point)
     parameters = gtsam.LevenbergMarquardtParams()
@@ -55,10 +55,10 @@ def estimate(problem: Problem, settled: Settled) -> MapEstimate:
     optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
     result = optimizer.optimize()
     marginals = gtsam.Marginals(graph, result)
-    scale = _scale(problem)
+    scale = problem.prior.sigma
     count = len(problem.angles.samples)
     return MapEstimate(
-        shared=problem.start + scale * result.atVector(S(0)),
+        shared=problem.prior.mean + scale * result.atVector(S(0)),
         covariance=marginals.marginalCovariance(S(0)) * np.outer(scale, scale),
         position=np.array([result.atPoint3(X(k)) for k in range(count)]),
         position_covariance=np.array([marginals.marginalCovariance(X(k)) for k in range(count)]),
@@ -66,25 +66,15 @@ def estimate(problem: Problem, settled: Settled) -> MapEstimate:
     )
 
 
-def _scale(problem: Problem) -> Array:
-    """One standard deviation of each shared unknown before: its unit in the graph."""
-    found: Array = np.sqrt(np.diag(np.linalg.inv(problem.prior)))
-    return found
-
-
-def _unit(problem: Problem, shared: Array) -> Array:
-    """Shared unknowns in the units of the graph."""
-    found: Array = (shared - problem.start) / _scale(problem)
-    return found
-
-
-def _graph(problem: Problem, settled: Settled) -> Any:
-    """Priors, known positions, and one factor of lengths for each sample."""
+def _graph(problem: MotorAngleProblem, settled: SettledFit) -> Any:
+    """Build the graph: priors, known positions, and one factor of lengths for each sample."""
     graph = gtsam.NonlinearFactorGraph()
-    scale, trust, angles = _scale(problem), settled.trust, problem.angles
-    prior = gtsam.noiseModel.Gaussian.Information(problem.prior * np.outer(scale, scale))
+    scale, trust, angles = problem.prior.sigma, settled.trust, problem.angles
+    prior = gtsam.noiseModel.Gaussian.Information(
+        problem.prior.information * np.outer(scale, scale)
+    )
     graph.addPriorVector(S(0), np.zeros(problem.size), prior)
-    reach = FAR * float(problem.start[problem.zeros].max())
+    reach = POSITION_PRIOR_FACTOR * problem.longest
     wide = gtsam.noiseModel.Isotropic.Sigma(3, reach)
     noise = gtsam.noiseModel.Diagonal.Sigmas(trust.line_sigma / problem.advantage)
     for k in range(len(angles.samples)):
@@ -98,19 +88,18 @@ def _graph(problem: Problem, settled: Settled) -> Any:
 
 
 def _lengths(
-    problem: Problem, scale: Array, row: int
+    problem: MotorAngleProblem, scale: Array, row: int
 ) -> Callable[[Any, Any, list[Array] | None], Array]:
-    """Residuals of one sample, with their Jacobians."""
+    """Return the error function of one sample, with its Jacobians."""
 
     def error(factor: Any, values: Any, jacobians: list[Array] | None) -> Array:
         keys = factor.keys()
-        shared = problem.start + scale * values.atVector(keys[0])
+        shared = problem.prior.mean + scale * values.atVector(keys[0])
         position = np.asarray(values.atPoint3(keys[1]))
         linear = problem.linearize(shared, position[None], slice(row, row + 1))
         if jacobians is not None:
             jacobians[0] = np.asfortranarray(linear.by_shared[0] * scale)
-            jacobians[1] = np.asfortranarray(linear.by_position[0])
-        found: Array = linear.residual[0]
-        return found
+            jacobians[1] = np.asfortranarray(linear.by_own[0])
+        return np.asarray(linear.residual[0])
 
     return error

@@ -18,11 +18,11 @@ class MotorAngles:
 
     Attributes:
         samples: One name per sample, N of them.
-        cables: What the motors are called, n of them: names of cables, or 01, 02, ... in order.
+        cables: Names of the motors, n of them: names of cables, or 01, 02, ... in order.
         motor_angle: Since one common reference, at which all are 0 [rad], positive paying cable
             out, shape (N, n).
         known_position: Platform origin in W where it is known, else 0 [m], shape (N, 3).
-        is_known: Where it is known, shape (N,).
+        is_known: True if it is known, shape (N,).
         known_sigma: One standard deviation of known positions per axis [m], shape (N, 3); None:
             up to the settings.
     """
@@ -56,7 +56,7 @@ class MotorAngles:
                 raise InvalidField("known_sigma", f"{bad:g} m", "> 0 wherever a position is known")
 
     def index(self, sample: str) -> int:
-        """Where a sample stands.
+        """Return the place of a sample.
 
         Raises:
             InvalidField: There is none of this name.
@@ -66,14 +66,14 @@ class MotorAngles:
         return self.samples.index(sample)
 
     def without_known(self, samples: Sequence[str]) -> MotorAngles:
-        """The same angles, with the positions of some samples unknown."""
+        """Return the same angles, with the positions of some samples unknown."""
         rows = [self.index(sample) for sample in samples]
         known, position = self.is_known.copy(), self.known_position.copy()
         known[rows], position[rows] = False, 0.0
         return replace(self, is_known=known, known_position=position)
 
     def in_order_of(self, cable_names: Sequence[str]) -> MotorAngles:
-        """The same with one column per cable of a robot, in the robot's order.
+        """Return the same with one column per cable of a robot, in the robot's order.
 
         Raises:
             InvalidField: The motors are neither called like the cables nor numbered 1 to n.

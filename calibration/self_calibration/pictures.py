@@ -6,15 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calibration.pictures import AFTER, BEFORE, OUTLIER, QUANTILE_95
+from calibration.pictures import COLOR_AFTER, COLOR_BEFORE, COLOR_OUTLIER
 from calibration.self_calibration.result import SelfCalibration
 from carosac_toolkit.pictures.drawing import COLORS, new_figure
-from carosac_toolkit.robot.parameters import point_names
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-KNOWN = COLORS[0]
+COLOR_KNOWN = COLORS[0]
 
 
 def draw_layout(result: SelfCalibration) -> Figure:
@@ -30,50 +29,34 @@ def draw_layout(result: SelfCalibration) -> Figure:
     handles, labels = above.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=6, frameon=False)
     count = len(result.samples)
-    figure.suptitle(f"{result.robot.name}: exit points and positions of {count} samples")
-    return figure
-
-
-def draw_ellipses(result: SelfCalibration) -> Figure:
-    """Draw the 95 % ellipse of each exit point after the calibration, in three planes."""
-    names = result.robot.cable_names
-    figure = new_figure(9.5, 1.0 + 2.5 * len(names))
-    grid = figure.subplots(len(names), 3, squeeze=False)
-    turn = np.linspace(0.0, 2.0 * np.pi, 91)
-    circle = np.stack([np.cos(turn), np.sin(turn)])
-    for i, name in enumerate(names):
-        covariance = result.estimate.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
-        for axes, plane in zip(grid[i], ((0, 1), (0, 2), (1, 2)), strict=True):
-            root = np.linalg.cholesky(covariance[np.ix_(plane, plane)])
-            axes.plot(*(1e3 * QUANTILE_95 * root @ circle), color=AFTER)
-            axes.plot(0.0, 0.0, "^", color=AFTER, ms=6)
-            axes.set(xlabel=f"{'xyz'[plane[0]]} [mm]", ylabel=f"{'xyz'[plane[1]]} [mm]")
-            axes.set_aspect("equal", adjustable="datalim")
-            axes.grid(alpha=0.25)
-        grid[i][0].set_title(name, loc="left", fontsize=10, fontweight="bold")
-    figure.suptitle("What is left unknown of the exit points: 95 % ellipses")
+    figure.suptitle(f"{result.before.name}: exit points and positions of {count} samples")
     return figure
 
 
 def _draw_plane(axes: Any, result: SelfCalibration, rows: list[int]) -> None:
     """Draw everything in one plane."""
-    before = result.robot.exit_points
-    after = _exit_points(result)
-    for i, name in enumerate(result.robot.cable_names):
-        axes.plot(*np.array([before[i], after[i]])[:, rows].T, "-", color=BEFORE, lw=0.8)
+    before = result.before.exit_points
+    after, _ = result.exit_points_of(result.before.cable_names)
+    for i, name in enumerate(result.before.cable_names):
+        axes.plot(*np.array([before[i], after[i]])[:, rows].T, "-", color=COLOR_BEFORE, lw=0.8)
         axes.annotate(name, after[i][rows], xytext=(5, 5), textcoords="offset points")
-    axes.plot(*before[:, rows].T, "^", color=BEFORE, ms=7, ls="", label="exit points before")
-    axes.plot(*after[:, rows].T, "^", color=AFTER, ms=7, ls="", label="exit points after")
+    axes.plot(*before[:, rows].T, "^", color=COLOR_BEFORE, ms=7, ls="", label="exit points before")
+    axes.plot(*after[:, rows].T, "^", color=COLOR_AFTER, ms=7, ls="", label="exit points after")
     used = result.used
     axes.plot(*result.position[used][:, rows].T, ".", color="#404850", ms=5, label="positions")
     known = result.is_known
     axes.plot(
-        *result.known_position[known][:, rows].T, "s", mfc="none", color=KNOWN, ms=7, ls="",
+        *result.known_position[known][:, rows].T, "s", mfc="none", color=COLOR_KNOWN, ms=7, ls="",
         label="known positions",
     )  # fmt: skip
     if not used.all():
         axes.plot(
-            *result.position[~used][:, rows].T, "x", color=OUTLIER, ms=7, ls="", label="blunders"
+            *result.position[~used][:, rows].T,
+            "x",
+            color=COLOR_OUTLIER,
+            ms=7,
+            ls="",
+            label="blunders",
         )
 
 
@@ -96,10 +79,3 @@ def draw_left_out(result: SelfCalibration) -> Figure:
     axes.legend(ncols=3, frameon=False)
     axes.set_title("Known positions left out one at a time; bars: 1 sigma", fontsize=11)
     return figure
-
-
-def _exit_points(result: SelfCalibration) -> Any:
-    """Estimated exit points [m], shape (n, 3)."""
-    cables = result.robot.cable_names
-    names = point_names("exit_points", cables)
-    return result.estimate.select(names).value.reshape(-1, 3)

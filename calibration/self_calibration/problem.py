@@ -13,14 +13,16 @@ arc where there is a pulley). The residual is :math:`L_i(\varphi) - \ell_i(p)`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.linear_samples import LinearSamples
+from calibration.prior import Prior
 from calibration.robot_update import prior_covariance
 from calibration.self_calibration.motor_angles import MotorAngles
-from calibration.self_calibration.settings import Settings
+from calibration.self_calibration.settings import SelfCalibrationSettings
 from carosac_toolkit.base.arrays import Array, frozen_array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable.drum import drums_of
@@ -28,51 +30,39 @@ from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.robot.parameters import point_names
 from carosac_toolkit.robot.robot import Robot
 
-ALIKE = 2e-5  # [m] between the radii of drums that are of one make
+LENGTH_AT_ZERO_SIGMA_M = 0.02  # as measured by hand
+DRUM_RADIUS_SIGMA_M = 2e-3  # alike drums are wrong by the same
+DRUM_BUILDUP_SIGMA_SHARE = 0.15  # of the build-up
+ALIKE_RADIUS_M = 2e-5  # [m] between the radii of drums that are of one make
 Rows = slice | NDArray[np.intp]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Linear:
-    """Residuals of some samples and how they change.
-
-    Attributes:
-        residual: Length by the drum less straight length [m], shape (N, n).
-        by_shared: Derivative by the m shared unknowns, shape (N, n, m).
-        by_position: Derivative by the position of the sample, shape (N, n, 3).
-    """
-
-    residual: Array
-    by_shared: Array
-    by_position: Array
-
-
-class Problem:
+class MotorAngleProblem:
     """All samples; unknown are the positions and m numbers that they share.
 
     The shared unknowns are the exit points (3 n), one error of the drum radius and one build-up
     for each group of alike drums, and the lengths at the reference (n).
 
     Attributes:
-        names: Of the shared unknowns, m of them.
-        start: What is known of them before, shape (m,).
-        prior: Information on them before, shape (m, m).
-        exits: Where the exit points stand among them, shape (n, 3).
-        radii: Where the radius error of each cable stands, shape (n,).
-        buildups: Where its build-up stands, shape (n,).
-        zeros: Where its length at the reference stands, shape (n,).
+        prior: Of the shared unknowns, m of them.
+        exits: Places of the exit points among them, shape (n, 3).
+        radii: Place of each cable's radius error, shape (n,).
+        buildups: Place of its build-up, shape (n,).
+        zeros: Place of its length at the reference, shape (n,).
         advantage: Line paid out per length of cable, shape (n,).
         radius: Of the drums at the reference, as known before [m], shape (n,).
         known_sigma: Of known positions [m], shape (N, 3).
     """
 
-    def __init__(self, robot: Robot, angles: MotorAngles, settings: Settings) -> None:
+    def __init__(
+        self, robot: Robot, angles: MotorAngles, settings: SelfCalibrationSettings
+    ) -> None:
         """Set up.
 
         Args:
             robot: As known before.
             angles: N samples, the motors in the order of the robot's cables.
-            settings: What is known before.
+            settings: Priors.
 
         Raises:
             InvalidField: The robot file does not say how motor angle and length belong together.
@@ -88,10 +78,8 @@ class Problem:
         self._drums = drums
         self._drum_angle = angles.motor_angle / drums.gear
         self._set_places(_alike(drums.radius, self.radius, self._makes()))
-        self.start = np.concatenate(
-            [robot.exit_points.ravel(), np.zeros(self._groups), np.array(self._buildups), length]
-        )
-        self.prior = self._prior(settings)
+        mean = [robot.exit_points.ravel(), np.zeros(self._groups), np.array(self._buildups), length]
+        self.prior = self._prior(np.concatenate(mean), settings)
         spread = angles.known_sigma
         self.known_sigma = np.tile(settings.known_sigma, (len(angles.samples), 1))
         if spread is not None:
@@ -100,15 +88,20 @@ class Problem:
     @property
     def size(self) -> int:
         """Number of shared unknowns m."""
-        return len(self.names)
+        return len(self.prior.names)
 
-    def linearize(self, shared: Array, position: Array, rows: Rows = slice(None)) -> Linear:
-        """Residuals and their derivatives.
+    @property
+    def longest(self) -> float:
+        """Longest cable at the reference, as known before [m]."""
+        return float(self.prior.mean[self.zeros].max())
+
+    def linearize(self, shared: Array, position: Array, rows: Rows = slice(None)) -> LinearSamples:
+        """Return residuals and their derivatives.
 
         Args:
             shared: Shape (m,).
             position: Of the chosen samples [m], shape (N, 3).
-            rows: Which samples.
+            rows: Chosen samples.
         """
         angle = self._drum_angle[rows]
         count, n = angle.shape
@@ -119,37 +112,36 @@ class Problem:
             by_shared[:, i, self.radii[i]] = angle[:, i] / self.advantage[i]
             by_shared[:, i, self.buildups[i]] = -0.25 * angle[:, i] ** 2 / self.advantage[i]
             by_shared[:, i, self.zeros[i]] = 1.0
-        return Linear(
+        return LinearSamples(
             residual=self.wound(shared, rows) - straight,
             by_shared=by_shared,
-            by_position=-direction,
+            by_own=-direction,
         )
 
     def drum_radius(self, shared: Array) -> tuple[Array, Array]:
-        """Radii at unstrained length 0 [m], shape (n,), and their derivative, shape (n, m)."""
+        """Return the radii at unstrained length 0 [m], (n,), and their derivative, (n, m)."""
         radius = self.radius + shared[self.radii]
         buildup, length = shared[self.buildups], shared[self.zeros]
-        found = np.sqrt(radius**2 + self.advantage * buildup * length)
-        slope = np.zeros((len(found), self.size))
-        rows = np.arange(len(found))
-        slope[rows, self.radii] = radius / found
-        slope[rows, self.buildups] = 0.5 * self.advantage * length / found
-        slope[rows, self.zeros] = 0.5 * self.advantage * buildup / found
-        return found, slope
+        empty_radius = np.sqrt(radius**2 + self.advantage * buildup * length)
+        slope = np.zeros((len(empty_radius), self.size))
+        rows = np.arange(len(empty_radius))
+        slope[rows, self.radii] = radius / empty_radius
+        slope[rows, self.buildups] = 0.5 * self.advantage * length / empty_radius
+        slope[rows, self.zeros] = 0.5 * self.advantage * buildup / empty_radius
+        return empty_radius, slope
 
     def wound(self, shared: Array, rows: Rows = slice(None)) -> Array:
-        """Lengths of the cables by their drums [m], shape (N, n)."""
+        """Return the lengths of the cables by their drums [m], shape (N, n)."""
         drums = replace(
             self._drums,
             radius=self.radius + shared[self.radii],
             buildup=shared[self.buildups],
             gear=np.ones(self.robot.n),
         )
-        found: Array = shared[self.zeros] + drums.length(self._drum_angle[rows])
-        return found
+        return np.asarray(shared[self.zeros] + drums.length(self._drum_angle[rows]))
 
     def straight(self, shared: Array, position: Array) -> tuple[Array, Array]:
-        """Straight lengths (N, n) [m] and their directions (N, n, 3), as in `straight_length`.
+        """Return the straight lengths (N, n) [m] and directions (N, n, 3), as `straight_length`.
 
         Only the vector from exit to anchor point matters: the platform moves instead of the exit
         points, so that one robot's buffers serve all calls.
@@ -164,7 +156,7 @@ class Problem:
         return length, direction
 
     def _makes(self) -> list[tuple[float, ...]]:
-        """What drums of one make have in common."""
+        """Return what drums of one make have in common."""
         drums = self._drums
         return list(zip(drums.gear, drums.advantage, drums.buildup, strict=True))
 
@@ -184,31 +176,27 @@ class Problem:
         names += [
             f"drum_buildup[{_joined(cables, of_buildup, g)}]" for g in range(len(self._buildups))
         ]
-        self.names = tuple(names + [f"length_at_zero[{cable}]" for cable in cables])
+        self._names = tuple(names + [f"length_at_zero[{cable}]" for cable in cables])
 
-    def _prior(self, settings: Settings) -> Array:
-        """Information before."""
-        exits = self.names[: self.exits.size]
-        covariance = np.zeros((self.size, self.size))
-        block = slice(0, self.exits.size)
-        covariance[block, block] = prior_covariance(
-            self.robot, exits, np.full(len(exits), settings.exit_sigma)
-        )
-        sigma = np.full(self.size, settings.length_at_zero_sigma)
-        sigma[self.radii] = settings.drum_radius_sigma
-        thickness = np.maximum(self.start[self.buildups], 1e-9)
-        sigma[self.buildups] = settings.drum_buildup_sigma * thickness
-        rest = np.arange(self.exits.size, self.size)
-        covariance[rest, rest] = sigma[rest] ** 2
-        return np.asarray(np.linalg.inv(covariance))
+    def _prior(self, mean: Array, settings: SelfCalibrationSettings) -> Prior:
+        """Return what the robot file and the settings say of the shared unknowns."""
+        exits = self._names[: self.exits.size]
+        sigma = np.full(len(mean), LENGTH_AT_ZERO_SIGMA_M)
+        sigma[: len(exits)] = settings.exit_sigma
+        sigma[self.radii] = DRUM_RADIUS_SIGMA_M
+        sigma[self.buildups] = DRUM_BUILDUP_SIGMA_SHARE * np.maximum(mean[self.buildups], 1e-9)
+        covariance = np.diag(sigma**2)
+        block = slice(0, len(exits))
+        covariance[block, block] = prior_covariance(self.robot, exits, sigma[block])
+        return Prior(names=self._names, mean=mean, covariance=covariance)
 
 
 def _alike(empty: Array, reference: Array, makes: Sequence[tuple[float, ...]]) -> list[int]:
-    """Groups of drums of one make: the same radius with all line wound in, or at the reference."""
+    """Group drums of one make: the same radius with all line wound in, or at the reference."""
     group: list[int] = []
     for i in range(len(makes)):
         for j in range(i):
-            same = min(abs(empty[i] - empty[j]), abs(reference[i] - reference[j])) < ALIKE
+            same = min(abs(empty[i] - empty[j]), abs(reference[i] - reference[j])) < ALIKE_RADIUS_M
             if makes[i] == makes[j] and same:
                 group.append(group[j])
                 break
@@ -218,7 +206,7 @@ def _alike(empty: Array, reference: Array, makes: Sequence[tuple[float, ...]]) -
 
 
 def _joined(cables: Sequence[str], group: Sequence[int], g: int) -> str:
-    """Cables of one group."""
+    """Return the cables of one group."""
     return ", ".join(name for name, mine in zip(cables, group, strict=True) if mine == g)
 
 

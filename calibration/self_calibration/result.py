@@ -1,4 +1,4 @@
-"""What a self-calibration found."""
+"""The result of a self-calibration."""
 
 from __future__ import annotations
 
@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.estimate import Estimate
-from calibration.observability import Observability
+from calibration.result import CalibrationResult
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
-class Blunder:
+class SampleBlunder:
     """A sample that does not fit the others and was left out.
 
     Attributes:
@@ -45,33 +43,27 @@ class LeftOut:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SelfCalibration:
+class SelfCalibration(CalibrationResult):
     """Parameters and positions from motor angles; N samples, n cables.
 
     Attributes:
-        robot: As it was known before.
-        estimate: Exit points, drum radii and build-ups.
         samples: Names.
         position: Platform origin in W [m], shape (N, 3).
         position_sigma: One standard deviation [m], shape (N, 3); infinite for a sample whose motor
             angles are a blunder and whose position is not known.
         residual: Length by the drum less straight length [m], shape (N, n).
-        used: Whose motor angles were used, shape (N,).
-        is_known: Whose position was given, shape (N,).
-        known_position: The given ones, 0 elsewhere [m], shape (N, 3).
+        used: Samples whose motor angles were used, shape (N,).
+        is_known: Samples whose position is known, shape (N,).
+        known_position: Known positions, 0 elsewhere [m], shape (N, 3).
         advantage: Line paid out per length of cable, shape (n,).
         length_at_zero: Lengths where the motor angles are 0 [m], shape (n,).
         length_at_zero_sigma: [m], shape (n,).
-        line_sigma: Noise of the line paid out, as found or given [m].
+        line_sigma: Noise of the line paid out, as estimated or set [m].
         redundancy: Lengths beyond those that the unknowns take.
         blunders: Samples that were left out.
         left_out: Known positions predicted one at a time, where the others suffice.
-        observability: Of all that the samples share.
-        warnings: What must not be overlooked.
     """
 
-    robot: Robot
-    estimate: Estimate
     samples: tuple[str, ...]
     position: Array
     position_sigma: Array
@@ -84,10 +76,8 @@ class SelfCalibration:
     length_at_zero_sigma: Array
     line_sigma: float
     redundancy: float
-    blunders: tuple[Blunder, ...]
+    blunders: tuple[SampleBlunder, ...]
     left_out: tuple[LeftOut, ...]
-    observability: Observability
-    warnings: tuple[str, ...]
 
     @property
     def residual_rms(self) -> float:
@@ -100,11 +90,11 @@ class SelfCalibration:
         return float(np.sqrt(((self.residual * self.advantage)[self.used] ** 2).mean()))
 
     def data(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return all numbers, ready for JSON."""
         rows = zip(self.samples, self.position, self.position_sigma, self.residual, strict=True)
         each = [(name, place, sigma, miss) for name, place, sigma, miss in rows]
         return {
-            "robot": self.robot.name,
+            "robot": self.before.name,
             "positions_m": {name: place for name, place, _, _ in each},
             "positions_sigma_m": {name: sigma for name, _, sigma, _ in each},
             "residuals_m": {name: miss for name, _, _, miss in each},
@@ -114,7 +104,7 @@ class SelfCalibration:
             "redundancy": self.redundancy,
             "parameters": self.estimate.data(),
             "length_at_zero_m": dict(
-                zip(self.robot.cable_names, self.length_at_zero.tolist(), strict=True)
+                zip(self.before.cable_names, self.length_at_zero.tolist(), strict=True)
             ),
             "observability": self.observability.data(),
             "blunders": [
@@ -125,3 +115,32 @@ class SelfCalibration:
             },
             "warnings": list(self.warnings),
         }
+
+    def sentences(self) -> list[str]:
+        """Return what was found, in words."""
+        residual, line = 1e3 * self.residual_rms, 1e3 * self.line_residual_rms
+        sure = 1e3 * self.position_sigma[np.isfinite(self.position_sigma)]
+        lines = [
+            f"lengths of cable fit to {residual:.2f} mm RMS ({line:.2f} mm of line, which is the "
+            f"length times the drum's advantage) over {int(self.used.sum())} of "
+            f"{len(self.samples)} samples",
+            f"the line has {1e3 * self.line_sigma:.2f} mm of noise, told by "
+            f"{self.redundancy:.0f} lengths more than the unknowns take",
+            f"positions are known to {sure.min():.1f} to {sure.max():.1f} mm (1 sigma per axis)",
+        ]
+        if self.left_out:
+            error = [1e3 * float(np.linalg.norm(one.error)) for one in self.left_out]
+            worst = self.left_out[int(np.argmax(error))].sample
+            lines.append(
+                f"known positions, left out one at a time, are predicted within {max(error):.1f} "
+                f"mm (worst: sample {worst}), {np.sqrt(np.mean(np.square(error))):.1f} mm RMS"
+            )
+        else:
+            lines.append(
+                "no known position can be left out: the others do not suffice to predict it"
+            )
+        lines.append(
+            "cables were taken as straight and stiff, as no tensions are known; what a constant "
+            "tension stretches counts as drum radius"
+        )
+        return lines

@@ -7,26 +7,30 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.self_calibration.problem import Problem
+from calibration.linear_samples import LinearSamples
+from calibration.robust import cauchy
+from calibration.self_calibration.problem import MotorAngleProblem
 from carosac_toolkit.base.arrays import Array
 
-SOFT = 3.0  # standard deviations from which on a robust fit lets go of a sample
-FAR = 20.0  # times the longest cable: one standard deviation of a position before any data
-SETTLED = 1e-8  # relative change of the cost that ends a fit
-GIVE_UP = 1e8  # damping with which no step is left
+CAUCHY_SIGMAS = 3.0  # standard deviations from which on a robust fit lets go of a sample
+POSITION_PRIOR_FACTOR = (
+    20.0  # times the longest cable: one standard deviation of a position before any data
+)
+COST_CHANGE_MIN = 1e-8  # relative change of the cost that ends a fit
+DAMPING_MAX = 1e8  # damping with which no step is left
 
 Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trust:
-    """What is believed of the data.
+    """Data that a fit uses, and their noise.
 
     Attributes:
         line_sigma: One standard deviation of the line paid out [m].
-        lengths: Whose motor angles count, shape (N,).
-        known: Whose known position counts, shape (N,).
-        robust: Whether samples far off lose weight (Cauchy).
+        lengths: Samples whose motor angles count, shape (N,).
+        known: Samples whose known position counts, shape (N,).
+        robust: True if samples far off lose weight (Cauchy).
     """
 
     line_sigma: float
@@ -36,14 +40,14 @@ class Trust:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Fit:
-    """Where a fit ended.
+class SampleFit:
+    """End of a fit.
 
     Attributes:
         shared: Shape (m,).
         position: [m], shape (N, 3).
         cost: Sum of squares, whitened, or of what takes their place where robust.
-        converged: Whether the cost settled.
+        converged: True if the cost settled.
     """
 
     shared: Array
@@ -52,37 +56,11 @@ class Fit:
     converged: bool
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Whitened:
-    """The samples at some values, every number in its standard deviations.
-
-    Attributes:
-        residual: Of the lengths, shape (N, n).
-        by_shared: Shape (N, n, m).
-        by_position: Shape (N, n, 3).
-        away: From known positions, 0 where none, shape (N, 3).
-    """
-
-    residual: Array
-    by_shared: Array
-    by_position: Array
-    away: Array
-
-
-def whiten(problem: Problem, shared: Array, position: Array, line_sigma: float) -> Whitened:
-    """Evaluate all samples."""
-    linear = problem.linearize(shared, position)
-    scale = problem.advantage / line_sigma
-    angles = problem.angles
-    away = np.where(
-        angles.is_known[:, None], (position - angles.known_position) / problem.known_sigma, 0.0
-    )
-    return Whitened(
-        residual=linear.residual * scale,
-        by_shared=linear.by_shared * scale[:, None],
-        by_position=linear.by_position * scale[:, None],
-        away=away,
-    )
+def whiten(
+    problem: MotorAngleProblem, shared: Array, position: Array, line_sigma: float
+) -> LinearSamples:
+    """Linearise all samples, with residuals in standard deviations of the line."""
+    return problem.linearize(shared, position).scaled(problem.advantage / line_sigma)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -95,7 +73,7 @@ class Equations:
         by_shared: Change of each best position by the shared unknowns, shape (N, 3, m).
         step: Of each position with the shared unknowns held, shape (N, 3).
         position_covariance: Of each position with the shared unknowns held, shape (N, 3, 3).
-        cost: As in `Fit`.
+        cost: As in `SampleFit`.
         lengths: Weight of the lengths of each sample, shape (N,).
         known: Weight of each known position, shape (N,).
     """
@@ -111,7 +89,7 @@ class Equations:
 
 
 def equations(
-    problem: Problem, shared: Array, position: Array, trust: Trust, damping: float = 0.0
+    problem: MotorAngleProblem, shared: Array, position: Array, trust: Trust, damping: float = 0.0
 ) -> Equations:
     """Linearise everything at some values.
 
@@ -119,31 +97,33 @@ def equations(
         problem: The samples.
         shared: Shape (m,).
         position: [m], shape (N, 3).
-        trust: Which data count.
+        trust: Data that count.
         damping: Relative growth of the diagonals (Levenberg-Marquardt).
     """
     white = whiten(problem, shared, position, trust.line_sigma)
+    known = problem.angles.is_known[:, None]
+    away = np.where(known, (position - problem.angles.known_position) / problem.known_sigma, 0.0)
     weight, loss = _weights((white.residual**2).sum(axis=1), free_lengths(problem), trust.robust)
-    hold, drift = _weights((white.away**2).sum(axis=1), 3, trust.robust)
+    hold, drift = _weights((away**2).sum(axis=1), 3, trust.robust)
     weight, hold = weight * trust.lengths, hold * trust.known
-    reach = FAR * float(problem.start[problem.zeros].max())
+    reach = POSITION_PRIOR_FACTOR * problem.longest
     offset = position - problem.robot.home_position
-    weighted = white.by_position * weight[:, None, None]
-    own = weighted.swapaxes(1, 2) @ white.by_position
+    weighted = white.by_own * weight[:, None, None]
+    own = weighted.swapaxes(1, 2) @ white.by_own
     diagonal = np.arange(3)
     own[:, diagonal, diagonal] += hold[:, None] / problem.known_sigma**2 + reach**-2
     own[:, diagonal, diagonal] *= 1.0 + damping
     pull = np.einsum("kij,ki->kj", weighted, white.residual)
-    pull += hold[:, None] * white.away / problem.known_sigma + offset / reach**2
+    pull += hold[:, None] * away / problem.known_sigma + offset / reach**2
     cross = weighted.swapaxes(1, 2) @ white.by_shared
     covariance: Array = np.asarray(np.linalg.inv(own), dtype=np.float64)
     by_shared, step = -covariance @ cross, -np.einsum("kij,kj->ki", covariance, pull)
-    moved = shared - problem.start
+    moved = shared - problem.prior.mean
     flat = white.by_shared.reshape(-1, problem.size)
     heavy = np.repeat(weight, white.residual.shape[1])
-    information = (flat * heavy[:, None]).T @ flat + problem.prior
+    information = (flat * heavy[:, None]).T @ flat + problem.prior.information
     information[np.diag_indices(problem.size)] *= 1.0 + damping
-    gradient = flat.T @ (heavy * white.residual.ravel()) + problem.prior @ moved
+    gradient = flat.T @ (heavy * white.residual.ravel()) + problem.prior.information @ moved
     tied = cross.reshape(-1, problem.size)
     return Equations(
         information=information + tied.T @ by_shared.reshape(-1, problem.size),
@@ -151,26 +131,30 @@ def equations(
         by_shared=by_shared,
         step=step,
         position_covariance=covariance,
-        cost=float(loss @ trust.lengths + drift @ trust.known + moved @ problem.prior @ moved)
+        cost=float(
+            loss @ trust.lengths + drift @ trust.known + moved @ problem.prior.information @ moved
+        )
         + float((offset**2).sum()) / reach**2,
         lengths=weight,
         known=hold,
     )
 
 
-def fit(problem: Problem, shared: Array, position: Array, trust: Trust, *, steps: int = 100) -> Fit:
+def fit(
+    problem: MotorAngleProblem, shared: Array, position: Array, trust: Trust, *, steps: int = 100
+) -> SampleFit:
     """Find the best values downhill of a start (Levenberg-Marquardt).
 
     Args:
         problem: The samples.
-        shared: Where to start, shape (m,).
-        position: Where to start [m], shape (N, 3).
-        trust: Which data count.
+        shared: Start of the shared unknowns, shape (m,).
+        position: Start of the positions [m], shape (N, 3).
+        trust: Data that count.
         steps: At most.
     """
     damping, cost, converged = 1e-3, equations(problem, shared, position, trust).cost, False
     for _ in range(steps):
-        while damping < GIVE_UP:
+        while damping < DAMPING_MAX:
             system = equations(problem, shared, position, trust, damping)
             change = -_solve(system.information, system.gradient)
             moved = position + system.step + system.by_shared @ change
@@ -182,27 +166,25 @@ def fit(problem: Problem, shared: Array, position: Array, trust: Trust, *, steps
             break
         gain, damping = cost - new, max(damping / 10.0, 1e-12)
         shared, position, cost = shared + change, moved, new
-        converged = gain <= SETTLED * (cost + 1.0)
+        converged = gain <= COST_CHANGE_MIN * (cost + 1.0)
         if converged:
             break
-    return Fit(shared=shared, position=position, cost=cost, converged=converged)
+    return SampleFit(shared=shared, position=position, cost=cost, converged=converged)
 
 
-def free_lengths(problem: Problem) -> int:
-    """Lengths of a sample beyond those that its position takes."""
+def free_lengths(problem: MotorAngleProblem) -> int:
+    """Return the lengths of a sample beyond those that its position takes."""
     return max(problem.robot.n - 3, 1)
 
 
 def _weights(square: Array, free: int, robust: bool) -> tuple[Array, Array]:
-    """Weights and losses of squared whitened residuals, shapes (N,)."""
+    """Return the weights and losses of squared whitened residuals, shapes (N,)."""
     if not robust:
         return np.ones(len(square)), square
-    wide = free * SOFT**2
-    return 1.0 / (1.0 + square / wide), wide * np.log1p(square / wide)
+    return cauchy(square, free * CAUCHY_SIGMAS**2)
 
 
 def _solve(matrix: Array, vector: Array) -> Array:
     """Solve a positive definite system whose unknowns have very different scales."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
-    found: Array = scale * np.linalg.solve(matrix * np.outer(scale, scale), vector * scale)
-    return found
+    return np.asarray(scale * np.linalg.solve(matrix * np.outer(scale, scale), vector * scale))

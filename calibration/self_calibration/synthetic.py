@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.self_calibration.motor_angles import MotorAngles
-from calibration.self_calibration.problem import Problem
-from calibration.self_calibration.settings import Settings
+from calibration.self_calibration.problem import MotorAngleProblem
+from calibration.self_calibration.settings import SelfCalibrationSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable.drum import drums_of
@@ -18,7 +18,7 @@ from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Noise:
+class MeasurementNoise:
     """One standard deviation of what is measured.
 
     Attributes:
@@ -30,13 +30,13 @@ class Noise:
     known: float = 1e-3
 
 
-def draw_robot(robot: Robot, rng: np.random.Generator, settings: Settings) -> Robot:
-    """A robot that the given one may be, as far as it is known before.
+def draw_robot(robot: Robot, rng: np.random.Generator, settings: SelfCalibrationSettings) -> Robot:
+    """Draw a robot that the given one may be, as far as it is known before.
 
     Alike drums are wrong by the same; the lengths at the reference follow from the exit points.
     """
-    problem = Problem(robot, _nothing(robot), settings)
-    drawn = rng.multivariate_normal(problem.start, np.linalg.inv(problem.prior), method="cholesky")
+    problem = MotorAngleProblem(robot, _nothing(robot), settings)
+    drawn = rng.multivariate_normal(problem.prior.mean, problem.prior.covariance, method="cholesky")
     drums = drums_of(robot)
     return replace(
         robot,
@@ -47,21 +47,21 @@ def draw_robot(robot: Robot, rng: np.random.Generator, settings: Settings) -> Ro
 
 
 def draw_positions(robot: Robot, count: int, rng: np.random.Generator) -> Array:
-    """Home, and positions anywhere in the workspace [m], shape (count, 3)."""
+    """Return home, and positions drawn from the workspace [m], shape (count, 3)."""
     drawn = rng.uniform(robot.workspace_min, robot.workspace_max, (count - 1, 3))
     return np.vstack([robot.home_position, drawn])
 
 
-def measure(
+def measure_motor_angles(
     robot: Robot,
     position: Array,
     known: Array,
-    noise: Noise,
+    noise: MeasurementNoise,
     rng: np.random.Generator,
     *,
     blunders: Mapping[tuple[int, int], float] | None = None,
 ) -> MotorAngles:
-    """What the motors of a robot would show.
+    """Simulate what the motors of a robot show.
 
     Args:
         robot: The true one, with drums.
@@ -95,7 +95,7 @@ def measure(
 
 
 def _nothing(robot: Robot) -> MotorAngles:
-    """One sample, of which nothing is used."""
+    """Return one sample, of which nothing is used."""
     return MotorAngles(
         samples=("0",),
         cables=robot.cable_names,

@@ -1,22 +1,22 @@
 """Exit points from a total station: levelled set-ups, blunders named, covariances kept."""
 
+from calibration.tachymeter.calibrate import calibrate_tachymeter
 from calibration.tachymeter.observations import (
     Instrument,
-    Reference,
+    ReferencePoint,
     Shot,
     Sighting,
     Survey,
 )
-from calibration.tachymeter.result import Blunder, TachymeterResult
-from calibration.tachymeter.solve import calibrate
+from calibration.tachymeter.result import ReadingBlunder, TachymeterResult
 
 __all__ = [
-    "Blunder",
     "Instrument",
-    "Reference",
+    "ReadingBlunder",
+    "ReferencePoint",
     "Shot",
     "Sighting",
     "Survey",
     "TachymeterResult",
-    "calibrate",
+    "calibrate_tachymeter",
 ]

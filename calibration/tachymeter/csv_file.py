@@ -14,13 +14,20 @@ from collections.abc import Callable
 import numpy as np
 
 from calibration.tachymeter.observations import face_one, polar
-from calibration.tachymeter.records import MILLIMETRE, Record, few, plain_name, read_lines
+from calibration.tachymeter.records import (
+    MILLIMETRE_M,
+    Record,
+    plain_name,
+    read_lines,
+    shortened_faults,
+)
 from carosac_toolkit.base.errors import InvalidFile, did_you_mean
+from carosac_toolkit.base.yaml import did_you_mean
 
-ANGLES = {"gon": np.pi / 200.0, "deg": np.pi / 180.0, "rad": 1.0, "mil": np.pi / 3200.0}
-LENGTHS = {"m": 1.0, "mm": MILLIMETRE, "ft": 0.3048}
-_TEXTS = ("setup", "target", "sighted")
-_EXTRA = ("prism_constant_mm", "rim_deg")
+ANGLE_UNITS_RAD = {"gon": np.pi / 200.0, "deg": np.pi / 180.0, "rad": 1.0, "mil": np.pi / 3200.0}
+LENGTH_UNITS_M = {"m": 1.0, "mm": MILLIMETRE_M, "ft": 0.3048}
+_TEXT_COLUMNS = ("setup", "target", "sighted")
+_OPTIONAL_COLUMNS = ("prism_constant_mm", "rim_deg")
 _ANGLE_COLUMNS, _SPACE_COLUMNS = ("hz", "v"), ("x", "y", "z")
 
 
@@ -54,17 +61,17 @@ def read_csv(path: str) -> list[Record]:
         except ValueError as error:
             faults.append(f"line {number}: {error}")
     if faults:
-        raise InvalidFile(path, few(faults))
+        raise InvalidFile(path, shortened_faults(faults))
     if not records:
         raise InvalidFile(path, ["a header, but no observations"])
     return records
 
 
 def _header_faults(header: list[str]) -> list[str]:
-    """What is wrong with the columns."""
-    known = [*_TEXTS, *_EXTRA]
-    known += [f"{name}_{unit}" for name in _ANGLE_COLUMNS for unit in ANGLES]
-    known += [f"{name}_{unit}" for name in ("slope", *_SPACE_COLUMNS) for unit in LENGTHS]
+    """Find what is wrong with the columns."""
+    known = [*_TEXT_COLUMNS, *_OPTIONAL_COLUMNS]
+    known += [f"{name}_{unit}" for name in _ANGLE_COLUMNS for unit in ANGLE_UNITS_RAD]
+    known += [f"{name}_{unit}" for name in ("slope", *_SPACE_COLUMNS) for unit in LENGTH_UNITS_M]
     faults = [
         f"column '{name}' is unknown" + did_you_mean(name, known)
         for name in header if name not in known
@@ -86,9 +93,9 @@ def _header_faults(header: list[str]) -> list[str]:
         f"no column for {name}, such as '{name}_{_usual(name)}'" for name in names if not has[name]
     ]
     for group in (_ANGLE_COLUMNS, ("slope",)) if polar_given else (_SPACE_COLUMNS,):
-        found = [column for name in group for column in has[name]]
-        if len({column.rpartition("_")[2] for column in found}) > 1 or len(found) > len(group):
-            faults.append(f"mixed units: {', '.join(found)}; use one unit")
+        columns = [column for name in group for column in has[name]]
+        if len({column.rpartition("_")[2] for column in columns}) > 1 or len(columns) > len(group):
+            faults.append(f"mixed units: {', '.join(columns)}; use one unit")
     return faults
 
 
@@ -111,16 +118,16 @@ def _record(
     constant = _optional(row, "prism_constant_mm")
     return Record(
         setup=row["setup"], point=plain_name(row["target"]), hz=hz, v=v, distance=distance,
-        prism_constant=None if constant is None else constant * MILLIMETRE,
+        prism_constant=None if constant is None else constant * MILLIMETRE_M,
         sighted=row.get("sighted") or None, rim_deg=_optional(row, "rim_deg"),
         path=path, line=number,
     )  # fmt: skip
 
 
 def _polar_row(row: dict[str, str]) -> tuple[float, float, float]:
-    """Hz, V, slope distance in face I."""
-    hz, v = (_scaled(row, name, ANGLES) for name in _ANGLE_COLUMNS)
-    slope = _scaled(row, "slope", LENGTHS)
+    """Read Hz, V and slope distance, in face I."""
+    hz, v = (_scaled(row, name, ANGLE_UNITS_RAD) for name in _ANGLE_COLUMNS)
+    slope = _scaled(row, "slope", LENGTH_UNITS_M)
     if slope <= 0.0:
         raise ValueError(f"slope distance {slope:g} m; allowed: > 0")
     if not 0.0 < v < 2.0 * np.pi:
@@ -129,8 +136,8 @@ def _polar_row(row: dict[str, str]) -> tuple[float, float, float]:
 
 
 def _space_row(row: dict[str, str]) -> tuple[float, float, float]:
-    """Coordinates in the set-up's frame, as Hz, V, distance."""
-    place = np.array([_scaled(row, name, LENGTHS) for name in _SPACE_COLUMNS])
+    """Read coordinates in the set-up's frame, as Hz, V, distance."""
+    place = np.array([_scaled(row, name, LENGTH_UNITS_M) for name in _SPACE_COLUMNS])
     if np.linalg.norm(place) < 0.1:
         raise ValueError("a point less than 0.1 m from the instrument, the origin of its frame")
     hz, v, distance = polar(place[None])[0]
@@ -138,18 +145,18 @@ def _space_row(row: dict[str, str]) -> tuple[float, float, float]:
 
 
 def _scaled(row: dict[str, str], name: str, units: dict[str, float]) -> float:
-    """A number in SI."""
+    """Read a number in SI."""
     column = next(column for column in row if column.rpartition("_")[0] == name)
     return _number(column, row[column]) * units[column.rpartition("_")[2]]
 
 
 def _optional(row: dict[str, str], column: str) -> float | None:
-    """A number that may be missing."""
+    """Read a number that may be missing."""
     return _number(column, row[column]) if row.get(column) else None
 
 
 def _number(column: str, text: str) -> float:
-    """A finite number."""
+    """Read a finite number."""
     try:
         value = float(text)
     except ValueError:

@@ -17,26 +17,33 @@ import numpy as np
 from geocompy.gsi.gsiformat import GsiPPMPrismConstantWord, GsiUnit, parse_gsi_word
 
 from calibration.tachymeter.observations import face_one, polar
-from calibration.tachymeter.records import MILLIMETRE, Record, few, plain_name, read_lines
+from calibration.tachymeter.records import (
+    MILLIMETRE_M,
+    LineFault,
+    Record,
+    plain_name,
+    read_lines,
+    shortened_faults,
+)
 from carosac_toolkit.base.errors import InvalidFile
 
-_ANGLES = {21: "Hz", 22: "V"}
-_LENGTHS = {
+_ANGLE_WORDS = {21: "Hz", 22: "V"}
+_LENGTH_WORDS = {
     31: "slope distance", 58: "prism constant", 81: "easting", 82: "northing", 83: "height",
     84: "station easting", 85: "station northing", 86: "station height", 87: "target height",
 }  # fmt: skip
-_UNITS = {
+_UNIT_NAMES = {
     GsiUnit.MILLI: "m", GsiUnit.DECIMILLI: "m", GsiUnit.CENTIMILLI: "m",
     GsiUnit.MILLIFEET: "ft", GsiUnit.DECIMILLIFEET: "ft",
     GsiUnit.GON: "gon", GsiUnit.DEG: "decimal degrees", GsiUnit.DMS: "degrees, minutes, seconds",
     GsiUnit.MIL: "mil",
 }  # fmt: skip
-_POLAR, _TARGET, _STATION = (21, 22, 31), (81, 82, 83), (84, 85, 86)
+_POLAR_WORDS, _TARGET_WORDS, _STATION_WORDS = (21, 22, 31), (81, 82, 83), (84, 85, 86)
 
 
 @dataclass
-class _Reader:
-    """What carries over from line to line."""
+class _GsiReader:
+    """State that carries over from line to line."""
 
     path: str
     setup: str
@@ -44,10 +51,6 @@ class _Reader:
     units: dict[str, tuple[str, int]] = field(default_factory=dict)  # by kind: unit, first line
     records: list[Record] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
-
-
-class _Fault(Exception):
-    """What is wrong with a line."""
 
 
 def read_gsi(path: str) -> list[Record]:
@@ -66,35 +69,39 @@ def read_gsi(path: str) -> list[Record]:
         MissingFile: There is no such file.
         InvalidFile: Names every line that cannot be read, and why.
     """
-    reader = _Reader(path=path, setup=Path(path).stem)
+    reader = _GsiReader(path=path, setup=Path(path).stem)
     for number, line in enumerate(read_lines(path), start=1):
         if not line.strip():
             continue
         try:
             _read_line(reader, number, line)
-        except _Fault as fault:
+        except LineFault as fault:
             reader.faults.append(f"line {number}: {fault}")
     if reader.faults:
-        raise InvalidFile(path, few(reader.faults))
+        raise InvalidFile(path, shortened_faults(reader.faults))
     if not reader.records:
         raise InvalidFile(path, ["no observations (blocks with words 21, 22 and 31, or 81 to 83)"])
     return reader.records
 
 
-def _read_line(reader: _Reader, number: int, line: str) -> None:
+def _read_line(reader: _GsiReader, number: int, line: str) -> None:
     """Read one block."""
     words = _split(line)
     if words[0][:2] == "41":
         return
     if words[0][:2] != "11":
-        raise _Fault(f"starts with '{words[0].strip()}'; a GSI block starts with word 11 or 41")
+        raise LineFault(f"starts with '{words[0].strip()}'; a GSI block starts with word 11 or 41")
     name = plain_name(words[0][7:])
     values, prism = _values(reader, number, words[1:])
     station = _station_name(words[1:])
     if station is not None:
         _change_station(reader, station)
-    here = tuple(values[i] for i in _STATION) if all(i in values for i in _STATION) else None
-    observed = [i for i in (*_POLAR, *_TARGET) if i in values]
+    here = (
+        tuple(values[i] for i in _STATION_WORDS)
+        if all(i in values for i in _STATION_WORDS)
+        else None
+    )
+    observed = [i for i in (*_POLAR_WORDS, *_TARGET_WORDS) if i in values]
     if here is not None:
         if not observed and station is None:
             _change_station(reader, name)
@@ -109,21 +116,21 @@ def _read_line(reader: _Reader, number: int, line: str) -> None:
         )  # fmt: skip
 
 
-def _change_station(reader: _Reader, name: str) -> None:
-    """A new set-up begins, if the name is new."""
+def _change_station(reader: _GsiReader, name: str) -> None:
+    """Begin a new set-up, if the name is new."""
     setup = f"{Path(reader.path).stem}:{name}"
     if setup != reader.setup:
         reader.setup, reader.station = setup, None
 
 
 def _split(line: str) -> list[str]:
-    """Words of a block, each with its space at the end."""
+    """Split a block into its words, each with its space at the end."""
     long = line.startswith("*")
     size, kind = (24, "GSI-16") if long else (16, "GSI-8")
     text = line[long:].rstrip()
     if len(text) % size != size - 1:
         whole = len(text) // size
-        raise _Fault(
+        raise LineFault(
             f"cut off or damaged: {len(text) - whole * size} characters after word {whole}, where "
             f"{kind} has words of {size - 1} characters and a space"
         )
@@ -131,39 +138,39 @@ def _split(line: str) -> list[str]:
     words = [text[i : i + size] for i in range(0, len(text), size)]
     for word in words:
         if word[-1] != " " or not word[:2].isdigit() or word[6] not in "+-":
-            raise _Fault(f"'{word.strip()}' is no {kind} word; is the line damaged?")
+            raise LineFault(f"'{word.strip()}' is no {kind} word; is the line damaged?")
     return words
 
 
 def _index(word: str) -> int:
-    """Word index, of two or three digits."""
+    """Return the word index, of two or three digits."""
     return int(word[:3].rstrip("."))
 
 
 def _station_name(words: list[str]) -> str | None:
-    """Word 16, if there is one."""
+    """Return the word 16, if there is one."""
     names = [plain_name(word[7:]) for word in words if _index(word) == 16]
     return names[0] if names else None
 
 
 def _values(
-    reader: _Reader, number: int, words: list[str]
+    reader: _GsiReader, number: int, words: list[str]
 ) -> tuple[dict[int, float], float | None]:
-    """Angles [rad] and lengths [m] of a block by word index, and the prism constant in it [m]."""
+    """Read angles [rad], lengths [m] by word index, and the prism constant [m] of a block."""
     values: dict[int, float] = {}
     prism = None
     for word in words:
         index = _index(word)
         if index == 51:
-            prism = _parsed(word, GsiPPMPrismConstantWord.parse).value[1] * MILLIMETRE
+            prism = _parsed(word, GsiPPMPrismConstantWord.parse).value[1] * MILLIMETRE_M
             continue
-        if index not in _ANGLES and index not in _LENGTHS:
+        if index not in _ANGLE_WORDS and index not in _LENGTH_WORDS:
             continue
         if index in values:
-            raise _Fault(f"word {index} ({_name(index)}) twice in one block")
+            raise LineFault(f"word {index} ({_name(index)}) twice in one block")
         _check_unit(reader, number, word, index)
         value = float(_parsed(word, lambda text: parse_gsi_word(text, strict=True)).value)
-        values[index] = -value if index in _ANGLES and word[6] == "-" else value
+        values[index] = -value if index in _ANGLE_WORDS and word[6] == "-" else value
     return values, values.get(58, prism)
 
 
@@ -172,55 +179,59 @@ def _parsed(word: str, parse: Any) -> Any:
     try:
         return parse(word)
     except (ValueError, IndexError) as error:
-        raise _Fault(f"word {_index(word)} '{word.strip()}' cannot be read") from error
+        raise LineFault(f"word {_index(word)} '{word.strip()}' cannot be read") from error
 
 
 def _name(index: int) -> str:
-    """What a word holds."""
-    return _ANGLES.get(index) or _LENGTHS[index]
+    """Name the content of a word."""
+    return _ANGLE_WORDS.get(index) or _LENGTH_WORDS[index]
 
 
-def _check_unit(reader: _Reader, number: int, word: str, index: int) -> None:
+def _check_unit(reader: _GsiReader, number: int, word: str, index: int) -> None:
     """Refuse a unit of the wrong kind, and another one than in the lines above."""
-    kind = "angles" if index in _ANGLES else "lengths"
+    kind = "angles" if index in _ANGLE_WORDS else "lengths"
     digit = word[5]
-    unit = _UNITS.get(GsiUnit(int(digit))) if digit in "012345678" else None
+    unit = _UNIT_NAMES.get(GsiUnit(int(digit))) if digit in "012345678" else None
     angular = unit is not None and unit not in ("m", "ft")
     if unit is None or angular != (kind == "angles"):
         allowed = "2 gon, 3 degrees, 4 DMS, 5 mil" if kind == "angles" else "0, 6, 8 m; 1, 7 ft"
-        raise _Fault(f"word {index} ({_name(index)}) has unit digit '{digit}'; allowed: {allowed}")
+        raise LineFault(
+            f"word {index} ({_name(index)}) has unit digit '{digit}'; allowed: {allowed}"
+        )
     if digit == "4" and (int(word[-6:-4]) > 59 or int(word[-4:-2]) > 59):
-        raise _Fault(f"word {index} ({_name(index)}) '{word.strip()}': minutes or seconds over 59")
+        raise LineFault(
+            f"word {index} ({_name(index)}) '{word.strip()}': minutes or seconds over 59"
+        )
     known, first = reader.units.setdefault(kind, (unit, number))
     if unit != known:
-        raise _Fault(
+        raise LineFault(
             f"word {index} ({_name(index)}) in {unit}, but line {first} has {kind} in {known}: "
             "mixed units; export the job again with one setting, or split the file"
         )
 
 
-def _polar_reading(reader: _Reader, values: dict[int, float]) -> tuple[float, float, float]:
-    """Hz, V and slope distance of a block, in face I."""
-    missing = [i for i in _POLAR if i not in values]
+def _polar_reading(reader: _GsiReader, values: dict[int, float]) -> tuple[float, float, float]:
+    """Return the Hz, V and slope distance of a block, in face I."""
+    missing = [i for i in _POLAR_WORDS if i not in values]
     if not missing:
         if values[31] <= 0.0:
-            raise _Fault(f"slope distance (word 31) is {values[31]:g} m: none was measured")
+            raise LineFault(f"slope distance (word 31) is {values[31]:g} m: none was measured")
         if not 0.0 < values[22] % (2.0 * np.pi) < 2.0 * np.pi or values[22] < 0.0:
-            raise _Fault(f"V (word 22) is {np.rad2deg(values[22]):g} deg: no zenith angle")
+            raise LineFault(f"V (word 22) is {np.rad2deg(values[22]):g} deg: no zenith angle")
         hz, v = face_one(values[21], values[22])
         return hz, v, values[31]
-    if any(i in values for i in _POLAR) and not all(i in values for i in _TARGET):
+    if any(i in values for i in _POLAR_WORDS) and not all(i in values for i in _TARGET_WORDS):
         lost = ", ".join(f"{i} ({_name(i)})" for i in missing)
-        raise _Fault(f"no word {lost}: cut off, or not exported?")
-    lost_too = [f"{i} ({_name(i)})" for i in _TARGET if i not in values]
+        raise LineFault(f"no word {lost}: cut off, or not exported?")
+    lost_too = [f"{i} ({_name(i)})" for i in _TARGET_WORDS if i not in values]
     if lost_too:
-        raise _Fault(f"no word {', '.join(lost_too)}: cut off, or not exported?")
+        raise LineFault(f"no word {', '.join(lost_too)}: cut off, or not exported?")
     if reader.station is None:
-        raise _Fault(
+        raise LineFault(
             "coordinates (81 to 83) without those of the station (84 to 86), here or above: where "
             "the instrument stood is unknown; export Hz, V and slope distance (21, 22, 31)"
         )
-    place = np.array([values[i] for i in _TARGET]) - np.array(reader.station)
+    place = np.array([values[i] for i in _TARGET_WORDS]) - np.array(reader.station)
     place[2] += values.get(87, 0.0)
     hz, v, distance = polar(place[None])[0]
     return float(hz), float(v), float(distance)

@@ -17,14 +17,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.tachymeter.observations import polar
+from calibration.vectors import cross_matrix
 from carosac_toolkit.base.arrays import Array
 
 STATION_SIZE = 6  # position, heading, tilt about x, tilt about y
-_SMALLEST = 1e-9  # [m] from the vertical axis, where Hz has no derivative
+_AXIS_DISTANCE_MIN_M = 1e-9  # [m] from the vertical axis, where Hz has no derivative
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Prediction:
+class PredictedShots:
     """Predicted readings of one set-up, B of them.
 
     Attributes:
@@ -38,7 +39,7 @@ class Prediction:
     by_point: Array
 
 
-def predict(station: Array, points: Array) -> Prediction:
+def predict(station: Array, points: Array) -> PredictedShots:
     """Predict the readings of a set-up.
 
     Args:
@@ -51,39 +52,31 @@ def predict(station: Array, points: Array) -> Prediction:
     cosine, sine = np.cos(station[3]), np.sin(station[3])
     turn = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     tilt = np.array([station[4], station[5], 0.0])
-    level = np.eye(3) - _cross_matrix(tilt[None])[0]
+    level = np.eye(3) - cross_matrix(tilt)
     flat = (points - station[:3]) @ turn.T  # w, (B, 3)
     local = flat @ level.T  # q, (B, 3)
     by_local = _polar_slope(local)  # (B, 3, 3)
     by_point = by_local @ (level @ turn)
     turning = np.stack([flat[:, 1], -flat[:, 0], np.zeros(len(flat))], axis=1)  # dw/dh
     by_heading = np.einsum("bij,bj->bi", by_local, turning @ level.T)
-    by_tilt = (by_local @ _cross_matrix(flat))[:, :, :2]
+    by_tilt = (by_local @ cross_matrix(flat))[:, :, :2]
     by_station = np.concatenate([-by_point, by_heading[:, :, None], by_tilt], axis=2)
-    return Prediction(reading=polar(local), by_station=by_station, by_point=by_point)
+    return PredictedShots(reading=polar(local), by_station=by_station, by_point=by_point)
 
 
 def difference(reading: Array, predicted: Array) -> Array:
-    """Measured less predicted readings, with Hz brought to (-pi, pi], shapes (B, 3)."""
+    """Return the measured less predicted readings, with Hz brought to (-pi, pi], shapes (B, 3)."""
     error = reading - predicted
     error[:, 0] = (error[:, 0] + np.pi) % (2.0 * np.pi) - np.pi
     return error
 
 
 def _polar_slope(local: Array) -> Array:
-    """Derivative of Hz, V, distance with respect to a point of the set-up's frame, (B, 3, 3)."""
+    """Return the derivative of Hz, V, distance by a point of the set-up's frame, (B, 3, 3)."""
     x, y, z = local.T
-    rho = np.maximum(np.hypot(x, y), _SMALLEST)
+    rho = np.maximum(np.hypot(x, y), _AXIS_DISTANCE_MIN_M)
     distance = np.hypot(rho, z)
     square = distance**2
     hz = np.stack([y / rho**2, -x / rho**2, np.zeros_like(x)], axis=1)
     v = np.stack([x * z / (rho * square), y * z / (rho * square), -rho / square], axis=1)
     return np.stack([hz, v, local / distance[:, None]], axis=1)
-
-
-def _cross_matrix(vector: Array) -> Array:
-    """Matrices that take the cross product with a vector from the left, shape (B, 3, 3)."""
-    x, y, z = vector.T
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.moveaxis(np.array(rows), 2, 0)

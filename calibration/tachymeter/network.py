@@ -19,17 +19,23 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from calibration.tachymeter.model import STATION_SIZE, difference, predict
-from calibration.tachymeter.observations import Reference, Shot, Survey
-from calibration.tachymeter.sightings import Pulley, SightedPoint, sighted_point
+from calibration.tachymeter.observations import ReferencePoint, Shot, Survey
+from calibration.tachymeter.sightings import SightedPoint, SightedPulley, sighted_point
+from calibration.vectors import cross_matrix
 from carosac_toolkit.base.arrays import Array
 
 Blocks = dict[int, Array]  # Jacobian blocks by key
-_SIZES = {"s": STATION_SIZE, "p": 3, "w": 1, "t": 2}  # of the unknowns, by the letter of their keys
+_UNKNOWN_SIZES = {
+    "s": STATION_SIZE,
+    "p": 3,
+    "w": 1,
+    "t": 2,
+}  # of the unknowns, by the letter of their keys
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Network:
-    """What is estimated from what.
+    """Unknowns and measurements of an adjustment.
 
     Attributes:
         survey: All that was measured.
@@ -42,7 +48,7 @@ class Network:
 
     survey: Survey
     sides: tuple[float, ...]
-    pulleys: Mapping[str, Pulley] = field(default_factory=dict)
+    pulleys: Mapping[str, SightedPulley] = field(default_factory=dict)
     exit_prior: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     frame_tilt: float = 0.0
 
@@ -61,19 +67,19 @@ class Network:
     @cached_property
     def keys(self) -> dict[str, int]:
         """Keys of all unknowns by name: set-ups, points, swivels, tilt."""
-        found = {f"setup {name}": _key("s", i) for i, name in enumerate(self.survey.setups)}
-        found |= {f"point {name}": _key("p", i) for i, name in enumerate(self.survey.targets)}
-        found |= {f"swivel {name}": _key("w", i) for i, name in enumerate(self.pulleys)}
-        return found | ({"tilt": _key("t", 0)} if self.frame_tilt > 0.0 else {})
+        keys = {f"setup {name}": _key("s", i) for i, name in enumerate(self.survey.setups)}
+        keys |= {f"point {name}": _key("p", i) for i, name in enumerate(self.survey.targets)}
+        keys |= {f"swivel {name}": _key("w", i) for i, name in enumerate(self.pulleys)}
+        return keys | ({"tilt": _key("t", 0)} if self.frame_tilt > 0.0 else {})
 
     @cached_property
     def columns(self) -> dict[str, slice]:
         """Columns of each unknown in the dense Jacobian, in the order of `keys`."""
-        found, start = {}, 0
+        columns, start = {}, 0
         for name, key in self.keys.items():
-            found[name] = slice(start, start + _size(key))
+            columns[name] = slice(start, start + _size(key))
             start += _size(key)
-        return found
+        return columns
 
     @property
     def size(self) -> int:
@@ -119,7 +125,7 @@ class Network:
         return graph
 
     def dense(self, values: Any) -> tuple[Array, Array]:
-        """Whitened, unweighted Jacobian and residual (model minus measured) at an estimate.
+        """Return whitened, unweighted Jacobian and residual (model minus measured) at an estimate.
 
         Args:
             values: ``gtsam.Values``.
@@ -142,7 +148,7 @@ class Network:
         return np.asarray(jacobian)[order], -np.asarray(right)[order]
 
     def sighted(self, i: int, point: Array, swivel: float) -> SightedPoint:
-        """The sighted point of shot i, from the point of its target, both in W [m], (3,)."""
+        """Return the sighted point of shot i, from the point of its target, both in W [m], (3,)."""
         shot = self.survey.shots[i]
         if not shot.sighting.on_pulley:
             return SightedPoint(point=point, by_exit=np.eye(3), by_swivel=np.zeros(3))
@@ -150,7 +156,7 @@ class Network:
         return sighted_point(point, shot.sighting, pulley, swivel, self.sides[i])
 
     def _setup_factor(self, name: str, scale: Array) -> Any:
-        """All shots of one set-up."""
+        """Return the factor of all shots of one set-up."""
         rows = _of(self.survey.shots, name)
         shots = [self.survey.shots[i] for i in rows]
         measured = self.reading[rows]
@@ -166,7 +172,7 @@ class Network:
 
         def error(_: Any, values: Any, jacobians: list[Array] | None) -> Array:
             station = values.atVector(keys[0])
-            found = [
+            sights = [
                 self.sighted(
                     int(i),
                     values.atVector(self.keys[f"point {shot.target}"]),
@@ -174,38 +180,37 @@ class Network:
                 )
                 for i, shot in zip(rows, shots, strict=True)
             ]
-            prediction = predict(station, np.array([sight.point for sight in found]))
+            prediction = predict(station, np.array([sight.point for sight in sights]))
             residual = -difference(measured.copy(), prediction.reading) * factor_scale
             if jacobians is not None:
                 blocks = {key: np.zeros((3 * len(shots), _size(key))) for key in keys}
                 blocks[keys[0]][:] = prediction.by_station.reshape(-1, STATION_SIZE)
-                for i, (shot, sight) in enumerate(zip(shots, found, strict=True)):
+                for i, (shot, sight) in enumerate(zip(shots, sights, strict=True)):
                     self._add_shot(blocks, i, shot, sight, prediction.by_point[i])
                 for i, key in enumerate(keys):
                     whitened = blocks[key] * factor_scale.ravel()[:, None]
                     jacobians[i] = np.asfortranarray(whitened)
-            flat: Array = residual.ravel()
-            return flat
+            return np.asarray(residual.ravel())
 
         return _custom(keys, 3 * len(shots), error)
 
     def _add_shot(
         self, blocks: Blocks, i: int, shot: Shot, sight: SightedPoint, by_point: Array
     ) -> None:
-        """Derivatives of shot i of a factor with respect to its target and swivel."""
+        """Add derivatives of shot i of a factor with respect to its target and swivel."""
         rows = slice(3 * i, 3 * i + 3)
         blocks[self.keys[f"point {shot.target}"]][rows] = by_point @ sight.by_exit
         if shot.sighting.on_pulley:
             blocks[self.keys[f"swivel {shot.target}"]][rows, 0] = by_point @ sight.by_swivel
 
     def _swivel(self, values: Any, shot: Shot) -> float:
-        """Swivel angle of the pulley that a shot sights [rad]."""
+        """Return the swivel angle of the pulley that a shot sights [rad]."""
         if not shot.sighting.on_pulley:
             return 0.0
         return float(values.atVector(self.keys[f"swivel {shot.target}"])[0])
 
-    def _reference_factor(self, reference: Reference, scale: Array) -> Any:
-        """Coordinates of a known point, in a frame that may be tilted."""
+    def _reference_factor(self, reference: ReferencePoint, scale: Array) -> Any:
+        """Return the factor of a known point's coordinates, in a frame that may be tilted."""
         known = np.asarray(reference.position)
         keys = [self.keys[f"point {reference.name}"]]
         keys += [self.keys["tilt"]] if self.frame_tilt > 0.0 else []
@@ -218,8 +223,7 @@ class Network:
                 jacobians[0] = np.asfortranarray(np.diag(scale))
                 if len(keys) > 1:
                     jacobians[1] = np.asfortranarray(-scale[:, None] * slope)
-            residual: Array = (values.atVector(keys[0]) - turned) * scale
-            return residual
+            return np.asarray((values.atVector(keys[0]) - turned) * scale)
 
         return _custom(keys, 3, error)
 
@@ -236,35 +240,29 @@ def tilted(point: Array, tilt: Array) -> tuple[Array, Array]:
     """
     vector = np.array([tilt[0], tilt[1], 0.0])
     angle = float(np.linalg.norm(vector))
-    cross = _cross(vector)
+    cross = cross_matrix(vector)
     first, second = 0.5, 1.0 / 6.0
     if angle > 1e-4:
         first, second = (1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
     left = np.eye(3) + first * cross + second * cross @ cross
     turned: Array = Rotation.from_rotvec(vector).as_matrix() @ point
-    return turned, (-_cross(turned) @ left)[:, :2]
-
-
-def _cross(vector: Array) -> Array:
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return turned, (-cross_matrix(turned) @ left)[:, :2]
 
 
 def _custom(keys: list[int], rows: int, error: Callable[..., Array]) -> Any:
-    """A factor whose error is whitened already."""
+    """Return a factor whose error is whitened already."""
     return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), keys, error)
 
 
 def _level_factor(key: int, sigma: float) -> Any:
-    """Prior of the tilt that a compensator leaves."""
+    """Return the prior of the tilt that a compensator leaves."""
 
     def error(_: Any, values: Any, jacobians: list[Array] | None) -> Array:
         if jacobians is not None:
             selected = np.zeros((2, STATION_SIZE))
             selected[[0, 1], [4, 5]] = 1.0 / sigma
             jacobians[0] = np.asfortranarray(selected)
-        residual: Array = values.atVector(key)[4:] / sigma
-        return residual
+        return np.asarray(values.atVector(key)[4:] / sigma)
 
     return _custom([key], 2, error)
 
@@ -274,10 +272,10 @@ def _key(letter: str, index: int) -> int:
 
 
 def _size(key: int) -> int:
-    """Dimension of an unknown."""
-    return _SIZES[chr(gtsam.symbolChr(key))]
+    """Return the dimension of an unknown."""
+    return _UNKNOWN_SIZES[chr(gtsam.symbolChr(key))]
 
 
 def _of(shots: tuple[Shot, ...], setup: str) -> NDArray[np.intp]:
-    """Indices of the shots of a set-up."""
+    """Return the indices of the shots of a set-up."""
     return np.flatnonzero([shot.setup == setup for shot in shots])

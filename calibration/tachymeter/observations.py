@@ -1,4 +1,4 @@
-"""What was measured: shots of levelled set-ups, the points they sight, and how well all that is.
+"""Shots of levelled set-ups, the points that they sight, and their accuracy.
 
 Angles are as instruments count them: the horizontal direction Hz grows clockwise, seen from above,
 from a zero that is arbitrary in each set-up; the zenith angle V is 0 straight up.
@@ -14,9 +14,9 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array, set_frozen
 from carosac_toolkit.base.errors import InvalidField
 
-SIGHTINGS = ("centre", "axle", "rim", "tangent")
-READINGS = ("Hz", "V", "distance")
-ARCSEC = np.pi / 648000.0
+SIGHTING_KINDS = ("centre", "axle", "rim", "tangent")
+READING_NAMES = ("Hz", "V", "distance")
+ARCSEC_RAD = np.pi / 648000.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,7 @@ class Instrument:
         compensator: Of the levelling, about each of two horizontal axes [rad].
     """
 
-    angle: float = 3.0 * ARCSEC
+    angle: float = 3.0 * ARCSEC_RAD
     distance: float = 1e-3
     distance_ppm: float = 1.5
     pointing: float = 0.3e-3
@@ -47,7 +47,7 @@ class Instrument:
                 raise InvalidField(f"instrument.{name}", getattr(self, name), f"{name} >= 0")
 
     def sigma(self, reading: Array) -> Array:
-        """Standard deviations of polar readings.
+        """Return the standard deviations of polar readings.
 
         An error across the line of sight turns Hz the more, the steeper the sight: its standard
         deviation grows as 1 / sin V.
@@ -67,7 +67,7 @@ class Instrument:
 
 @dataclass(frozen=True)
 class Sighting:
-    """What of a target was sighted.
+    """Part of a target that was sighted.
 
     Attributes:
         kind: ``centre``: the point itself, for a cable its exit point (the datum). On a pulley,
@@ -87,8 +87,8 @@ class Sighting:
 
     def __post_init__(self) -> None:
         """Refuse combinations that mean nothing."""
-        if self.kind not in SIGHTINGS:
-            raise InvalidField("sighted", repr(self.kind), f"one of {', '.join(SIGHTINGS)}")
+        if self.kind not in SIGHTING_KINDS:
+            raise InvalidField("sighted", repr(self.kind), f"one of {', '.join(SIGHTING_KINDS)}")
         if (self.rim_angle is None) != (self.kind != "rim"):
             got = f"sighted: {self.kind} {'without' if self.kind == 'rim' else 'with'} a rim angle"
             raise InvalidField("rim angle", got, "given with sighted: rim, and only there")
@@ -99,7 +99,7 @@ class Sighting:
 
     @property
     def on_pulley(self) -> bool:
-        """Whether only a pulley has such a point."""
+        """True if only a pulley has such a point."""
         return self.kind != "centre"
 
 
@@ -113,7 +113,7 @@ class Shot:
         hz: Horizontal direction, clockwise [rad].
         v: Zenith angle, in face I [rad].
         distance: Slope distance with the prism constant in it [m].
-        sighting: What of the target was sighted.
+        sighting: Part of the target that was sighted.
         source: File and line, for messages.
     """
 
@@ -136,12 +136,12 @@ class Shot:
 
     @property
     def where(self) -> str:
-        """How messages call it."""
+        """Name of the shot in messages."""
         return self.source or f"shot from {self.setup} to {self.target}"
 
 
 @dataclass(frozen=True, eq=False)
-class Reference:
+class ReferencePoint:
     """A point other than an exit point that set-ups have in common.
 
     Attributes:
@@ -179,7 +179,7 @@ class Survey:
     """
 
     shots: tuple[Shot, ...]
-    references: Mapping[str, Reference]
+    references: Mapping[str, ReferencePoint]
     instrument: Instrument = field(default_factory=Instrument)
     towards: Mapping[str, Array] = field(default_factory=dict)
     swivel_sigma: float = np.deg2rad(2.0)
@@ -207,7 +207,7 @@ class Survey:
         return np.array([[shot.hz, shot.v, shot.distance] for shot in self.shots])
 
     @property
-    def known(self) -> tuple[Reference, ...]:
+    def known(self) -> tuple[ReferencePoint, ...]:
         """Sighted references with known coordinates."""
         seen = set(self.targets)
         return tuple(
@@ -224,7 +224,7 @@ def face_one(hz: float, v: float) -> tuple[float, float]:
 
 
 def polar(point: Array) -> Array:
-    """Hz [rad], V [rad] and distance [m] of points in a set-up's frame.
+    """Return the Hz [rad], V [rad] and distance [m] of points in a set-up's frame.
 
     Args:
         point: In a frame with z up, y where Hz is 0 and x to the right of it [m], shape (B, 3).

@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calibration.pictures import AFTER, OUTLIER
-from calibration.tachymeter.observations import READINGS
+from calibration.pictures import COLOR_AFTER, COLOR_OUTLIER
+from calibration.tachymeter.observations import READING_NAMES
 from calibration.tachymeter.result import TachymeterResult
-from calibration.tachymeter.robust import BLUNDER
+from calibration.tachymeter.survey_fit import BLUNDER_SIGMAS
 from carosac_toolkit.pictures.drawing import COLORS, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SETUPS = (*COLORS[2:], COLORS[0])
-KNOWN, TIE = "#303030", "#a0a0a0"
-MAGNIFIED = 500.0  # times that sigmas are drawn
+SETUP_COLORS = (*COLORS[2:], COLORS[0])
+COLOR_KNOWN, COLOR_TIE = "#303030", "#a0a0a0"
+SIGMA_MAGNIFICATION = 500.0  # times that sigmas are drawn
 
 
 def draw_site(result: TachymeterResult) -> Figure:
@@ -41,16 +41,16 @@ def draw_site(result: TachymeterResult) -> Figure:
 
 
 def _draw_sights(axes: Any, result: TachymeterResult, a: int, b: int) -> None:
-    """Lines of sight, the wrong ones in red."""
+    """Draw lines of sight, the wrong ones in red."""
     used = [bool(row.all()) for row in result.residuals.used]
     for k, (name, station) in enumerate(result.stations.items()):
-        color = SETUPS[k % len(SETUPS)]
+        color = SETUP_COLORS[k % len(SETUP_COLORS)]
         for shot, good in zip(result.survey.shots, used, strict=True):
             if shot.setup == name:
                 ends = np.array([station.values[:3], result.points[shot.target]])
                 axes.plot(
                     ends[:, a], ends[:, b], "-" if good else "--",
-                    color=color if good else OUTLIER, lw=0.5 if good else 1.3,
+                    color=color if good else COLOR_OUTLIER, lw=0.5 if good else 1.3,
                     alpha=0.4 if good else 0.9, zorder=1 if good else 2,
                 )  # fmt: skip
         where = station.values[:3]
@@ -58,12 +58,12 @@ def _draw_sights(axes: Any, result: TachymeterResult, a: int, b: int) -> None:
 
 
 def _draw_points(axes: Any, result: TachymeterResult, a: int, b: int) -> None:
-    """Points, and the sigmas of the exit points, magnified."""
+    """Draw points, and the sigmas of the exit points, magnified."""
     known = {reference.name for reference in result.survey.known}
     kinds = {
-        "exit point": (result.cables, "o", AFTER),
-        "known point": (sorted(known), "s", KNOWN),
-        "tie point": (sorted(set(result.points) - known - set(result.cables)), "D", TIE),
+        "exit point": (result.cables, "o", COLOR_AFTER),
+        "known point": (sorted(known), "s", COLOR_KNOWN),
+        "tie point": (sorted(set(result.points) - known - set(result.cables)), "D", COLOR_TIE),
     }
     for label, (names, marker, color) in kinds.items():
         if names:
@@ -74,37 +74,37 @@ def _draw_points(axes: Any, result: TachymeterResult, a: int, b: int) -> None:
             axes.annotate(
                 name, (at[a], at[b]), xytext=(5, 4), textcoords="offset points", fontsize=8
             )
-    label = f"1 sigma, {MAGNIFIED:.0f} times larger"
+    label = f"1 sigma, {SIGMA_MAGNIFICATION:.0f} times larger"
     for i, name in enumerate(result.cables):
         block = result.exit_covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
         values, vectors = np.linalg.eigh(block[np.ix_([a, b], [a, b])])
         turn = np.linspace(0.0, 2.0 * np.pi, 73)
         circle = vectors @ (np.sqrt(values)[:, None] * np.array([np.cos(turn), np.sin(turn)]))
-        at = result.points[name][[a, b], None] + MAGNIFIED * circle
-        axes.plot(at[0], at[1], color=AFTER, lw=1.0, label=label if i == 0 else None)
+        at = result.points[name][[a, b], None] + SIGMA_MAGNIFICATION * circle
+        axes.plot(at[0], at[1], color=COLOR_AFTER, lw=1.0, label=label if i == 0 else None)
 
 
 def draw_shots(result: TachymeterResult) -> Figure:
     """Draw the test value of every reading, shot by shot."""
     figure = new_figure(11.0, 6.4)
-    grid = figure.subplots(len(READINGS), 1, sharex=True)
+    grid = figure.subplots(len(READING_NAMES), 1, sharex=True)
     test, used = result.residuals.test, result.residuals.used
     number = np.arange(len(test)) + 1
     setups = [shot.setup for shot in result.survey.shots]
-    for k, (axes, name) in enumerate(zip(grid, READINGS, strict=True)):
+    for k, (axes, name) in enumerate(zip(grid, READING_NAMES, strict=True)):
         for j, setup in enumerate(result.survey.setups):
             mine = np.array([s == setup for s in setups]) & used[:, k]
-            color = SETUPS[j % len(SETUPS)]
+            color = SETUP_COLORS[j % len(SETUP_COLORS)]
             axes.plot(number[mine], test[mine, k], "o", ms=4, color=color, label=f"set-up {setup}")
         for i in np.flatnonzero(~used[:, k]):
             at = float(np.clip(test[i, k], -5.5, 5.5))
-            axes.plot(number[i], at, "x", color=OUTLIER, ms=8, mew=2)
+            axes.plot(number[i], at, "x", color=COLOR_OUTLIER, ms=8, mew=2)
             text = f"shot {i + 1}: {test[i, k]:+.0f}"
             axes.annotate(
                 text, (number[i], at), xytext=(7, -3), textcoords="offset points",
-                fontsize=8, color=OUTLIER,
+                fontsize=8, color=COLOR_OUTLIER,
             )  # fmt: skip
-        for level in (-BLUNDER, BLUNDER):
+        for level in (-BLUNDER_SIGMAS, BLUNDER_SIGMAS):
             axes.axhline(level, color="#909090", lw=0.8, ls="--")
         axes.axhline(0.0, color="#909090", lw=0.6)
         axes.set(ylabel=f"{name}\n[sigmas]", ylim=(-6.5, 6.5))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from carosac_toolkit.base.errors import InvalidFile, MissingFile
 
-MILLIMETRE = 1e-3
+MILLIMETRE_M = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,10 +20,10 @@ class Record:
         hz: Horizontal direction, clockwise, in face I [rad].
         v: Zenith angle, in face I [rad].
         distance: Slope distance as the file has it [m].
-        prism_set: Prism constant that the instrument has added already [m]; None: not said.
-        prism_constant: Constant to add, by the file [m]; None: not said.
-        sighted: What was sighted, by the file; None: not said.
-        rim_deg: Rim angle by the file [deg]; None: not said.
+        prism_set: Prism constant that the instrument has added already [m]; None: not given.
+        prism_constant: Constant to add, by the file [m]; None: not given.
+        sighted: Sighted part, by the file; None: not given.
+        rim_deg: Rim angle by the file [deg]; None: not given.
         path: The file.
         line: Its line, from 1.
     """
@@ -46,13 +46,17 @@ class Record:
         return f"{Path(self.path).name}:{self.line}"
 
 
+class LineFault(Exception):
+    """Fault of a line of a file."""
+
+
 def plain_name(text: str) -> str:
-    """A point name without the zeros with which GSI fills its words."""
+    """Return a point name without the zeros with which GSI fills its words."""
     return text.strip().lstrip("0") or "0"
 
 
 def read_lines(path: str) -> list[str]:
-    """Lines of a text file.
+    """Read the lines of a text file.
 
     Raises:
         MissingFile: There is none.
@@ -71,7 +75,7 @@ def read_lines(path: str) -> list[str]:
     return text.splitlines()
 
 
-def few(faults: list[str], most: int = 12) -> list[str]:
-    """The first faults, and how many more there are."""
+def shortened_faults(faults: list[str], most: int = 12) -> list[str]:
+    """Return the first faults, and how many more there are."""
     more = len(faults) - most
     return faults if more <= 0 else [*faults[:most], f"and {more} more"]

@@ -1,4 +1,4 @@
-"""What a survey gave: exit points, blunders, residuals, and what they are worth."""
+"""The result of a survey: exit points, blunders and residuals."""
 
 from __future__ import annotations
 
@@ -10,20 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_law
 
-from calibration.estimate import Estimate
-from calibration.observability import Observability
-from calibration.tachymeter.observations import ARCSEC, READINGS, Survey
+from calibration.result import CalibrationResult
+from calibration.robust import NORMAL_MEDIAN
+from calibration.tachymeter.observations import ARCSEC_RAD, READING_NAMES, Survey
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.robot.robot import Robot
 
-PROBABILITY = 0.99  # of the band in which chi2 falls if all noise is as stated
-MANY = 0.1  # share of readings left out above which they are no blunders: the accuracy is wrong
-FAR = 0.5  # [m] from the robot file's exit point, beyond which something else was sighted
-_MEDIAN = 0.6745  # of the size of a standard normal number
+CHI2_PROBABILITY = 0.99  # of the band in which chi2 falls if all noise is as stated
+READING_SCALE = np.array([1.0 / ARCSEC_RAD, 1.0 / ARCSEC_RAD, 1e3])  # to arcsec and mm
+BLUNDERS_NAMED_MAX = 10  # blunders that are named in sentences
+BLUNDER_SHARE_MAX = (
+    0.1  # share of readings left out above which they are no blunders: the accuracy is wrong
+)
+EXIT_SHIFT_MAX_M = (
+    0.5  # [m] from the robot file's exit point, beyond which something else was sighted
+)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Blunder:
+class ReadingBlunder:
     """A reading that does not fit and was left out.
 
     Attributes:
@@ -50,7 +54,7 @@ class Blunder:
     def size(self) -> str:
         """The error in a unit for people."""
         if self.reading in ("Hz", "V"):
-            return f"{self.error / ARCSEC:+.0f} arcsec"
+            return f"{self.error / ARCSEC_RAD:+.0f} arcsec"
         return f"{self.error * 1e3:+.1f} mm"
 
     def sentence(self) -> str:
@@ -96,63 +100,60 @@ class Residuals:
     redundancy: Array
 
     def rms(self) -> Array:
-        """Root mean square of the residuals in use [rad, rad, m], shape (3,); 0 if none is."""
+        """Return the RMS of the residuals in use [rad, rad, m], shape (3,); 0 if none is."""
         count = np.maximum(self.used.sum(axis=0), 1)
-        found: Array = np.sqrt((self.value**2 * self.used).sum(axis=0) / count)
-        return found
+        return np.asarray(np.sqrt((self.value**2 * self.used).sum(axis=0) / count))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TachymeterResult:
+class TachymeterResult(CalibrationResult):
     """All that a survey gave.
 
     Attributes:
-        robot: Before the calibration.
-        survey: What was measured.
+        survey: The measurements.
         cables: Cables that were sighted, in the robot's order, c of them.
-        estimate: Their exit points, 3 c parameters with their joint covariance; and the tilt of
-            the references' frame where it was estimated.
         points: Every sighted point in W [m], by name, (3,).
         stations: Set-ups by name.
         swivels: Turn of each pulley beyond its cable's direction [rad], by cable.
         blunders: Readings left out, the worst first.
         unchecked: Targets with readings whose blunders nothing would show.
         residuals: Of all shots.
-        observability: How well the survey determines the exit points.
         chi2: Sum of squared whitened residuals.
         freedom: Its degrees of freedom.
-        converged: Whether the choice of blunders came to rest.
+        converged: True if the choice of blunders came to rest.
     """
 
-    robot: Robot
     survey: Survey
     cables: tuple[str, ...]
-    estimate: Estimate
     points: Mapping[str, Array]
     stations: Mapping[str, Station]
     swivels: Mapping[str, float]
-    blunders: tuple[Blunder, ...]
+    blunders: tuple[ReadingBlunder, ...]
     unchecked: tuple[str, ...]
     residuals: Residuals
-    observability: Observability
     chi2: float
     freedom: int
     converged: bool
+
+    def __post_init__(self) -> None:
+        """Add the warnings, which follow from all else."""
+        object.__setattr__(self, "warnings", tuple(self._warnings()))
 
     def misplaced(self) -> list[str]:
         """Name exit points that are far from where the robot file has them."""
         lines = []
         before = {
-            name: self.robot.exit_points[self.robot.cable_names.index(name)] for name in self.cables
+            name: self.before.exit_points[self.before.cable_names.index(name)]
+            for name in self.cables
         }
         for name, point in zip(self.cables, self.exit_points, strict=True):
             away = float(np.linalg.norm(point - before[name]))
-            if away <= FAR:
+            if away <= EXIT_SHIFT_MAX_M:
                 continue
             others = {o: float(np.linalg.norm(point - p)) for o, p in before.items() if o != name}
             near = min(others, key=lambda other: others[other], default=name)
             hint = "is it the right robot, and the right known points?"
-            if others.get(near, np.inf) <= FAR:
+            if others.get(near, np.inf) <= EXIT_SHIFT_MAX_M:
                 hint = f"that is where the file has {near}: are these targets swapped?"
             lines.append(f"{name} is {away:.2f} m from where the robot file has it; {hint}")
         return lines
@@ -171,18 +172,17 @@ class TachymeterResult:
     @property
     def exit_sigma(self) -> Array:
         """Standard deviations of the exit points' coordinates [m], shape (c, 3)."""
-        found: Array = np.sqrt(np.diag(self.exit_covariance)).reshape(-1, 3)
-        return found
+        return np.asarray(np.sqrt(np.diag(self.exit_covariance)).reshape(-1, 3))
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
         """Cables that nobody sighted; their exit points stay as they were."""
-        return tuple(name for name in self.robot.cable_names if name not in self.cables)
+        return tuple(name for name in self.before.cable_names if name not in self.cables)
 
     @property
     def chi2_band(self) -> tuple[float, float]:
-        """Where chi2 lies with probability `PROBABILITY` if all noise is as stated."""
-        low, high = chi2_law.interval(PROBABILITY, max(self.freedom, 1))
+        """Band that holds chi2 with probability `CHI2_PROBABILITY` if all noise is as stated."""
+        low, high = chi2_law.interval(CHI2_PROBABILITY, max(self.freedom, 1))
         return float(low), float(high)
 
     @property
@@ -194,15 +194,19 @@ class TachymeterResult:
     def spread(self) -> float:
         """Residuals over what the stated accuracy explains, by the median of all readings."""
         checked = self.residuals.test[self.residuals.test != 0.0]
-        return float(np.median(np.abs(checked)) / _MEDIAN) if len(checked) else 0.0
+        return float(np.median(np.abs(checked)) / NORMAL_MEDIAN) if len(checked) else 0.0
 
     @property
     def fits(self) -> bool:
-        """Whether the residuals are no larger than the stated accuracy explains."""
-        return self.freedom > 0 and self.chi2 <= self.chi2_band[1] and self.left_out <= MANY
+        """True if the residuals are no larger than the stated accuracy explains."""
+        return (
+            self.freedom > 0
+            and self.chi2 <= self.chi2_band[1]
+            and self.left_out <= BLUNDER_SHARE_MAX
+        )
 
     def data(self) -> dict[str, Any]:
-        """Everything for JSON."""
+        """Return everything for JSON."""
         rms = self.residuals.rms()
         return {
             "exit_points_m": dict(zip(self.cables, self.exit_points, strict=True)),
@@ -232,7 +236,7 @@ class TachymeterResult:
             "unchecked": list(self.unchecked),
             "residual_rms": {
                 f"{name}_{unit}": value
-                for name, unit, value in zip(READINGS, ("rad", "rad", "m"), rms, strict=True)
+                for name, unit, value in zip(READING_NAMES, ("rad", "rad", "m"), rms, strict=True)
             },
             "chi2": self.chi2,
             "degrees_of_freedom": self.freedom,
@@ -240,3 +244,73 @@ class TachymeterResult:
             "fits": self.fits,
             "observability": self.observability.data(),
         }  # fmt: skip
+
+    def sentences(self) -> list[str]:
+        """Return what was found, in words."""
+        survey = self.survey
+        known, ties = len(survey.known), len(survey.targets) - len(self.cables)
+        rms = self.residuals.rms() * READING_SCALE
+        low, high = self.chi2_band
+        lines = [
+            f"{len(survey.shots)} shots from {len(survey.setups)} set-ups to {len(self.cables)} "
+            f"exit points, {known} known points and {ties - known} tie points",
+            f"residuals (RMS): Hz {rms[0]:.1f} arcsec, V {rms[1]:.1f} arcsec, "
+            f"distance {rms[2]:.2f} mm",
+            f"chi2 {self.chi2:.1f} with {self.freedom} degrees of freedom; "
+            f"{CHI2_PROBABILITY:.0%} of surveys with the stated accuracy lie between {low:.1f} and "
+            f"{high:.1f}",
+            f"exit points known to {1e3 * self.exit_sigma.min():.2f} to "
+            f"{1e3 * self.exit_sigma.max():.2f} mm per axis (one standard deviation)",
+        ]
+        if "pose_tilt.x" in self.estimate.names:
+            tilt = self.estimate.select(["pose_tilt.x", "pose_tilt.y"])
+            x, y = 1e3 * tilt.value
+            lines.append(
+                f"the frame of the known points is tilted against gravity by {x:+.2f} mrad about x "
+                f"and {y:+.2f} mrad about y, known to {1e3 * tilt.sigma.max():.2f} mrad"
+            )
+        return lines
+
+    def _warnings(self) -> list[str]:
+        """Return what must not be overlooked."""
+        lines = self.misplaced()
+        if self.freedom < 1:
+            lines.append("nothing is measured twice, so nothing here is checked: sight more points")
+        elif not self.fits:
+            size = max(self.spread, np.sqrt(self.chi2 / self.freedom))
+            many = f", and {self.left_out:.0%} of the readings were left out"
+            lines.append(
+                f"the residuals are {size:.1f} times larger than the stated accuracy explains"
+                + (many if self.left_out > BLUNDER_SHARE_MAX else "")
+                + ": do not use these exit points before it is clear why. Is the instrument's "
+                "right, was it level, did a set-up or a point move, is the frame of the known "
+                "points level (--frame-tilt-deg)?"
+            )
+        elif self.chi2 < self.chi2_band[0]:
+            lines.append(
+                "the residuals are smaller than the stated accuracy explains: the sigmas are "
+                "cautious"
+            )
+        lines += [
+            f"left out: {blunder.sentence()}" for blunder in self.blunders[:BLUNDERS_NAMED_MAX]
+        ]
+        if len(self.blunders) > BLUNDERS_NAMED_MAX:
+            more = len(self.blunders) - BLUNDERS_NAMED_MAX
+            lines.append(f"left out: {more} more readings, in report and JSON")
+        if self.unchecked:
+            lines.append(
+                "a blunder would pass unseen in: "
+                + "; ".join(self.unchecked)
+                + ". Sight them again, best from another set-up"
+            )
+        if len(self.survey.known) < 3:
+            lines.append(
+                "fewer than three known points: a wrong coordinate among them may not show"
+            )
+        if self.unmeasured:
+            lines.append(f"not sighted, left as they were: {', '.join(self.unmeasured)}")
+        if not self.converged:
+            lines.append(
+                "the choice of blunders did not come to rest: look at the residuals yourself"
+            )
+        return lines

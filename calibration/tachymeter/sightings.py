@@ -1,4 +1,4 @@
-r"""Where the sighted point of a pulley lies against the exit point, with derivatives.
+r"""Sighted points of a pulley relative to its exit point, with derivatives.
 
 The exit point :math:`e` of a cable with a pulley is the datum: the tangent point at zero wrap, on
 the swivel axis :math:`k`. The wheel swivels with the cable, so its points are known only with the
@@ -25,7 +25,7 @@ from carosac_toolkit.base.errors import InvalidField
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Pulley:
+class SightedPulley:
     """A pulley as it stood while it was sighted.
 
     Attributes:
@@ -57,13 +57,13 @@ class SightedPoint:
 
 
 def sighted_point(
-    exit_point: Array, sighting: Sighting, pulley: Pulley, swivel: float, side: float
+    exit_point: Array, sighting: Sighting, pulley: SightedPulley, swivel: float, side: float
 ) -> SightedPoint:
     """Find a sighted point of a pulley.
 
     Args:
         exit_point: Datum of the cable in W [m], shape (3,).
-        sighting: What was sighted; not ``centre``.
+        sighting: Sighted part; not ``centre``.
         pulley: The pulley.
         swivel: Turn of its plane about the swivel axis, beyond the cable's direction [rad].
         side: On which side of the wheel the instrument stood: the sign of `elevation`.
@@ -91,16 +91,16 @@ def sighted_point(
     return SightedPoint(point=point, by_exit=by_exit, by_swivel=turn)
 
 
-def elevation(exit_point: Array, pulley: Pulley, station: Array) -> float:
-    """Angle at which an instrument sees the wheel, from its middle plane [rad]; 0 is edge-on."""
+def elevation(exit_point: Array, pulley: SightedPulley, station: Array) -> float:
+    """Return the angle of a sight from the wheel's middle plane [rad]; 0 is edge-on."""
     plain, _, _ = _plane(exit_point, pulley)
     sight = station - exit_point
     across = float(sight @ np.cross(pulley.axis, plain))
     return float(np.arcsin(across / np.linalg.norm(sight)))
 
 
-def _plane(exit_point: Array, pulley: Pulley) -> tuple[Array, float, float]:
-    """Direction from the swivel axis to the anchor, distance from it, and distance along it."""
+def _plane(exit_point: Array, pulley: SightedPulley) -> tuple[Array, float, float]:
+    """Return direction from swivel axis to anchor, distance from the axis, and along it."""
     relative = pulley.towards - exit_point
     along = float(relative @ pulley.axis)
     outward = relative - along * pulley.axis
@@ -112,9 +112,9 @@ def _plane(exit_point: Array, pulley: Pulley) -> tuple[Array, float, float]:
 
 
 def _in_plane(
-    sighting: Sighting, pulley: Pulley, rho: float, along: float
+    sighting: Sighting, pulley: SightedPulley, rho: float, along: float
 ) -> tuple[float, float, tuple[float, float], tuple[float, float]]:
-    """Offset from the datum along u and k [m], and its derivatives by rho and `along`."""
+    """Return the offset from the datum along u and k [m], with derivatives by rho and `along`."""
     r = pulley.radius
     if sighting.kind == "axle":
         return r, 0.0, (0.0, 0.0), (0.0, 0.0)

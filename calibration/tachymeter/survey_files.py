@@ -9,9 +9,9 @@ import numpy as np
 
 from calibration.tachymeter.csv_file import read_csv
 from calibration.tachymeter.gsi import read_gsi
-from calibration.tachymeter.observations import SIGHTINGS, Shot, Sighting, Survey
-from calibration.tachymeter.records import Record, few
-from calibration.tachymeter.targets import Point, Targets, read_targets
+from calibration.tachymeter.observations import SIGHTING_KINDS, Shot, Sighting, Survey
+from calibration.tachymeter.records import LineFault, Record, shortened_faults
+from calibration.tachymeter.targets import SurveyPoint, SurveyTargets, read_targets
 from carosac_toolkit.base.errors import InvalidField, InvalidFile, did_you_mean
 from carosac_toolkit.robot.robot import Robot
 
@@ -75,7 +75,7 @@ def _is_csv(path: str) -> bool:
     return Path(path).suffix.lower() == ".csv"
 
 
-def _shots(path: str, records: list[Record], targets: Targets, robot: Robot) -> list[Shot]:
+def _shots(path: str, records: list[Record], targets: SurveyTargets, robot: Robot) -> list[Shot]:
     """Look up the points of a file."""
     shots, faults = [], []
     for record in records:
@@ -85,24 +85,20 @@ def _shots(path: str, records: list[Record], targets: Targets, robot: Robot) -> 
         try:
             if point is None:
                 known = list(targets.points)
-                raise _Fault(
+                raise LineFault(
                     f"point '{record.point}' is neither in points nor in ignore of {targets.path}"
                     + did_you_mean(record.point, known)
                 )
             shots.append(_shot(record, point, targets, robot))
-        except (InvalidField, _Fault) as fault:
+        except (InvalidField, LineFault) as fault:
             faults.append(f"line {record.line}: {fault}")
     if faults:
-        raise InvalidFile(path, few(faults))
+        raise InvalidFile(path, shortened_faults(faults))
     return shots
 
 
-class _Fault(Exception):
-    """What is wrong with a line."""
-
-
-def _shot(record: Record, point: Point, targets: Targets, robot: Robot) -> Shot:
-    """One observation with its target."""
+def _shot(record: Record, point: SurveyPoint, targets: SurveyTargets, robot: Robot) -> Shot:
+    """Return one observation with its target."""
     return Shot(
         setup=record.setup,
         target=point.target,
@@ -114,20 +110,20 @@ def _shot(record: Record, point: Point, targets: Targets, robot: Robot) -> Shot:
     )
 
 
-def _sighting(record: Record, point: Point, targets: Targets, robot: Robot) -> Sighting:
-    """What was sighted; a pulley leaves no default."""
+def _sighting(record: Record, point: SurveyPoint, targets: SurveyTargets, robot: Robot) -> Sighting:
+    """Return what was sighted; a pulley leaves no default."""
     kind = record.sighted or point.sighted
     pulley = point.cable and robot.pulley_radius[robot.cable_names.index(point.target)] > 0.0
     if kind is None and pulley:
-        raise _Fault(
+        raise LineFault(
             f"cable {point.target} has a pulley: say what was sighted, one of "
-            f"{', '.join(SIGHTINGS)}, at points.{record.point} of {targets.path}"
+            f"{', '.join(SIGHTING_KINDS)}, at points.{record.point} of {targets.path}"
         )
     if kind not in (None, "centre") and not pulley:
         what = "has no pulley in the robot file" if point.cable else "is no cable"
-        raise _Fault(f"sighted: {kind}, but {point.target} {what}; allowed: centre")
+        raise LineFault(f"sighted: {kind}, but {point.target} {what}; allowed: centre")
     if kind not in (None, "centre") and targets.platform_position is None:
-        raise _Fault(
+        raise LineFault(
             f"sighted: {kind} needs to know where the pulley of {point.target} pointed: give "
             f"platform_position, where the platform was during the survey, in {targets.path}"
         )
@@ -140,10 +136,10 @@ def _sighting(record: Record, point: Point, targets: Targets, robot: Robot) -> S
     )
 
 
-def _prism(record: Record, point: Point, targets: Targets) -> float:
-    """What is still to be added to a slope distance [m]."""
+def _prism(record: Record, point: SurveyPoint, targets: SurveyTargets) -> float:
+    """Return what is still to be added to a slope distance [m]."""
     if record.prism_constant is not None and point.prism_constant is not None:
-        raise _Fault(
+        raise LineFault(
             f"prism constant given twice: prism_constant_mm here, and points.{record.point} of "
             f"{targets.path}"
         )
@@ -153,7 +149,7 @@ def _prism(record: Record, point: Point, targets: Targets) -> float:
         return 0.0
     applied = record.prism_set if record.prism_set is not None else targets.prism_constant_set
     if applied is None:
-        raise _Fault(
+        raise LineFault(
             f"point '{record.point}' has a prism_constant in {targets.path}, but nothing says "
             "which one the instrument has added already (no word 51 or 58): give "
             "prism_constant_set there"

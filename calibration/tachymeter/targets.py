@@ -12,44 +12,44 @@ from typing import Any
 import numpy as np
 
 from calibration.tachymeter.observations import (
-    ARCSEC,
-    SIGHTINGS,
+    ARCSEC_RAD,
+    SIGHTING_KINDS,
     Instrument,
-    Reference,
+    ReferencePoint,
 )
-from calibration.tachymeter.records import MILLIMETRE, few, plain_name, read_lines
+from calibration.tachymeter.records import MILLIMETRE_M, plain_name, read_lines, shortened_faults
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField, InvalidFile, did_you_mean
 from carosac_toolkit.base.units import InvalidQuantity, parse_quantity
 from carosac_toolkit.base.yaml import Document, FieldPath, format_path, read_yaml
 from carosac_toolkit.robot.robot import Robot
 
-SCHEMA = "carosac-targets/1"
-_TOP = (
+TARGETS_SCHEMA = "carosac-targets/1"
+_TOP_KEYS = (
     "schema", "instrument", "points", "ignore", "platform_position", "swivel_sigma",
     "prism_constant_set",
 )  # fmt: skip
-_INSTRUMENT = {
-    "angle_arcsec": ("angle", ARCSEC), "distance_mm": ("distance", MILLIMETRE),
-    "distance_ppm": ("distance_ppm", 1.0), "pointing_mm": ("pointing", MILLIMETRE),
-    "compensator_arcsec": ("compensator", ARCSEC),
+_INSTRUMENT_KEYS = {
+    "angle_arcsec": ("angle", ARCSEC_RAD), "distance_mm": ("distance", MILLIMETRE_M),
+    "distance_ppm": ("distance_ppm", 1.0), "pointing_mm": ("pointing", MILLIMETRE_M),
+    "compensator_arcsec": ("compensator", ARCSEC_RAD),
 }  # fmt: skip
-_CABLE = ("cable", "sighted", "rim_deg", "rim_radius", "side", "prism_constant")
-_REFERENCE = ("position", "sigma", "prism_constant")
+_CABLE_KEYS = ("cable", "sighted", "rim_deg", "rim_radius", "side", "prism_constant")
+_REFERENCE_KEYS = ("position", "sigma", "prism_constant")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Point:
-    """What a point of the observations is.
+class SurveyPoint:
+    """Meaning of a point of the observations.
 
     Attributes:
         target: Cable, or name of the reference point.
-        cable: Whether it is a cable.
-        sighted: What was sighted; None: not said.
-        rim_deg: [deg]; None: not said.
+        cable: True if it is a cable.
+        sighted: Sighted part; None: not given.
+        rim_deg: [deg]; None: not given.
         rim_radius: [m]; None: that of the groove.
         side: [m].
-        prism_constant: Of the prism that stood there [m]; None: not said.
+        prism_constant: Of the prism that stood there [m]; None: not given.
     """
 
     target: str
@@ -62,7 +62,7 @@ class Point:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Targets:
+class SurveyTargets:
     """A targets file.
 
     Attributes:
@@ -71,14 +71,14 @@ class Targets:
         references: By name.
         ignore: Points to pass over.
         instrument: Accuracy.
-        platform_position: Where the platform was during the survey in W [m], (3,); None: not said.
+        platform_position: Platform during the survey, in W [m], shape (3,); None: not given.
         swivel_sigma: [rad].
         prism_constant_set: Constant that the instrument applied, where its file does not say [m].
     """
 
     path: str
-    points: Mapping[str, Point]
-    references: Mapping[str, Reference]
+    points: Mapping[str, SurveyPoint]
+    references: Mapping[str, ReferencePoint]
     ignore: tuple[str, ...] = ()
     instrument: Instrument = field(default_factory=Instrument)
     platform_position: Array | None = None
@@ -86,7 +86,7 @@ class Targets:
     prism_constant_set: float | None = None
 
 
-def read_targets(path: str, robot: Robot) -> Targets:
+def read_targets(path: str, robot: Robot) -> SurveyTargets:
     """Read a targets file.
 
     Raises:
@@ -99,15 +99,15 @@ def read_targets(path: str, robot: Robot) -> Targets:
     if document.faults or not isinstance(data, dict):
         faults = [f"line {line}: {what}" for line, what in document.faults]
         raise InvalidFile(path, faults or ["no mapping; see carosac-targets/1 in the docs"])
-    walk.unknown((), data, _TOP)
-    if data.get("schema") != SCHEMA:
-        walk.fault(("schema",), f"got {data.get('schema')!r}; allowed: {SCHEMA}")
+    walk.unknown((), data, _TOP_KEYS)
+    if data.get("schema") != TARGETS_SCHEMA:
+        walk.fault(("schema",), f"got {data.get('schema')!r}; allowed: {TARGETS_SCHEMA}")
     points, references = _points(walk, data.get("points"), robot)
     ignore = data.get("ignore") or []
     if not isinstance(ignore, list):
         walk.fault(("ignore",), "allowed: a list of point names")
         ignore = []
-    targets = Targets(
+    targets = SurveyTargets(
         path=path,
         points=points,
         references=references,
@@ -121,12 +121,14 @@ def read_targets(path: str, robot: Robot) -> Targets:
         ),
     )
     if walk.faults:
-        raise InvalidFile(path, few([f"line {n}: {what}" for n, what in sorted(walk.faults)]))
+        raise InvalidFile(
+            path, shortened_faults([f"line {n}: {what}" for n, what in sorted(walk.faults)])
+        )
     return targets
 
 
 def _name_of(value: Any) -> str:
-    """A point name that YAML may have taken for a number."""
+    """Return a point name that YAML may have taken for a number."""
     whole = isinstance(value, float) and value.is_integer()
     return str(int(value)) if whole else str(value)
 
@@ -153,7 +155,7 @@ class _Walk:
     def number(
         self, where: FieldPath, value: Any, unit: str, *, positive: bool = False
     ) -> float | None:
-        """A quantity, or None where there is none."""
+        """Read a quantity; None where there is none."""
         if value is None:
             return None
         try:
@@ -167,47 +169,49 @@ class _Walk:
         return number
 
     def vector(self, where: FieldPath, value: Any) -> Array | None:
-        """Three lengths, or None where there are none."""
+        """Read three lengths; None where there are none."""
         if value is None:
             return None
         if not isinstance(value, list) or len(value) != 3:
             self.fault(where, f"got {value!r}; allowed: [x, y, z] in m")
             return None
         numbers = [self.number((*where, i), entry, "m") for i, entry in enumerate(value)]
-        found = [number for number in numbers if number is not None]
-        if len(found) != 3:
+        coordinates = [number for number in numbers if number is not None]
+        if len(coordinates) != 3:
             if None in value:
                 self.fault(where, f"got {value!r}; allowed: [x, y, z] in m")
             return None
-        return np.array(found)
+        return np.array(coordinates)
 
 
 def _instrument(walk: _Walk, data: Any) -> Instrument:
-    """Accuracy of the instrument; what is not given keeps its default."""
+    """Read the accuracy of the instrument; what is not given keeps its default."""
     if data is None:
         return Instrument()
     if not isinstance(data, dict):
-        walk.fault(("instrument",), f"allowed: a mapping of {', '.join(_INSTRUMENT)}")
+        walk.fault(("instrument",), f"allowed: a mapping of {', '.join(_INSTRUMENT_KEYS)}")
         return Instrument()
-    walk.unknown(("instrument",), data, tuple(_INSTRUMENT))
-    given = {}
-    for key, (name, scale) in _INSTRUMENT.items():
+    walk.unknown(("instrument",), data, tuple(_INSTRUMENT_KEYS))
+    accuracy = {}
+    for key, (name, scale) in _INSTRUMENT_KEYS.items():
         value = walk.number(("instrument", key), data.get(key), "1")
         if value is not None:
-            given[name] = value * scale
+            accuracy[name] = value * scale
     try:
-        return Instrument(**given)
+        return Instrument(**accuracy)
     except InvalidField as error:
         bad = error.field.rpartition(".")[2]
-        key = next(key for key, (name, _) in _INSTRUMENT.items() if name == bad)
+        key = next(key for key, (name, _) in _INSTRUMENT_KEYS.items() if name == bad)
         walk.fault(("instrument", key), f"got {data[key]}; allowed: {error.allowed}")
         return Instrument()
 
 
-def _points(walk: _Walk, data: Any, robot: Robot) -> tuple[dict[str, Point], dict[str, Reference]]:
-    """All points."""
-    points: dict[str, Point] = {}
-    references: dict[str, Reference] = {}
+def _points(
+    walk: _Walk, data: Any, robot: Robot
+) -> tuple[dict[str, SurveyPoint], dict[str, ReferencePoint]]:
+    """Read all points."""
+    points: dict[str, SurveyPoint] = {}
+    references: dict[str, ReferencePoint] = {}
     if not isinstance(data, dict) or not data:
         walk.fault(("points",), "allowed: a mapping from point names to what they are")
         return points, references
@@ -231,9 +235,9 @@ def _points(walk: _Walk, data: Any, robot: Robot) -> tuple[dict[str, Point], dic
 
 def _cable_point(
     walk: _Walk, where: FieldPath, entry: Mapping[str, Any], robot: Robot
-) -> Point | None:
-    """A point on a cable's exit."""
-    walk.unknown(where, entry, _CABLE)
+) -> SurveyPoint | None:
+    """Read a point on a cable's exit."""
+    walk.unknown(where, entry, _CABLE_KEYS)
     cable = _name_of(entry["cable"])
     if cable not in robot.cable_names:
         allowed = (
@@ -242,10 +246,12 @@ def _cable_point(
         walk.fault((*where, "cable"), f"got {cable!r}; allowed: {allowed}")
         return None
     sighted = entry.get("sighted")
-    if sighted is not None and sighted not in SIGHTINGS:
-        walk.fault((*where, "sighted"), f"got {sighted!r}; allowed: one of {', '.join(SIGHTINGS)}")
+    if sighted is not None and sighted not in SIGHTING_KINDS:
+        walk.fault(
+            (*where, "sighted"), f"got {sighted!r}; allowed: one of {', '.join(SIGHTING_KINDS)}"
+        )
         return None
-    return Point(
+    return SurveyPoint(
         target=cable,
         cable=True,
         sighted=sighted,
@@ -258,9 +264,9 @@ def _cable_point(
 
 def _reference_point(
     walk: _Walk, where: FieldPath, name: str, entry: Mapping[str, Any]
-) -> tuple[Point, Reference]:
-    """A reference point, known or not."""
-    walk.unknown(where, entry, (*_REFERENCE, "cable"))
+) -> tuple[SurveyPoint, ReferencePoint]:
+    """Read a reference point, known or not."""
+    walk.unknown(where, entry, (*_REFERENCE_KEYS, "cable"))
     prism = walk.number((*where, "prism_constant"), entry.get("prism_constant"), "m")
     position = walk.vector((*where, "position"), entry.get("position"))
     spread = entry.get("sigma")
@@ -269,11 +275,11 @@ def _reference_point(
         walk.vector((*where, "sigma"), spread) if several
         else walk.number((*where, "sigma"), spread, "m", positive=True)
     )  # fmt: skip
-    point = Point(target=name, cable=False, prism_constant=prism)
+    point = SurveyPoint(target=name, cable=False, prism_constant=prism)
     if (entry.get("position") is None) != (spread is None):
         walk.fault(where, "position and sigma belong together: how well are the coordinates known?")
     elif sigma is not None and np.min(sigma) <= 0.0:
         walk.fault((*where, "sigma"), f"got {spread}; allowed: > 0")
     elif position is not None and sigma is not None:
-        return point, Reference(name, position, np.broadcast_to(sigma, 3))
-    return point, Reference(name)
+        return point, ReferencePoint(name, position, np.broadcast_to(sigma, 3))
+    return point, ReferencePoint(name)

@@ -1,4 +1,4 @@
-"""What ``carosac check`` says of a calibration: every number with one standard deviation."""
+"""Calibration part of ``carosac check``: every number with one standard deviation."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 from carosac_toolkit.base.tables import format_table
 from carosac_toolkit.inspection.report import CalibratedParameter, RobotReport
 
-_POINTS = {"exit_points": "exit point in W", "anchor_points": "anchor point in P"}
-_OF_CABLES = {
+_POINT_TITLES = {"exit_points": "exit point in W", "anchor_points": "anchor point in P"}
+_CABLE_COLUMNS = {
     "length_offset": "offset", "length_scale": "scale", "drum_radius": "drum radius",
     "drum_buildup": "build-up", "axial_stiffness": "EA", "linear_density": "density",
     "axial_damping": "damping", "run_length": "run",
 }  # fmt: skip
-_SHOWN = {
+_UNITS_SHOWN = {
     "m": ("mm", 1e3), "s": ("ms", 1e3), "rad": ("mrad", 1e3), "N": ("kN", 1e-3),
     "kg/m": ("g/m", 1e3),
 }  # fmt: skip
-_DIGITS = 6  # of a number that is known exactly
+_EXACT_DIGITS = 6  # significant digits of a number without sigma
 
 
 def describe_calibration(report: RobotReport) -> Iterator[str]:
@@ -28,22 +28,22 @@ def describe_calibration(report: RobotReport) -> Iterator[str]:
     Args:
         report: The robot.
     """
-    known = {found.name: found for found in report.calibration}
+    known = {parameter.name: parameter for parameter in report.calibration}
     if not known and report.sensors is None:
         return
     words = f"{len(known)} parameters, below with one standard deviation" if known else "no"
     yield f"\ncalibrated  {words}"
-    for field, title in _POINTS.items():
+    for field, title in _POINT_TITLES.items():
         columns = {f"{field}[{{}}].{axis}": axis for axis in "xyz"}
         yield from _table(report, known, columns, title)
-    columns = {f"{field}[{{}}]": title for field, title in _OF_CABLES.items()}
+    columns = {f"{field}[{{}}]": title for field, title in _CABLE_COLUMNS.items()}
     yield from _table(report, known, columns, "cable")
-    alone = [found for name, found in known.items() if "[" not in name]
-    width = max((len(found.name) for found in alone), default=0)
+    alone = [parameter for name, parameter in known.items() if "[" not in name]
+    width = max((len(parameter.name) for parameter in alone), default=0)
     start = "\n"
-    for found in alone:
-        unit = _SHOWN.get(found.unit, (found.unit, 1.0))[0]
-        yield f"{start}{found.name:<{width}}  {_number(found)} {unit}"
+    for parameter in alone:
+        unit = _UNITS_SHOWN.get(parameter.unit, (parameter.unit, 1.0))[0]
+        yield f"{start}{parameter.name:<{width}}  {_number(parameter)} {unit}"
         start = ""
     yield from _sensors(report, with_table="length_offset" not in _fields(known))
 
@@ -55,7 +55,7 @@ def _fields(known: dict[str, CalibratedParameter]) -> set[str]:
 def _table(
     report: RobotReport, known: dict[str, CalibratedParameter], columns: dict[str, str], title: str
 ) -> Iterator[str]:
-    """A row for each cable; columns of which nothing is known are left out.
+    """Yield a row for each cable; columns of which nothing is known are left out.
 
     Args:
         report: The robot.
@@ -66,18 +66,18 @@ def _table(
     cables = report.robot.cable_names
     header, cells = [title], [list(cables)]
     for pattern, word in columns.items():
-        found = [known.get(pattern.format(name)) for name in cables]
-        units = {each.unit for each in found if each is not None}
+        column = [known.get(pattern.format(name)) for name in cables]
+        units = {each.unit for each in column if each is not None}
         if units:
-            unit = _SHOWN.get(units.pop(), ("", 1.0))[0]
+            unit = _UNITS_SHOWN.get(units.pop(), ("", 1.0))[0]
             header.append(f"{word} [{unit}]" if unit else word)
-            cells.append(["-" if each is None else _number(each) for each in found])
+            cells.append(["-" if each is None else _number(each) for each in column])
     if len(header) > 1:
         yield "\n" + format_table(header, list(zip(*cells, strict=True)))
 
 
 def _sensors(report: RobotReport, *, with_table: bool) -> Iterator[str]:
-    """How lengths and poses are read."""
+    """Describe how lengths and poses are read."""
     sensors, robot = report.sensors, report.robot
     if sensors is None:
         return
@@ -96,13 +96,13 @@ def _sensors(report: RobotReport, *, with_table: bool) -> Iterator[str]:
         yield f"poses       in a frame turned by {', '.join(filter(None, (turn, tilt)))}"
 
 
-def _number(found: CalibratedParameter) -> str:
-    """A value with its sigma, to two digits of the sigma."""
-    factor = _SHOWN.get(found.unit, ("", 1.0))[1]
-    value, sigma = found.value * factor, found.sigma * factor
+def _number(parameter: CalibratedParameter) -> str:
+    """Format a value with its sigma, to two digits of the sigma."""
+    factor = _UNITS_SHOWN.get(parameter.unit, ("", 1.0))[1]
+    value, sigma = parameter.value * factor, parameter.sigma * factor
     if not np.isfinite(value):
         return f"one number for cables that differ, +- {sigma:.2g}"
     if not sigma > 0.0:
-        return f"{value:.{_DIGITS}g} +- 0"
+        return f"{value:.{_EXACT_DIGITS}g} +- 0"
     digits = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 9))
     return f"{value:.{digits}f} +- {sigma:.{digits}f}"

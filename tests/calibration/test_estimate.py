@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from calibration.estimate import Estimate
+from calibration.estimate import ParameterEstimate
 from carosac_toolkit.base.errors import InvalidField
 
 
@@ -17,7 +17,7 @@ def estimate(**changes):
         "start": [23.0, 0.0, 1.5],
         "prior_sigma": [1.0, np.inf, 0.05],
     }
-    return Estimate(**(known | changes))
+    return ParameterEstimate(**(known | changes))
 
 
 def test_sigma_and_correlation_are_those_of_the_covariance():

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.observability import NAMED, SAID, judge
+from calibration.observability import NAMED_COMBINATIONS_MAX, NAMED_PARAMETERS_MAX, judge
 
 NAMES = ("exit_points[a].x", "length_offset[a]", "mass")
 SCALE = np.array([0.05, 1.0, 2.0])
@@ -83,9 +83,13 @@ def test_few_combinations_of_few_parameters_are_named():
     found = judge(names, information(rows, 1e-3), np.ones(20))
     assert found.rank == 10 and len(found.blind) == 10
     said = [line for line in found.sentences() if "nothing" in line]
-    assert len(said) == SAID and said[-1].endswith("; and 4 more such combinations")
-    assert all(line.count("exit_points") <= NAMED for line in said)
-    assert any("more" in line for line in said[:-1] if line.count("exit_points") == NAMED)
+    assert len(said) == NAMED_COMBINATIONS_MAX and said[-1].endswith(
+        "; and 4 more such combinations"
+    )
+    assert all(line.count("exit_points") <= NAMED_PARAMETERS_MAX for line in said)
+    assert any(
+        "more" in line for line in said[:-1] if line.count("exit_points") == NAMED_PARAMETERS_MAX
+    )
 
 
 def test_json_names_all():

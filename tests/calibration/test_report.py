@@ -3,11 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.estimate import Estimate
+import carosac_toolkit as ct
+from calibration.estimate import ParameterEstimate
 from calibration.observability import judge
 from calibration.pictures import draw_exit_points, draw_learnt, draw_residuals
 from calibration.report import (
     PARAMETER_HEADER,
+    ReportContent,
     blunders_html,
     observability_html,
     parameter_rows,
@@ -16,14 +18,25 @@ from calibration.report import (
     print_sentences,
     write_report,
 )
+from calibration.result import CalibrationResult
 
-ESTIMATE = Estimate(
+ESTIMATE = ParameterEstimate(
     names=("exit_points[a].x", "length_delay", "pose_tilt.x", "mass", "length_scale[a]", "drag"),
     value=[1.50123, 0.0331, 1e-3, 23.7, 1.0021, 0.3],
     covariance=np.diag(np.square([1.5e-4, 2e-4, 1e-4, 12.0, 3e-5, 0.0]) + 0.0),
     start=[1.49, 0.0, 0.0, 20.0, 1.0, 0.3],
     prior_sigma=[0.05, 0.1, np.inf, 5.0, 1e-3, 0.1],
 )
+
+
+class Finished(CalibrationResult):
+    """A result of nothing but what all results have."""
+
+    def sentences(self):
+        return ["all is well"]
+
+    def data(self):
+        return {"parameters": self.estimate.data()}
 
 
 def test_numbers_have_two_digits_of_their_sigma_in_units_people_use():
@@ -55,19 +68,22 @@ def test_the_table_keeps_to_the_width_of_the_terminal(capsys, monkeypatch):
 def test_a_report_holds_tables_sentences_pictures_and_the_command(tmp_path):
     observability = judge(("mass", "drag"), np.diag([1.0, 0.0]), np.ones(2))
     image = (b"\x89PNG made up", "exit points")
+    parts = [
+        parameters_html(ESTIMATE),
+        observability_html(observability),
+        blunders_html(("shot",), [("a<b",)], left=1),
+    ]
+    result = Finished(
+        before=ct.load_robot("carosac"), estimate=ESTIMATE, observability=observability,
+        warnings=("but look",),
+    )  # fmt: skip
     files = write_report(
         tmp_path / "report",
         "Calibration of <robot>",
-        [
-            parameters_html(ESTIMATE),
-            observability_html(observability),
-            blunders_html(("shot",), [("a<b",)], left=1),
-        ],
-        said=["all is well"],
-        warned=["but look"],
-        images={"points": image},
+        result,
+        ReportContent(parts=parts, images={"points": image}),
         provenance={"recording": "run.csv"},
-        words=["carosac", "calibrate", "lengths", "run.csv"],
+        command=["carosac", "calibrate", "lengths", "run.csv"],
     )
     assert [path.name for path in files] == ["points.png", "report.html"]
     assert (tmp_path / "report" / "points.png").read_bytes() == image[0]

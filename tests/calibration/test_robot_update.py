@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from calibration.estimate import Estimate
+from calibration.estimate import ParameterEstimate
 from calibration.robot_update import (
     check_output,
     prior_covariance,
@@ -28,7 +28,7 @@ def estimate(names, *, seed=0, by=0.01, robot=ROBOT):
     rng = np.random.default_rng(seed)
     start = values_of(robot, names)
     root = rng.normal(0.0, 1e-3, (len(names), len(names)))
-    return Estimate(
+    return ParameterEstimate(
         names=tuple(names),
         value=start + by,
         covariance=root @ root.T + 1e-8 * np.eye(len(names)),

@@ -75,7 +75,7 @@ def test_numbers_are_ready_for_json_and_sentences_for_people(found):
     assert set(data["test"]["rmse_m"]) == {"x", "y", "z", "norm"}
     assert data["train"]["before"]["rmse_m"]["norm"] > data["train"]["rmse_m"]["norm"]
     assert any("kept back" in line for line in found.sentences())
-    assert found.warnings() == []
+    assert found.warnings == ()
 
 
 @pytest.mark.slow
@@ -144,7 +144,7 @@ def test_a_start_in_motion_is_warned_of(robot, run):
     middle = int(np.argmax(np.abs(np.diff(recording.unstrained_length, axis=0)).max(axis=1)))
     late = recording.slice(middle)
     found = identify(late, robot, replace(FEW, iterations=1), train=(0, 200))
-    assert any("moves at the first sample" in line for line in found.warnings())
+    assert any("moves at the first sample" in line for line in found.warnings)
 
 
 def test_another_number_of_cables_is_refused(run):

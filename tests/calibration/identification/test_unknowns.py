@@ -2,33 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 import carosac_toolkit as ct
 from calibration.identification.settings import IdentificationSettings
-from calibration.identification.unknowns import choose_unknowns
+from calibration.identification.unknowns import choose_coordinates
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.robot.parameters import values_of
+from carosac_toolkit.robot.parameters import field_of, values_of
 
 
 @pytest.fixture(scope="module")
 def unknowns():
-    return choose_unknowns(ct.load_robot("carosac"), IdentificationSettings())
+    return choose_coordinates(ct.load_robot("carosac"), IdentificationSettings())
 
 
 def test_coordinates_of_zero_are_the_robot_itself(unknowns):
-    robot = unknowns.robot_at(np.zeros(len(unknowns.names)))
-    before = values_of(unknowns.robot, unknowns.names)
-    assert values_of(robot, unknowns.names) == pytest.approx(before, rel=1e-12)
+    robot = unknowns.robot_at(np.zeros(len(unknowns.prior.names)))
+    before = values_of(unknowns.robot, unknowns.prior.names)
+    assert values_of(robot, unknowns.prior.names) == pytest.approx(before, rel=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_every_point_within_three_sigmas_is_a_body_that_can_be(unknowns, seed):
     rng = np.random.default_rng(seed)
-    point = np.maximum(3.0 * rng.standard_normal(len(unknowns.names)), unknowns.lower)
+    point = np.maximum(3.0 * rng.standard_normal(len(unknowns.prior.names)), unknowns.lower)
     robot = unknowns.robot_at(point)  # its constructor refuses an impossible inertia
     moments = np.linalg.eigvalsh(robot.inertia)
     assert moments[2] < moments[0] + moments[1]
@@ -38,16 +38,16 @@ def test_every_point_within_three_sigmas_is_a_body_that_can_be(unknowns, seed):
 def test_a_skew_inertia_stays_possible():
     robot = ct.load_robot("carosac")
     robot = replace(robot, inertia=robot.inertia + 0.1 * (1.0 - np.eye(3)))
-    unknowns = choose_unknowns(robot, IdentificationSettings())
-    point = np.zeros(len(unknowns.names))
+    unknowns = choose_coordinates(robot, IdentificationSettings())
+    point = np.zeros(len(unknowns.prior.names))
     for axis, share in zip("xyz", (3.0, -3.0, 2.0), strict=True):
-        point[unknowns.names.index(f"inertia.{axis * 2}")] = share
+        point[unknowns.prior.names.index(f"inertia.{axis * 2}")] = share
     assert np.linalg.eigvalsh(unknowns.robot_at(point).inertia)[0] > 0.0
 
 
 def test_run_length_moves_at_a_constant_stiffness_of_the_whole_cable(unknowns):
-    point = np.zeros(len(unknowns.names))
-    point[unknowns.names.index("run_length")] = 1.5
+    point = np.zeros(len(unknowns.prior.names))
+    point[unknowns.prior.names.index("run_length")] = 1.5
     robot, changed = unknowns.robot, unknowns.robot_at(point)
     assert changed.run_length[0] > robot.run_length[0]
     before = robot.axial_stiffness / (unknowns.reach + robot.run_length)
@@ -59,30 +59,39 @@ def test_the_covariance_of_the_robot_file_is_the_prior():
     robot = ct.load_robot("carosac")
     block = np.array([[4e-6, 1e-6, 0.0], [1e-6, 9e-6, 0.0], [0.0, 0.0, 1e-6]])
     robot = replace(robot, exit_covariance=np.tile(block, (4, 1, 1)))
-    unknowns = choose_unknowns(robot, IdentificationSettings())
-    none = np.zeros(len(unknowns.names))
-    estimate = unknowns.estimate(none, unknowns.prior)
+    unknowns = choose_coordinates(robot, IdentificationSettings())
+    none = np.zeros(len(unknowns.prior.names))
+    estimate = unknowns.estimate(none, unknowns.prior.covariance)
     assert estimate.covariance[:3, :3] == pytest.approx(block, rel=1e-6)
     assert estimate.prior_sigma[:3] == pytest.approx([2e-3, 3e-3, 1e-3], rel=1e-6)
 
 
 def test_sigmas_of_factors_are_shares_of_their_value(unknowns):
-    none = np.zeros(len(unknowns.names))
-    estimate = unknowns.estimate(none, unknowns.prior)
+    none = np.zeros(len(unknowns.prior.names))
+    estimate = unknowns.estimate(none, unknowns.prior.covariance)
     mass = estimate.index("mass")
     assert estimate.prior_sigma[mass] == pytest.approx(0.05 * unknowns.robot.mass, rel=1e-4)
 
 
-def test_a_sigma_of_zero_holds_a_parameter():
-    settings = IdentificationSettings(mass=0.0, anchor_points=0.0)
-    names = choose_unknowns(ct.load_robot("carosac"), settings).names
-    assert not [name for name in names if name.startswith(("mass", "anchor"))]
+SIGMAS = [
+    each.name for each in fields(IdentificationSettings)
+    if each.name not in ("rate", "iterations", "time_step")
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("field", SIGMAS)
+def test_a_sigma_of_zero_holds_a_parameter(field):
+    robot = ct.load_robot("carosac")
+    every = choose_coordinates(robot, IdentificationSettings()).prior.names
+    held = choose_coordinates(robot, IdentificationSettings(**{field: 0.0})).prior.names
+    gone = set(every) - set(held)
+    assert gone and {field_of(name) for name in gone} == {field}
 
 
 def test_a_factor_cannot_begin_at_zero():
     robot = replace(ct.load_robot("carosac"), drag=0.0)
     with pytest.raises(InvalidField, match=r"drag: got 0.0; allowed: > 0, or the setting drag = 0"):
-        choose_unknowns(robot, IdentificationSettings())
+        choose_coordinates(robot, IdentificationSettings())
 
 
 def test_settings_refuse_what_is_no_sigma():

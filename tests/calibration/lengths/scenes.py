@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 import carosac_toolkit as ct
-from calibration.lengths.synthetic import Scene, SceneSettings, draw_scene
+from calibration.lengths.synthetic import LengthScene, LengthSceneSettings, draw_length_scene
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
@@ -30,17 +30,17 @@ def with_pulleys(name: str, *, exit_sigma: float | None = None) -> Robot:
 def scene(
     name: str, seed: int, *, exit_sigma: float | None = None, samples: int = 250,
     relative: bool = False, outliers: float = 0.05,
-) -> Scene:  # fmt: skip
+) -> LengthScene:  # fmt: skip
     """A recording of a robot that differs from its description, the same for the same numbers."""
-    return draw_scene(
+    return draw_length_scene(
         with_pulleys(name, exit_sigma=exit_sigma),
         np.random.default_rng(seed),
-        settings=SceneSettings(samples=samples, outliers=outliers),
+        settings=LengthSceneSettings(samples=samples, outliers=outliers),
         relative=relative,
     )
 
 
-def exit_error(scene: Scene, robot: Robot) -> Array:
+def exit_error(scene: LengthScene, robot: Robot) -> Array:
     """Distance of each exit point of a robot from the truth [m], shape (n,)."""
     truth = [[scene.truth[f"exit_points[{c}].{a}"] for a in "xyz"] for c in robot.cable_names]
     return np.asarray(np.linalg.norm(robot.exit_points - np.array(truth), axis=1))

@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from calibration.lengths.synthetic import SceneSettings, draw_scene
+from calibration.lengths.synthetic import LengthSceneSettings, draw_length_scene
 from carosac_toolkit.cli.main import main
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    made = draw_scene(
-        ct.load_robot("carosac"), np.random.default_rng(0), settings=SceneSettings(samples=150)
+    made = draw_length_scene(
+        ct.load_robot("carosac"),
+        np.random.default_rng(0),
+        settings=LengthSceneSettings(samples=150),
     )
     path = tmp_path_factory.mktemp("lengths") / "run.csv"
     made.recording.save(path)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.lengths.model import correction, in_world, predict, tensions, upwards
-from calibration.lengths.samples import PosesAt
+from calibration.lengths.pose_path import PosesAt
 from calibration.lengths.unknowns import all_names
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.parameters import values_of, with_values
@@ -35,7 +35,7 @@ def test_prediction_is_the_length_of_statics(name: str) -> None:
     poses, rest = poses_of(robot)
     tension = tensions(robot, poses, upwards(robot, anchored=True))
     effect = correction(robot, poses, tension)
-    found = predict(robot, poses, effect.value, plumb=False, anchored=True)
+    found = predict(robot, poses, effect.value, with_balance=False, anchored=True)
     assert found.value == pytest.approx(rest.unstrained_length, abs=2e-5)
 
 
@@ -48,7 +48,7 @@ def test_derivatives_agree_with_differences_at_a_turned_pose(name: str) -> None:
     poses, _ = poses_of(robot)
     zero = np.zeros((2, robot.n))
     names = all_names(robot.cable_names, center=robot.n < 6)
-    exact = predict(robot, poses, zero, plumb=False, anchored=True).by_all
+    exact = predict(robot, poses, zero, with_balance=False, anchored=True).by_all
     step = 1e-5
     for k, parameter in enumerate(names):
         if parameter == "length_delay":
@@ -58,7 +58,7 @@ def test_derivatives_agree_with_differences_at_a_turned_pose(name: str) -> None:
             value = values_of(robot, [parameter]) + sign * step
             changed = with_values(robot, [parameter], value)
             placed = in_world(changed, poses, anchored=True)
-            ends.append(predict(changed, placed, zero, plumb=False, anchored=True).value)
+            ends.append(predict(changed, placed, zero, with_balance=False, anchored=True).value)
         numeric = (ends[0] - ends[1]) / (2.0 * step)
         assert exact[:, :, k] == pytest.approx(numeric, abs=1e-6), parameter
 
@@ -75,8 +75,10 @@ def test_delay_moves_readings_at_the_rate_of_the_lengths() -> None:
             position=poses.position + sign * step * poses.twist[:, :3],
             rotation=turn @ poses.rotation, twist=poses.twist, valid=poses.valid,
         )  # fmt: skip
-        ends.append(predict(robot, moved, np.zeros((2, 8)), plumb=False, anchored=True).value)
+        ends.append(
+            predict(robot, moved, np.zeros((2, 8)), with_balance=False, anchored=True).value
+        )
     names = all_names(robot.cable_names, center=False)
-    found = predict(robot, poses, np.zeros((2, 8)), plumb=False, anchored=True)
+    found = predict(robot, poses, np.zeros((2, 8)), with_balance=False, anchored=True)
     rate = found.by_all[:, :, names.index("length_delay")]
     assert rate == pytest.approx((ends[0] - ends[1]) / (2.0 * step), abs=1e-6)

@@ -5,7 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 import carosac_toolkit as ct
-from calibration.self_calibration.synthetic import Noise, draw_positions, measure
+from calibration.self_calibration.synthetic import (
+    MeasurementNoise,
+    draw_positions,
+    measure_motor_angles,
+)
 
 HAND = 0.02  # [m] of the lengths at home, as measured by hand
 LOW = np.array([[0.02, -1.59, -0.11], [1.29, 1.23, -0.16], [-1.42, 0.74, -0.15]])
@@ -47,8 +51,10 @@ def scene(seed=0, count=24, *, noise=None, known=KNOWN, blunders=None):
     rng = np.random.default_rng(seed)
     before, truth = robots(rng)
     place = positions(truth, count, rng)
-    noise = Noise() if noise is None else noise
-    angles = measure(truth, place, np.array(known, dtype=int), noise, rng, blunders=blunders)
+    noise = MeasurementNoise() if noise is None else noise
+    angles = measure_motor_angles(
+        truth, place, np.array(known, dtype=int), noise, rng, blunders=blunders
+    )
     return before, truth, place, angles
 
 

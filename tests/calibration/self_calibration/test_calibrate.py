@@ -5,23 +5,27 @@ import pytest
 from scipy.stats import chi2
 
 from calibration.observability import Unobservable
-from calibration.self_calibration import Settings, calibrate
+from calibration.self_calibration import SelfCalibrationSettings, calibrate_motor_angles
+from calibration.self_calibration.blunder_tests import settle
 from calibration.self_calibration.map_estimate import estimate
-from calibration.self_calibration.noise import settle
-from calibration.self_calibration.problem import Problem
+from calibration.self_calibration.problem import MotorAngleProblem
 from calibration.self_calibration.solver import equations
-from calibration.self_calibration.start import starts
-from calibration.self_calibration.synthetic import Noise, draw_robot, measure
+from calibration.self_calibration.starting_points import starts
+from calibration.self_calibration.synthetic import (
+    MeasurementNoise,
+    draw_robot,
+    measure_motor_angles,
+)
 from carosac_toolkit.base.errors import InvalidField
 from tests.calibration.self_calibration.scenes import KNOWN, scene
 from tests.calibration.self_calibration.test_problem import rotated_robot
 
-SHARP = Settings(line_sigma=1e-6, known_sigma=(1e-6, 1e-6, 1e-6))
-SILENT = Noise(line=0.0, known=0.0)
+SHARP = SelfCalibrationSettings(line_sigma=1e-6, known_sigma=(1e-6, 1e-6, 1e-6))
+SILENT = MeasurementNoise(line=0.0, known=0.0)
 
 
 def exits(result):
-    n = result.robot.n
+    n = result.before.n
     return result.estimate.value[: 3 * n].reshape(n, 3)
 
 
@@ -33,7 +37,7 @@ def exit_nees(result, truth):
 
 def test_exact_angles_give_the_exact_robot_and_positions():
     before, truth, place, angles = scene(1, noise=SILENT)
-    result = calibrate(angles, before, SHARP)
+    result = calibrate_motor_angles(angles, before, SHARP)
     assert np.linalg.norm(exits(result) - before.exit_points, axis=1).max() > 0.3  # it had to move
     assert exits(result) == pytest.approx(truth.exit_points, abs=1e-4)
     assert result.position == pytest.approx(place, abs=2e-5)
@@ -45,7 +49,7 @@ def test_exact_angles_give_the_exact_robot_and_positions():
 
 def test_known_positions_on_the_bed_alone_find_the_side_by_the_ceiling():
     before, truth, place, angles = scene(2, known=(0, 1, 2, 3, 4))
-    result = calibrate(angles, before)
+    result = calibrate_motor_angles(angles, before)
     assert exits(result) == pytest.approx(truth.exit_points, abs=0.06)
     assert (exits(result)[:3, 2] < 0.0).all()
     assert result.position == pytest.approx(place, abs=0.03)
@@ -54,12 +58,14 @@ def test_known_positions_on_the_bed_alone_find_the_side_by_the_ceiling():
 def test_eight_cables_over_pulleys_at_a_known_rotation():
     robot = rotated_robot()
     rng = np.random.default_rng(5)
-    settings = Settings(exit_sigma=0.05, line_sigma=5e-4)
+    settings = SelfCalibrationSettings(exit_sigma=0.05, line_sigma=5e-4)
     truth = draw_robot(robot, rng, settings)
     place = rng.uniform(robot.workspace_min, robot.workspace_max, (20, 3))
     place[0] = robot.home_position
-    angles = measure(truth, place, np.arange(6), Noise(line=5e-4, known=5e-4), rng)
-    result = calibrate(angles, robot, replace(settings, known_sigma=(5e-4,) * 3))
+    angles = measure_motor_angles(
+        truth, place, np.arange(6), MeasurementNoise(line=5e-4, known=5e-4), rng
+    )
+    result = calibrate_motor_angles(angles, robot, replace(settings, known_sigma=(5e-4,) * 3))
     assert exit_nees(result, truth) < chi2.ppf(0.9999, 24)
     assert np.linalg.norm(result.position - place, axis=1).max() < 3e-3
 
@@ -69,7 +75,7 @@ def test_sigmas_of_exit_points_positions_and_predictions_are_honest():
     runs = 6
     for seed in range(100, 100 + runs):
         before, truth, place, angles = scene(seed, count=30)
-        result = calibrate(angles, before, Settings(line_sigma=1e-3))
+        result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(line_sigma=1e-3))
         exit_squares.append(exit_nees(result, truth))
         place_squares.append((((result.position - place) / result.position_sigma) ** 2).mean())
         out_squares += [((one.error / one.sigma) ** 2).mean() for one in result.left_out]
@@ -81,8 +87,8 @@ def test_sigmas_of_exit_points_positions_and_predictions_are_honest():
 
 
 def test_the_noise_of_the_line_is_found():
-    before, _, _, angles = scene(9, count=60, noise=Noise(line=2e-3))
-    result = calibrate(angles, before)
+    before, _, _, angles = scene(9, count=60, noise=MeasurementNoise(line=2e-3))
+    result = calibrate_motor_angles(angles, before)
     assert result.redundancy > 40.0
     assert result.line_sigma == pytest.approx(2e-3, rel=4.0 / np.sqrt(2.0 * result.redundancy))
     spread = result.line_residual_rms * np.sqrt(result.residual.size / result.redundancy)
@@ -91,8 +97,8 @@ def test_the_noise_of_the_line_is_found():
 
 def test_gtsam_and_the_eliminated_equations_agree():
     before, _, _, angles = scene(3)
-    problem = Problem(before, angles, Settings())
-    settled = settle(problem, starts(problem)[0], Settings())
+    problem = MotorAngleProblem(before, angles, SelfCalibrationSettings())
+    settled = settle(problem, starts(problem)[0], SelfCalibrationSettings())
     graph = estimate(problem, settled)
     system = equations(problem, settled.fit.shared, settled.fit.position, settled.trust)
     expected = np.linalg.inv(system.information)
@@ -107,7 +113,7 @@ def test_lost_line_and_a_wrong_known_position_are_named_and_do_no_harm():
     before, truth, _, angles = scene(4, count=36, blunders=blunders)
     wrong = angles.known_position.copy()
     wrong[4] += [0.1, -0.03, 0.0]
-    result = calibrate(replace(angles, known_position=wrong), before)
+    result = calibrate_motor_angles(replace(angles, known_position=wrong), before)
     assert {(b.sample, b.what) for b in result.blunders} == {
         ("9", "motor angles"), ("17", "motor angles"), ("3", "motor angles"),
         ("4", "known position"),
@@ -115,7 +121,7 @@ def test_lost_line_and_a_wrong_known_position_are_named_and_do_no_harm():
     assert all(b.sigmas > 5.0 for b in result.blunders)
     assert np.isinf(result.position_sigma[9]).all() and np.isfinite(result.position_sigma[3]).all()
     assert exit_nees(result, truth) < chi2.ppf(0.9999, 12)
-    clean = calibrate(scene(4, count=36)[3], before)
+    clean = calibrate_motor_angles(scene(4, count=36)[3], before)
     assert exits(result) == pytest.approx(exits(clean), abs=0.02)
 
 
@@ -130,7 +136,7 @@ def test_lost_line_and_a_wrong_known_position_are_named_and_do_no_harm():
 def test_too_few_known_positions_are_refused_with_the_reason(known, message):
     before, _, _, angles = scene(known=known)
     with pytest.raises(Unobservable, match=message) as caught:
-        calibrate(angles, before)
+        calibrate_motor_angles(angles, before)
     assert "Allowed: at least three known positions" in str(caught.value)
     assert "exit_points[" in str(caught.value)
 
@@ -139,9 +145,9 @@ def test_known_positions_on_one_line_are_refused():
     before, truth, place, _ = scene()
     place[1:4] = [[0.2, 0.1, 0.0], [0.4, 0.2, 0.0], [-0.2, -0.1, 0.0]]
     rng = np.random.default_rng(0)
-    angles = measure(truth, place, np.arange(4), SILENT, rng)
+    angles = measure_motor_angles(truth, place, np.arange(4), SILENT, rng)
     with pytest.raises(Unobservable, match="lie on one line, which leaves a turn about it free"):
-        calibrate(angles, before)
+        calibrate_motor_angles(angles, before)
 
 
 def test_exit_points_that_are_known_better_need_fewer_known_positions():
@@ -151,39 +157,43 @@ def test_exit_points_that_are_known_better_need_fewer_known_positions():
         exit_points=truth.exit_points + 0.01,
         exit_covariance=np.tile(0.02**2 * np.eye(3), (4, 1, 1)),
     )
-    result = calibrate(angles, near)
+    result = calibrate_motor_angles(angles, near)
     assert result.observability.weak or result.observability.blind
     assert exits(result) == pytest.approx(truth.exit_points, abs=0.06)
 
 
 def test_too_few_samples_to_tell_the_noise_are_refused_unless_it_is_given():
     before, truth, _, angles = scene(count=6)
-    with pytest.raises(InvalidField, match=r"more lengths that fit than numbers .* line_sigma"):
-        calibrate(angles, before)
-    result = calibrate(angles, before, Settings(line_sigma=1e-3))
+    with pytest.raises(
+        InvalidField, match=r"more consistent lengths than parameters .* line_sigma"
+    ):
+        calibrate_motor_angles(angles, before)
+    result = calibrate_motor_angles(angles, before, SelfCalibrationSettings(line_sigma=1e-3))
     assert exit_nees(result, truth) < chi2.ppf(0.9999, 12)
 
 
 def test_a_wrong_sign_of_the_angles_is_refused():
     before, _, _, angles = scene(6)
     with pytest.raises(Unobservable, match=r"fit only to .* of line; is the robot file right"):
-        calibrate(replace(angles, motor_angle=-angles.motor_angle), before)
+        calibrate_motor_angles(replace(angles, motor_angle=-angles.motor_angle), before)
 
 
 def test_swapped_motors_are_noticed():
     before, _, _, angles = scene(6)
-    result = calibrate(replace(angles, motor_angle=angles.motor_angle[:, [0, 2, 1, 3]]), before)
+    result = calibrate_motor_angles(
+        replace(angles, motor_angle=angles.motor_angle[:, [0, 2, 1, 3]]), before
+    )
     (warning,) = result.warnings
-    assert "standard deviations from where it was thought to be: are cables swapped" in warning
+    assert "prior standard deviations from its prior: are cables swapped" in warning
     assert warning.startswith(("exit_points[b]", "exit_points[c]"))
 
 
 def test_a_known_position_is_predicted_without_itself():
     before, _, _, angles = scene(7)
-    result = calibrate(angles, before)
+    result = calibrate_motor_angles(angles, before)
     assert [one.sample for one in result.left_out] == [str(k) for k in KNOWN]
     for one in result.left_out[1:3]:
-        again = calibrate(angles.without_known([one.sample]), before)
+        again = calibrate_motor_angles(angles.without_known([one.sample]), before)
         k = angles.index(one.sample)
         error = again.position[k] - angles.known_position[k]
         assert one.error == pytest.approx(error, abs=2e-4)

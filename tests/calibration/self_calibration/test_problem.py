@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from calibration.self_calibration.problem import Problem
-from calibration.self_calibration.settings import Settings
-from calibration.self_calibration.synthetic import Noise, measure
+from calibration.self_calibration.problem import MotorAngleProblem
+from calibration.self_calibration.settings import SelfCalibrationSettings
+from calibration.self_calibration.synthetic import MeasurementNoise, measure_motor_angles
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable.drum import drums_of
 from tests.calibration.self_calibration.scenes import scene
 from tests.robots import eight_cable_robot, with_pulleys
 
-SILENT = Noise(line=0.0, known=0.0)
+SILENT = MeasurementNoise(line=0.0, known=0.0)
 
 
 def rotated_robot():
@@ -34,19 +34,19 @@ def rotated_problem():
     rng = np.random.default_rng(3)
     place = rng.uniform(robot.workspace_min, robot.workspace_max, (5, 3))
     place[0] = robot.home_position
-    angles = measure(robot, place, np.arange(2), SILENT, rng)
-    return Problem(robot, angles, Settings()), place
+    angles = measure_motor_angles(robot, place, np.arange(2), SILENT, rng)
+    return MotorAngleProblem(robot, angles, SelfCalibrationSettings()), place
 
 
 def test_residuals_of_the_truth_vanish_over_pulleys_and_at_a_rotation():
     problem, place = rotated_problem()
-    assert problem.linearize(problem.start, place).residual == pytest.approx(0.0, abs=1e-12)
+    assert problem.linearize(problem.prior.mean, place).residual == pytest.approx(0.0, abs=1e-12)
 
 
 def test_derivatives_agree_with_finite_differences():
     problem, place = rotated_problem()
     rng = np.random.default_rng(4)
-    shared = problem.start * (1.0 + 0.02 * rng.normal(size=problem.size))
+    shared = problem.prior.mean * (1.0 + 0.02 * rng.normal(size=problem.size))
     shared[problem.radii] += 1e-3
     place = place + rng.normal(0.0, 0.05, place.shape)
     linear = problem.linearize(shared, place)
@@ -66,24 +66,24 @@ def test_derivatives_agree_with_finite_differences():
             problem.linearize(shared, place + away).residual
             - problem.linearize(shared, place - away).residual
         ) / (2.0 * step)
-        assert linear.by_position[:, :, axis] == pytest.approx(slope, abs=1e-7)
+        assert linear.by_own[:, :, axis] == pytest.approx(slope, abs=1e-7)
 
 
 def test_one_row_is_the_row_of_all():
     problem, place = rotated_problem()
-    whole = problem.linearize(problem.start, place)
-    one = problem.linearize(problem.start, place[2:3], slice(2, 3))
+    whole = problem.linearize(problem.prior.mean, place)
+    one = problem.linearize(problem.prior.mean, place[2:3], slice(2, 3))
     assert one.residual[0] == pytest.approx(whole.residual[2], abs=1e-14)
     assert one.by_shared[0] == pytest.approx(whole.by_shared[2], abs=1e-12)
 
 
 def test_the_radius_with_all_line_wound_in_has_the_derivative_it_says():
     problem, _ = rotated_problem()
-    radius, slope = problem.drum_radius(problem.start)
+    radius, slope = problem.drum_radius(problem.prior.mean)
     assert radius == pytest.approx(drums_of(problem.robot).radius, rel=1e-12)
     for j in np.flatnonzero(slope.any(axis=0)):
-        size = 1e-6 * max(1e-3, abs(problem.start[j]))
-        moved = problem.start.copy()
+        size = 1e-6 * max(1e-3, abs(problem.prior.mean[j]))
+        moved = problem.prior.mean.copy()
         moved[j] += size
         found = (problem.drum_radius(moved)[0] - radius) / size
         assert slope[:, j] == pytest.approx(found, rel=1e-4, abs=1e-7)
@@ -91,15 +91,15 @@ def test_the_radius_with_all_line_wound_in_has_the_derivative_it_says():
 
 def test_alike_drums_share_their_radius_error():
     before, _, _, angles = scene()
-    problem = Problem(before, angles, Settings())
-    assert [name for name in problem.names if name.startswith("drum_radius")] == [
+    problem = MotorAngleProblem(before, angles, SelfCalibrationSettings())
+    assert [name for name in problem.prior.names if name.startswith("drum_radius")] == [
         "drum_radius[a, b, c]", "drum_radius[d]",
     ]  # fmt: skip
-    assert [name for name in problem.names if name.startswith("drum_buildup")] == [
+    assert [name for name in problem.prior.names if name.startswith("drum_buildup")] == [
         "drum_buildup[a, b, c, d]"
     ]
     other = replace(before, drum_radius=before.drum_radius + np.array([0.0, 1e-3, 0.0, 0.0]))
-    names = Problem(other, angles, Settings()).names
+    names = MotorAngleProblem(other, angles, SelfCalibrationSettings()).prior.names
     assert "drum_radius[a, c]" in names and "drum_radius[b]" in names
 
 
@@ -107,7 +107,7 @@ def test_a_robot_without_drums_is_refused():
     _, _, _, angles = scene()
     before = replace(ct.load_robot("carosac"), cable_names=("a", "b", "c", "d"))
     with pytest.raises(InvalidField, match="drum_radius: got unknown for robot 'carosac'"):
-        Problem(before, angles, Settings())
+        MotorAngleProblem(before, angles, SelfCalibrationSettings())
 
 
 @pytest.mark.parametrize(
@@ -120,4 +120,13 @@ def test_a_robot_without_drums_is_refused():
 )
 def test_settings_that_mean_nothing_are_refused(change, message):
     with pytest.raises(InvalidField, match=message):
-        Settings(**change)
+        SelfCalibrationSettings(**change)
+
+
+def test_lengths_measured_by_hand_are_where_the_search_starts():
+    before, _, _, angles = scene()
+    by_hand = SelfCalibrationSettings(length_at_zero=np.array([1.6, 1.8, 1.5, 2.4]))
+    problem = MotorAngleProblem(before, angles, by_hand)
+    assert problem.prior.mean[problem.zeros] == pytest.approx([1.6, 1.8, 1.5, 2.4])
+    assert problem.prior.sigma[problem.zeros] == pytest.approx(0.02)
+    assert problem.longest == 2.4

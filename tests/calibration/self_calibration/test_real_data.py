@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from calibration.self_calibration import calibrate, load_motor_angles
+from calibration.self_calibration import calibrate_motor_angles, load_motor_angles
 
 PUBLISHED = np.array(
     [
@@ -25,7 +25,7 @@ def angles(real_data):
 
 
 def test_lengths_fit_and_anchors_agree_with_the_published_ones(angles):
-    result = calibrate(angles, ct.load_robot("hangprinter"))
+    result = calibrate_motor_angles(angles, ct.load_robot("hangprinter"))
     assert result.residual_rms < 0.6e-3
     anchors = 1e3 * result.estimate.value[:12].reshape(4, 3)
     assert np.linalg.norm(anchors - PUBLISHED, axis=1).max() < 20.0
@@ -35,7 +35,7 @@ def test_lengths_fit_and_anchors_agree_with_the_published_ones(angles):
 
 @pytest.mark.parametrize("sample", ["3", "8"])
 def test_a_known_position_is_predicted_without_itself(angles, sample):
-    result = calibrate(angles.without_known([sample]), ct.load_robot("hangprinter"))
+    result = calibrate_motor_angles(angles.without_known([sample]), ct.load_robot("hangprinter"))
     row = angles.index(sample)
     error = np.linalg.norm(result.position[row] - angles.known_position[row])
     assert error < 4e-3

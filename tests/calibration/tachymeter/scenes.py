@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.tachymeter.observations import Instrument
-from calibration.tachymeter.sightings import Pulley
+from calibration.tachymeter.sightings import SightedPulley
 from calibration.tachymeter.synthetic import DrawnSurvey, SurveyPlan, draw_survey
 from carosac_toolkit import load_robot
 from carosac_toolkit.robot.robot import Robot
@@ -17,7 +17,7 @@ ROBOT = load_robot("carosac")
 RADIUS = 0.05
 EXACT = Instrument(angle=1e-9, distance=1e-7, distance_ppm=0.0, pointing=0.0, compensator=1e-10)
 
-PULLEY = Pulley(
+PULLEY = SightedPulley(
     cable="front_left",
     radius=RADIUS,
     axis=np.array([0.36, -0.48, 0.8]),  # not upright, on purpose

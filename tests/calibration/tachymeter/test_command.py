@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calibration.tachymeter.csv_file import read_csv
-from calibration.tachymeter.synthetic_files import write_gsi, write_targets
+from calibration.tachymeter.synthetic import write_gsi, write_targets
 from calibration.tachymeter.targets import read_targets
 from carosac_toolkit import load_robot
 from carosac_toolkit.cli.main import main

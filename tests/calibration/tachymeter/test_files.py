@@ -8,9 +8,9 @@ from geocompy.gsi.gsiformat import GsiUnit
 
 from calibration.tachymeter.csv_file import read_csv
 from calibration.tachymeter.gsi import read_gsi
-from calibration.tachymeter.observations import Instrument, Reference, Sighting
+from calibration.tachymeter.observations import Instrument, ReferencePoint, Sighting
 from calibration.tachymeter.survey_files import read_survey
-from calibration.tachymeter.synthetic_files import write_csv, write_gsi, write_targets
+from calibration.tachymeter.synthetic import write_gsi, write_survey_csv, write_targets
 from calibration.tachymeter.targets import read_targets
 from carosac_toolkit.base.errors import InvalidFile, MissingFile
 from tests.calibration.tachymeter.scenes import ROBOT, drawn, pulley_robot, write
@@ -313,7 +313,9 @@ def test_written_surveys_come_back_whole(tmp_path):
     targets = write_targets(
         tmp_path / "t.yaml", scene.survey, platform_position=robot.home_position
     )
-    survey = read_survey([str(write_csv(tmp_path / "s.csv", scene.survey))], str(targets), robot)
+    survey = read_survey(
+        [str(write_survey_csv(tmp_path / "s.csv", scene.survey))], str(targets), robot
+    )
     assert survey.reading == pytest.approx(scene.survey.reading, abs=1e-5)
     assert [s.sighting for s in survey.shots] == [s.sighting for s in scene.survey.shots]
     assert [s.target for s in survey.shots] == [s.target for s in scene.survey.shots]
@@ -326,6 +328,6 @@ def test_a_reference_needs_a_sigma():
     from carosac_toolkit.base.errors import InvalidField
 
     with pytest.raises(InvalidField, match="position and sigma"):
-        Reference("R1", np.zeros(3))
+        ReferencePoint("R1", np.zeros(3))
     with pytest.raises(InvalidField, match="sigma > 0"):
-        Reference("R1", np.zeros(3), np.zeros(3))
+        ReferencePoint("R1", np.zeros(3), np.zeros(3))

@@ -4,10 +4,11 @@ import gtsam
 import numpy as np
 import pytest
 
+from calibration.tachymeter.calibrate import _pulleys, _start
 from calibration.tachymeter.model import predict
 from calibration.tachymeter.network import Network, tilted
 from calibration.tachymeter.observations import (
-    ARCSEC,
+    ARCSEC_RAD,
     Instrument,
     Sighting,
     cartesian,
@@ -15,7 +16,6 @@ from calibration.tachymeter.observations import (
     polar,
 )
 from calibration.tachymeter.sightings import elevation, sighted_point
-from calibration.tachymeter.solve import _pulleys, _start
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from tests.calibration.tachymeter.scenes import (
@@ -70,9 +70,9 @@ def test_face_two_is_the_same_sight():
 
 
 def test_noise_of_hz_grows_as_one_over_sin_v_and_of_distances_with_distance():
-    instrument = Instrument(angle=3 * ARCSEC, distance=1e-3, distance_ppm=100.0, pointing=0.0)
+    instrument = Instrument(angle=3 * ARCSEC_RAD, distance=1e-3, distance_ppm=100.0, pointing=0.0)
     sigma = instrument.sigma(np.array([[0.0, np.pi / 2, 10.0], [0.0, np.pi / 6, 10.0]]))
-    assert sigma[0] == pytest.approx([3 * ARCSEC, 3 * ARCSEC, np.hypot(1e-3, 1e-3)])
+    assert sigma[0] == pytest.approx([3 * ARCSEC_RAD, 3 * ARCSEC_RAD, np.hypot(1e-3, 1e-3)])
     assert sigma[1, 0] == pytest.approx(2 * sigma[0, 0])
     assert sigma[1, 1] == sigma[0, 1]
 
@@ -135,9 +135,9 @@ def test_tangent_point_is_where_the_statics_see_the_cable_leave_the_pulley():
 
 
 def _pulley(robot, i, towards):
-    from calibration.tachymeter.sightings import Pulley
+    from calibration.tachymeter.sightings import SightedPulley
 
-    return Pulley(
+    return SightedPulley(
         cable=robot.cable_names[i], radius=RADIUS, axis=robot.swivel_axis[i], towards=towards
     )
 

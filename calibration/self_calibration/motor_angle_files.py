@@ -17,10 +17,10 @@ from carosac_toolkit.base.errors import InvalidFile, MissingFile
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.recordings.table import shortened
 
-_MOTOR = re.compile(r"motor_(?:angle_)?(?P<cable>.+?)_(?P<unit>deg|rad)")
-_KNOWN = re.compile(r"known_(?P<sigma>sigma_)?(?P<axis>[xyz])_(?P<unit>mm|m)")
-_UNITS = {"deg": math.radians(1.0), "rad": 1.0, "mm": 1e-3, "m": 1.0}
-COLUMNS = "sample, motor_NAME_deg or motor_angle_01_rad, known_x_mm or known_x_m"
+_MOTOR_COLUMN = re.compile(r"motor_(?:angle_)?(?P<cable>.+?)_(?P<unit>deg|rad)")
+_KNOWN_COLUMN = re.compile(r"known_(?P<sigma>sigma_)?(?P<axis>[xyz])_(?P<unit>mm|m)")
+_UNIT_FACTORS = {"deg": math.radians(1.0), "rad": 1.0, "mm": 1e-3, "m": 1.0}
+COLUMNS_ALLOWED = "sample, motor_NAME_deg or motor_angle_01_rad, known_x_mm or known_x_m"
 
 
 @dataclass(frozen=True)
@@ -33,12 +33,12 @@ class _Column:
 
 
 def holds_motor_angles(path: Path) -> bool:
-    """Whether a file is a CSV with a column of motor angles; False where it cannot be read."""
+    """Return whether a file is a CSV with motor angles; False where it cannot be read."""
     try:
         with path.open(encoding="utf-8-sig") as stream:
             for line in stream:
                 if line.strip() and not line.startswith("#"):
-                    return any(_MOTOR.fullmatch(cell.strip()) for cell in line.split(","))
+                    return any(_MOTOR_COLUMN.fullmatch(cell.strip()) for cell in line.split(","))
     except (OSError, UnicodeDecodeError):
         pass
     return False
@@ -69,8 +69,10 @@ def load_motor_angles(path: str | Path) -> MotorAngles:
         if line.strip() and not line.startswith("#")
     ]
     if len(lines) < 2:
-        raise InvalidFile(path, [f"no samples; allowed: a header ({COLUMNS}) and lines below it"])
-    reader = _Reader(lines[0][1])
+        raise InvalidFile(
+            path, [f"no samples; allowed: a header ({COLUMNS_ALLOWED}) and lines below it"]
+        )
+    reader = _AngleReader(lines[0][1])
     faults = reader.faults or reader.read(lines[1:])
     if faults:
         raise InvalidFile(path, shortened(faults))
@@ -92,7 +94,7 @@ def write_motor_angles(angles: MotorAngles, path: Path) -> None:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-class _Reader:
+class _AngleReader:
     """The columns of a file, and what was read of them."""
 
     def __init__(self, header: Sequence[str]) -> None:
@@ -112,16 +114,16 @@ class _Reader:
 
     def _add(self, index: int, title: str) -> None:
         """Take one column, or say that its name means nothing."""
-        motor, known = _MOTOR.fullmatch(title), _KNOWN.fullmatch(title)
+        motor, known = _MOTOR_COLUMN.fullmatch(title), _KNOWN_COLUMN.fullmatch(title)
         if motor:
-            self._motors.append(_Column(index, motor["cable"], _UNITS[motor["unit"]]))
+            self._motors.append(_Column(index, motor["cable"], _UNIT_FACTORS[motor["unit"]]))
         elif known:
             place = self._sigma if known["sigma"] else self._known
             if known["axis"] in place:
                 self.faults.append(f"column {title}: the same coordinate comes twice")
-            place[known["axis"]] = _Column(index, title, _UNITS[known["unit"]])
+            place[known["axis"]] = _Column(index, title, _UNIT_FACTORS[known["unit"]])
         elif title != "sample":
-            self.faults.append(f"column {title!r}: unknown; allowed: {COLUMNS}")
+            self.faults.append(f"column {title!r}: unknown; allowed: {COLUMNS_ALLOWED}")
 
     def _check(self, header: Sequence[str]) -> None:
         """Find columns that are missing or double."""
@@ -160,7 +162,7 @@ class _Reader:
         return faults
 
     def _number(self, column: _Column, cells: list[str], line: int, faults: list[str]) -> float:
-        """One number in SI units."""
+        """Read one number in SI units."""
         try:
             value = float(cells[column.index]) * column.factor
         except ValueError:
@@ -172,15 +174,15 @@ class _Reader:
         return value
 
     def _place(self, cells: list[str], line: int, faults: list[str]) -> None:
-        """A known position, or none."""
+        """Read a known position, if there is one."""
         columns = [self._known[axis] for axis in "xyz"]
-        given = [bool(cells[column.index]) for column in columns]
+        filled = [bool(cells[column.index]) for column in columns]
         self._position.append([math.nan] * 3)
         self._spread.append([math.nan] * 3)
-        if not any(given):
+        if not any(filled):
             return
-        if not all(given):
-            gone = [c.name for c, there in zip(columns, given, strict=True) if not there]
+        if not all(filled):
+            gone = [c.name for c, there in zip(columns, filled, strict=True) if not there]
             faults.append(
                 f"line {line}: {', '.join(gone)}: blank; allowed: all three coordinates of a known "
                 "position, or none"
@@ -194,7 +196,7 @@ class _Reader:
                 faults.append(f"line {line}: {spread[0].name}: got <= 0; allowed: > 0")
 
     def result(self) -> MotorAngles:
-        """What was read."""
+        """Return the motor angles."""
         position: Array = np.array(self._position)
         spread: Array = np.array(self._spread)
         return MotorAngles(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calibration.identification.measured import MeasuredPoses, poses_of, rotation_vectors
+from calibration.identification.measured_poses import MeasuredPoses, poses_of, rotation_vectors
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
 

@@ -29,21 +29,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.observability import Unobservable
+from calibration.robust import truncated
 from calibration.tachymeter.network import Network
 from carosac_toolkit.base.arrays import Array
 
-BLUNDER = 4.0  # test value from which a row is left out: 1 in 16000 good rows is
-BACK = 3.0  # test value under which a row that was left out is used again
-ALIKE = 0.98  # correlation of two test values from which one blunder looks like the other
-CHECKED = 0.05  # redundancy under which a row counts as unchecked
-_GROWTH = 1.4  # of the parameter of graduated non-convexity, per step
-_STEPS = 100
-_FLOOR = 1e-12  # weight of a row that is left out, so that every system can be solved
-_SINGULAR = 1e-14  # of the largest eigenvalue of a normal matrix scaled to a unit diagonal
+BLUNDER_SIGMAS = 4.0  # test value from which a row is left out: 1 in 16000 good rows is
+READMISSION_SIGMAS = 3.0  # test value under which a row that was left out is used again
+ALIKE_CORRELATION = (
+    0.98  # correlation of two test values from which one blunder looks like the other
+)
+CHECKED_REDUNDANCY = 0.05  # redundancy under which a row counts as unchecked
+_CONVEXITY_GROWTH = 1.4  # of the parameter of graduated non-convexity, per step
+_CONVEXITY_STEPS_MAX = 100
+_WEIGHT_MIN = 1e-12  # weight of a row that is left out, so that every system can be solved
+_SINGULAR_EIGENVALUE_SHARE = (
+    1e-14  # of the largest eigenvalue of a normal matrix scaled to a unit diagonal
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Fit:
+class SurveyFit:
     """A fit with the rows it uses; rows in the order of `network`.
 
     Attributes:
@@ -56,7 +61,7 @@ class Fit:
         covariance: Of all unknowns in the order of `Network.columns`.
         chi2: Sum of squares of all residuals in use, priors included.
         freedom: Its degrees of freedom.
-        converged: Whether the tests came to rest.
+        converged: True if the tests came to rest.
     """
 
     values: Any
@@ -71,7 +76,7 @@ class Fit:
     converged: bool
 
 
-def fit(network: Network, start: Any) -> Fit:
+def fit(network: Network, start: Any) -> SurveyFit:
     """Fit a survey and leave blunders out.
 
     Args:
@@ -101,21 +106,19 @@ def fit(network: Network, start: Any) -> Fit:
 
 
 def _graduated(network: Network, values: Any) -> tuple[NDArray[np.bool_], Any]:
-    """Graduated non-convexity with truncated least squares; rows in use, and the estimate."""
+    """Fit truncated least squares by graduated non-convexity; return rows in use and values."""
     weight = np.ones(len(network.sigma))
-    square = BLUNDER**2
+    square = BLUNDER_SIGMAS**2
     values = _optimize(network, values, weight, 20)
     residual = network.dense(values)[1][: len(weight)]
     most = float((residual**2).max())
     mu = square / (2.0 * most - square) if 2.0 * most > square else np.inf
-    for _ in range(_STEPS if np.isfinite(mu) else 0):
-        size = np.maximum(np.abs(residual), 1e-12)
-        between = np.sqrt(square * mu * (mu + 1.0)) / size - mu
-        weight = np.clip(between, _FLOOR, 1.0)
+    for _ in range(_CONVEXITY_STEPS_MAX if np.isfinite(mu) else 0):
+        weight = np.maximum(truncated(residual, BLUNDER_SIGMAS, mu), _WEIGHT_MIN)
         values = _optimize(network, values, weight, 3)
         residual = network.dense(values)[1][: len(weight)]
-        mu *= _GROWTH
-        if ((weight <= _FLOOR) | (weight >= 1.0)).all():
+        mu *= _CONVEXITY_GROWTH
+        if ((weight <= _WEIGHT_MIN) | (weight >= 1.0)).all():
             break
     return weight > 0.5, values
 
@@ -146,28 +149,28 @@ def _fewest(network: Network, values: Any, used: NDArray[np.bool_]) -> NDArray[n
 
 
 def _targets(network: Network) -> list[str]:
-    """Target of every weighted row."""
+    """Return the target of every weighted row."""
     names = [shot.target for shot in network.survey.shots]
     names += [reference.name for reference in network.survey.known]
     return [name for name in names for _ in range(3)]
 
 
 def _truncated_cost(jacobian: Array, residual: Array, used: NDArray[np.bool_]) -> float:
-    """Truncated least-squares cost of the linearised problem with some rows."""
+    """Return the truncated least-squares cost of the linearised problem with some rows."""
     active = np.ones(len(residual), dtype=bool)
     active[: len(used)] = used
     rows, right = jacobian[active], residual[active]
     step = np.linalg.lstsq(rows, -right, rcond=None)[0]
-    return float(((right + rows @ step) ** 2).sum() + BLUNDER**2 * (~used).sum())
+    return float(((right + rows @ step) ** 2).sum() + BLUNDER_SIGMAS**2 * (~used).sum())
 
 
 def _solve(network: Network, values: Any, used: NDArray[np.bool_]) -> Any:
-    """Least squares with some rows."""
-    return _optimize(network, values, np.where(used, 1.0, _FLOOR), 50)
+    """Fit by least squares with some rows."""
+    return _optimize(network, values, np.where(used, 1.0, _WEIGHT_MIN), 50)
 
 
 def _optimize(network: Network, values: Any, weight: Array, iterations: int) -> Any:
-    """Levenberg-Marquardt."""
+    """Optimise by Levenberg-Marquardt."""
     settings = gtsam.LevenbergMarquardtParams()
     settings.setMaxIterations(iterations)
     settings.setRelativeErrorTol(1e-12)
@@ -177,7 +180,7 @@ def _optimize(network: Network, values: Any, weight: Array, iterations: int) -> 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Trial:
+class _TestedFit:
     """A fit with its tests."""
 
     values: Any
@@ -189,7 +192,7 @@ class _Trial:
     redundancy: Array
 
 
-def _tested(network: Network, values: Any, used: NDArray[np.bool_]) -> _Trial:
+def _tested(network: Network, values: Any, used: NDArray[np.bool_]) -> _TestedFit:
     """Test every row against a fit; rows are taken back where too few are left."""
     jacobian, residual = network.dense(values)
     while True:
@@ -206,38 +209,38 @@ def _tested(network: Network, values: Any, used: NDArray[np.bool_]) -> _Trial:
     redundancy = np.where(used, np.maximum(1.0 - hat, 0.0), 0.0)
     spread = np.sqrt(np.where(used, redundancy, 1.0 + hat))
     test = np.where(spread > 1e-4, residual[: len(used)] / np.maximum(spread, 1e-4), 0.0)
-    return _Trial(
+    return _TestedFit(
         values=values, used=used, jacobian=jacobian, residual=residual, covariance=covariance,
         test=test, redundancy=redundancy,
     )  # fmt: skip
 
 
 def _inverse(jacobian: Array) -> tuple[Array | None, Array]:
-    """Inverse of the normal matrix, or None with the combination of unknowns that is free."""
+    """Return the inverse of the normal matrix, or None and the free combination."""
     normal = jacobian.T @ jacobian
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
-    if values[0] <= _SINGULAR * values[-1] or not np.isfinite(scale).all():
+    if values[0] <= _SINGULAR_EIGENVALUE_SHARE * values[-1] or not np.isfinite(scale).all():
         return None, scale * vectors[:, 0]
     inverse = (vectors / values) @ vectors.T
     return inverse * np.outer(scale, scale), np.zeros(len(scale))
 
 
-def _worst(trial: _Trial) -> int | None:
-    """The next row to leave out, or else to use again."""
+def _worst(trial: _TestedFit) -> int | None:
+    """Return the next row to leave out, or else to use again."""
     size = np.abs(trial.test)
     worst = int(np.argmax(np.where(trial.used, size, -1.0)))
-    if trial.used[worst] and size[worst] > BLUNDER:
+    if trial.used[worst] and size[worst] > BLUNDER_SIGMAS:
         return worst
     best = int(np.argmin(np.where(trial.used, np.inf, size)))
-    return best if not trial.used[best] and size[best] < BACK else None
+    return best if not trial.used[best] and size[best] < READMISSION_SIGMAS else None
 
 
-def _finished(trial: _Trial, network: Network, *, converged: bool) -> Fit:
-    """The final fit."""
+def _finished(trial: _TestedFit, network: Network, *, converged: bool) -> SurveyFit:
+    """Return the final fit."""
     used = trial.used
     active = np.concatenate([used, np.ones(network.prior_rows, dtype=bool)])
-    return Fit(
+    return SurveyFit(
         values=trial.values,
         used=used,
         residual=trial.residual[: len(used)],
@@ -251,9 +254,9 @@ def _finished(trial: _Trial, network: Network, *, converged: bool) -> Fit:
     )
 
 
-def _alike(trial: _Trial, active: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Rows in use whose blunder would look like that of a row left out."""
-    found = np.full(len(trial.used), -1)
+def _alike(trial: _TestedFit, active: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return the rows in use whose blunder would look like that of a row left out."""
+    alike_rows = np.full(len(trial.used), -1)
     for i in np.flatnonzero(~trial.used):
         rows = np.append(np.flatnonzero(active), i)
         covariance, _ = _inverse(trial.jacobian[rows])
@@ -265,13 +268,13 @@ def _alike(trial: _Trial, active: NDArray[np.bool_]) -> NDArray[np.intp]:
         own = 1.0 - np.einsum("ij,jk,ik->i", trial.jacobian[rows], covariance, trial.jacobian[rows])
         alike = np.abs(cofactor) / np.sqrt(np.maximum(own * own[-1], 1e-300))
         alike[(own < 1e-6) | (rows == i) | (rows >= len(trial.used))] = 0.0
-        if alike.max() > ALIKE:
-            found[i] = rows[int(np.argmax(alike))]
-    return found
+        if alike.max() > ALIKE_CORRELATION:
+            alike_rows[i] = rows[int(np.argmax(alike))]
+    return alike_rows
 
 
 def _loose_unknowns(network: Network, free: Array) -> str:
-    """Which unknowns nothing determines."""
+    """Name the unknowns that nothing determines."""
     share = {name: float(np.abs(free[where]).max()) for name, where in network.columns.items()}
     most = max(share.values())
     names = [name for name, size in share.items() if size > 0.1 * most][:6]

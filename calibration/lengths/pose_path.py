@@ -13,9 +13,9 @@ from carosac_toolkit.base.rotations import to_matrix
 from carosac_toolkit.recordings.columns import POSE_COLUMNS_TEXT
 from carosac_toolkit.recordings.recording import Recording
 
-GAP_MAX = 0.5  # [s]: across a longer one nothing is interpolated
-TOGETHER = 0.05  # [s]: a lone pose belongs to readings this near
-SPLINE_MIN = 4  # stamps: fewer in a row are lone poses
+POSE_GAP_MAX_S = 0.5  # [s]: across a longer one nothing is interpolated
+LONE_POSE_DISTANCE_MAX_S = 0.05  # [s]: a lone pose belongs to readings this near
+SPLINE_STAMPS_MIN = 4  # stamps: fewer in a row are lone poses
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,7 +26,7 @@ class PosesAt:
         position: [m], shape (S, 3).
         rotation: From P to F, shape (S, 3, 3).
         twist: In F, at the platform origin [m/s, rad/s], (S, 6); zero at lone poses.
-        valid: Whether there is a pose, shape (S,).
+        valid: True if there is a pose, shape (S,).
     """
 
     position: Array
@@ -58,20 +58,23 @@ class PosePath:
         turns = np.sign((quaternion[1:] * quaternion[:-1]).sum(axis=1))
         signs = np.cumprod(np.concatenate([[1.0], np.where(turns < 0.0, -1.0, 1.0)]))
         self._value = np.hstack([poses.position, quaternion * signs[:, None]])
-        edges = np.flatnonzero(np.diff(self._time) > GAP_MAX) + 1
+        edges = np.flatnonzero(np.diff(self._time) > POSE_GAP_MAX_S) + 1
         starts, ends = [0, *edges.tolist()], [*edges.tolist(), len(self._time)]
         self._splines = [
             (self._time[a], self._time[b - 1], CubicSpline(self._time[a:b], self._value[a:b]))
             for a, b in zip(starts, ends, strict=True)
-            if b - a >= SPLINE_MIN
+            if b - a >= SPLINE_STAMPS_MIN
         ]
         lone = [
-            k for a, b in zip(starts, ends, strict=True) if b - a < SPLINE_MIN for k in range(a, b)
+            k
+            for a, b in zip(starts, ends, strict=True)
+            if b - a < SPLINE_STAMPS_MIN
+            for k in range(a, b)
         ]
         self._lone = np.array(lone, dtype=np.int64)
 
     def at(self, time: Array, delay: float) -> PosesAt:
-        """Poses that belong to readings.
+        """Return the poses that belong to readings.
 
         Args:
             time: Of the readings [s], shape (S,).
@@ -96,21 +99,20 @@ class PosePath:
         )
 
     def _fill_lone(self, time: Array, value: Array, valid: NDArray[np.bool_]) -> None:
-        """Lone poses, of a platform that rests, belong to the readings around them."""
+        """Give lone poses, of a platform at rest, to the readings around them."""
         if not len(self._lone):
             return
         stamps = self._time[self._lone]
         right = np.clip(np.searchsorted(stamps, time), 0, len(stamps) - 1)
         left = np.maximum(right - 1, 0)
         nearest = np.where(np.abs(stamps[left] - time) < np.abs(stamps[right] - time), left, right)
-        near = np.abs(stamps[nearest] - time) <= TOGETHER
+        near = np.abs(stamps[nearest] - time) <= LONE_POSE_DISTANCE_MAX_S
         value[near] = self._value[self._lone[nearest[near]]]
         valid |= near
 
 
 def _angular(quaternion: Array, rate: Array) -> Array:
-    """Angular velocity in F [rad/s], (S, 3): the vector part of 2 dq/dt q*."""
+    """Return the angular velocity in F [rad/s], (S, 3): the vector part of 2 dq/dt q*."""
     w, v = quaternion[:, :1], quaternion[:, 1:]
     dw, dv = rate[:, :1], rate[:, 1:]
-    found: Array = 2.0 * (w * dv - dw * v - np.cross(dv, v))
-    return found
+    return np.asarray(2.0 * (w * dv - dw * v - np.cross(dv, v)))

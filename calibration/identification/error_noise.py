@@ -1,4 +1,4 @@
-"""How far errors of an open-loop simulation may be trusted to be errors of its parameters.
+"""Noise of open-loop simulation errors: their size, and how many of them count as one.
 
 They are not white: wind, and all that the model leaves out, make the platform swing, and an error
 lasts for many samples. Each sample then counts for less than one: of N errors with autocorrelation
@@ -13,19 +13,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.robust import NORMAL_MEDIAN, pseudo_huber
 from carosac_toolkit.base.arrays import Array
 
 # Least sigma, positions [m] and rotations [rad]: noise of readings, what smoothing takes away, and
 # cables without inertia make an error of this size whatever the parameters are.
-FLOOR = np.repeat([2e-3, 3e-3], 3)
-LONGEST = 0.5  # of the samples: the longest lag that is looked at
-TOGETHER = 6.0  # axes that count as one, as one swing shows in all of them
-HEAVY = 3.0  # sigmas beyond which an error counts for less
+SIGMA_MIN = np.repeat([2e-3, 3e-3], 3)
+LAG_MAX_SHARE = 0.5  # of the samples: the longest lag that is looked at
+CORRELATED_AXES = 6.0  # axes that count as one, as one swing shows in all of them
+HEAVY_TAIL_SIGMAS = 3.0  # sigmas beyond which an error counts for less
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Noise:
-    """What the six errors of a pose look like.
+class PoseErrorNoise:
+    """Size and correlation of the six errors of a pose.
 
     Attributes:
         sigma: Positions [m], then rotations [rad], shape (6,).
@@ -36,32 +37,30 @@ class Noise:
     repeats: Array
 
     def weights(self, errors: Array) -> Array:
-        """Inverse variance of errors (K, 6), less where they are large; same shape."""
-        shares = 1.0 / np.sqrt(1.0 + (errors / (HEAVY * self.sigma)) ** 2)
-        found: Array = shares / (self.sigma**2 * self.repeats)
-        return found
+        """Return the inverse variance of errors (K, 6), less where they are large; same shape."""
+        shares, _ = pseudo_huber(errors, HEAVY_TAIL_SIGMAS * self.sigma)
+        return np.asarray(shares / (self.sigma**2 * self.repeats))
 
     def cost(self, errors: Array) -> float:
-        """Whose derivative the weighted errors are, up to a factor 1/2."""
-        size = errors / (HEAVY * self.sigma)
-        heavy = 2.0 * HEAVY**2 * (np.sqrt(1.0 + size**2) - 1.0)
-        return float((heavy / self.repeats).sum())
+        """Return the cost whose derivative, up to a factor 1/2, the weighted errors are."""
+        _, loss = pseudo_huber(errors, HEAVY_TAIL_SIGMAS * self.sigma)
+        return float((HEAVY_TAIL_SIGMAS**2 * loss / self.repeats).sum())
 
 
-def look_at(errors: Array) -> Noise:
+def estimate_noise(errors: Array) -> PoseErrorNoise:
     """Estimate the noise from errors, shape (K, 6)."""
-    typical = np.median(np.abs(errors), axis=0) / 0.6745  # of a normal variable
+    typical = np.median(np.abs(errors), axis=0) / NORMAL_MEDIAN
     rms = np.sqrt((errors**2).mean(axis=0))
-    return Noise(
-        sigma=np.maximum(FLOOR, np.minimum(rms, 1.5 * typical)),
-        repeats=TOGETHER * np.array([_repeats(part) for part in errors.T]),
+    return PoseErrorNoise(
+        sigma=np.maximum(SIGMA_MIN, np.minimum(rms, 1.5 * typical)),
+        repeats=CORRELATED_AXES * np.array([_repeats(part) for part in errors.T]),
     )
 
 
 def _repeats(errors: Array) -> float:
-    """Samples for which one of some errors (K,) counts; rather too many in a short record."""
+    """Return how many of some errors (K,) count as one; rather too many in a short record."""
     count = len(errors)
-    longest = max(1, int(LONGEST * count))
+    longest = max(1, int(LAG_MAX_SHARE * count))
     spectrum = np.fft.rfft(errors, 2 * count)
     power = np.fft.irfft(np.abs(spectrum) ** 2)[:longest]
     correlation = power / power[0]

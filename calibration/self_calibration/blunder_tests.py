@@ -1,4 +1,4 @@
-"""How well each sample fits, how much noise there is, and which samples are blunders.
+"""Tests of every sample: its misfit, the noise of all, and which samples are blunders.
 
 A sample of n lengths has n - 3 more than its position takes: what they leave is its closure. A
 known position is compared with the one that the lengths alone give. Both are tested against their
@@ -11,30 +11,38 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.self_calibration.problem import Problem
-from calibration.self_calibration.settings import Settings
-from calibration.self_calibration.solver import Fit, Mask, Trust, Whitened, equations, fit, whiten
+from calibration.linear_samples import LinearSamples
+from calibration.self_calibration.problem import MotorAngleProblem
+from calibration.self_calibration.settings import SelfCalibrationSettings
+from calibration.self_calibration.solver import (
+    Mask,
+    SampleFit,
+    Trust,
+    equations,
+    fit,
+    whiten,
+)
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 
-CHECKED = 0.05  # share of its own noise that a combination must show for a test of it
-ROUNDS = 20
-PLACING = 20  # Gauss-Newton steps
-STILL = 1e-7  # [m]
-SETTLED = 0.01  # relative change of the noise
-LINE_MIN = 1e-6  # [m] that no line is known better than
-ENOUGH = 5.0  # lengths beyond what is estimated, below which the noise must be given
+CHECKED_VARIANCE_MIN = 0.05  # share of its own noise that a combination must show for a test of it
+NOISE_ROUNDS_MAX = 20
+POSITION_STEPS_MAX = 20  # Gauss-Newton steps
+POSITION_STEP_MIN_M = 1e-7  # [m]
+NOISE_CHANGE_MIN = 0.01  # relative change of the noise
+LINE_SIGMA_MIN_M = 1e-6  # [m] that no line is known better than
+REDUNDANCY_MIN = 5.0  # lengths beyond what is estimated, below which the noise must be given
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Tests:
+class SampleTests:
     """Squared misfits in standard deviations, and of how many combinations they are.
 
     Attributes:
         closure: Of the lengths of each sample, shape (N,).
-        closure_free: How many combinations it is of, shape (N,).
+        closure_free: Number of combinations in it, shape (N,).
         square: Sum of squares of each closure, not divided by its own variance, shape (N,).
-        share: What the noise makes of that on average, shape (N,).
+        share: Mean of that by noise alone, shape (N,).
         place: Of each known position, 0 where unknown, shape (N,).
         place_free: shape (N,).
     """
@@ -48,7 +56,7 @@ class Tests:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Settled:
+class SettledFit:
     """A fit with the data that it believes.
 
     Attributes:
@@ -59,14 +67,16 @@ class Settled:
         redundancy: Lengths beyond what they were needed for.
     """
 
-    fit: Fit
-    soft: Fit
+    fit: SampleFit
+    soft: SampleFit
     trust: Trust
-    tests: Tests
+    tests: SampleTests
     redundancy: float
 
 
-def settle(problem: Problem, start: Fit, settings: Settings) -> Settled:
+def settle(
+    problem: MotorAngleProblem, start: SampleFit, settings: SelfCalibrationSettings
+) -> SettledFit:
     """Find noise and blunders, and fit without them.
 
     Args:
@@ -85,43 +95,51 @@ def settle(problem: Problem, start: Fit, settings: Settings) -> Settled:
         robust=True,
     )
     soft, trust = _soft(problem, start, trust, settings)
-    found = soft
-    for _ in range(ROUNDS):
-        tests = test(problem, found, trust)
+    solution = soft
+    for _ in range(NOISE_ROUNDS_MAX):
+        tests = test_samples(problem, solution, trust)
         lengths, known = _believed(problem, tests, settings)
         same = (lengths == trust.lengths).all() and (known == trust.known).all()
         line = trust.line_sigma
         if settings.line_sigma is None:
             share = _enough(float(tests.share[lengths].sum()))
             line *= np.sqrt(float(tests.square[lengths].sum()) / share)
-        settled = abs(line / trust.line_sigma - 1.0) < SETTLED and not trust.robust and same
-        trust = Trust(line_sigma=max(line, LINE_MIN), lengths=lengths, known=known, robust=False)
-        found = _placed(problem, fit(problem, found.shared, found.position, trust), soft, trust)
-        if settled or (line <= LINE_MIN and same):
+        settled = (
+            abs(line / trust.line_sigma - 1.0) < NOISE_CHANGE_MIN and not trust.robust and same
+        )
+        trust = Trust(
+            line_sigma=max(line, LINE_SIGMA_MIN_M), lengths=lengths, known=known, robust=False
+        )
+        solution = _placed(
+            problem, fit(problem, solution.shared, solution.position, trust), soft, trust
+        )
+        if settled or (line <= LINE_SIGMA_MIN_M and same):
             break
-    tests = test(problem, found, trust)
+    tests = test_samples(problem, solution, trust)
     redundancy = float(tests.share[trust.lengths].sum())
-    return Settled(fit=found, soft=soft, trust=trust, tests=tests, redundancy=redundancy)
+    return SettledFit(fit=solution, soft=soft, trust=trust, tests=tests, redundancy=redundancy)
 
 
-def _placed(problem: Problem, found: Fit, soft: Fit, trust: Trust) -> Fit:
-    """A fit with the samples that it left out at the positions that their lengths give."""
+def _placed(
+    problem: MotorAngleProblem, solution: SampleFit, soft: SampleFit, trust: Trust
+) -> SampleFit:
+    """Return a fit with left-out samples at the positions that their lengths give."""
     out = ~trust.lengths & ~trust.known
-    position = np.where(out[:, None], soft.position, found.position)
+    position = np.where(out[:, None], soft.position, solution.position)
     everything = replace(trust, lengths=np.ones_like(trust.lengths))
-    for _ in range(PLACING if out.any() else 0):
-        step = equations(problem, found.shared, position, everything).step
+    for _ in range(POSITION_STEPS_MAX if out.any() else 0):
+        step = equations(problem, solution.shared, position, everything).step
         position = np.where(out[:, None], position + step, position)
-    return replace(found, position=position)
+    return replace(solution, position=position)
 
 
-def test(problem: Problem, found: Fit, trust: Trust) -> Tests:
+def test_samples(problem: MotorAngleProblem, solution: SampleFit, trust: Trust) -> SampleTests:
     """Test every sample, used or not."""
-    system = equations(problem, found.shared, found.position, trust)
+    system = equations(problem, solution.shared, solution.position, trust)
     shared = np.linalg.inv(system.information)
-    where, white, own, gain = _by_lengths(problem, found, trust)
+    where, white, own, gain = _by_lengths(problem, solution, trust)
     sign = 1.0 - 2.0 * system.lengths[:, None, None]  # -1: the sample was used, 1: it was not
-    slope = white.by_position
+    slope = white.by_own
     n = slope.shape[1]
     rest = np.eye(n) - slope @ gain
     by_shared = rest @ white.by_shared
@@ -136,7 +154,7 @@ def test(problem: Problem, found: Fit, trust: Trust) -> Tests:
     place = spread + both * (moved @ shared @ moved.swapaxes(1, 2))
     scale = 1.0 / np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
     away, away_free = _normalised(miss * scale, place * scale[:, :, None] * scale[:, None, :])
-    return Tests(
+    return SampleTests(
         closure=square,
         closure_free=free,
         square=(closure**2).sum(axis=1),
@@ -146,51 +164,57 @@ def test(problem: Problem, found: Fit, trust: Trust) -> Tests:
     )
 
 
-def _by_lengths(problem: Problem, found: Fit, trust: Trust) -> tuple[Array, Whitened, Array, Array]:
-    """Positions by the lengths alone, whatever is known of them.
+def _by_lengths(
+    problem: MotorAngleProblem, solution: SampleFit, trust: Trust
+) -> tuple[Array, LinearSamples, Array, Array]:
+    """Find positions by the lengths alone, whatever is known of them.
 
     Returns:
         Positions (N, 3), the samples there, covariances (N, 3, 3) of these positions, and how they
         follow from the residuals (N, 3, n).
     """
-    where = found.position
-    for step in range(PLACING):
-        white = whiten(problem, found.shared, where, trust.line_sigma)
-        slope = white.by_position
+    where = solution.position
+    for step in range(POSITION_STEPS_MAX):
+        white = whiten(problem, solution.shared, where, trust.line_sigma)
+        slope = white.by_own
         square = slope.swapaxes(1, 2) @ slope
         own: Array = np.asarray(np.linalg.pinv(square, rcond=1e-10, hermitian=True), np.float64)
         gain = own @ slope.swapaxes(1, 2)
         move = np.einsum("kij,kj->ki", gain, white.residual)
-        if step == PLACING - 1 or np.abs(move).max() < STILL:
+        if step == POSITION_STEPS_MAX - 1 or np.abs(move).max() < POSITION_STEP_MIN_M:
             break
         where = where - move
     return where, white, own, gain
 
 
-def _soft(problem: Problem, start: Fit, trust: Trust, settings: Settings) -> tuple[Fit, Trust]:
-    """Robust fits whose noise is that of the median sample."""
+def _soft(
+    problem: MotorAngleProblem, start: SampleFit, trust: Trust, settings: SelfCalibrationSettings
+) -> tuple[SampleFit, Trust]:
+    """Fit robustly, with the noise of the median sample."""
     from scipy.stats import chi2
 
-    found = fit(problem, start.shared, start.position, trust)
+    solution = fit(problem, start.shared, start.position, trust)
     if settings.line_sigma is not None:
-        return found, trust
-    for _ in range(ROUNDS):
-        tests = test(problem, found, trust)
+        return solution, trust
+    for _ in range(NOISE_ROUNDS_MAX):
+        tests = test_samples(problem, solution, trust)
         some = tests.closure_free > 0
         _enough(float(tests.share.sum()))
         ratio = tests.closure[some] / chi2.median(tests.closure_free[some])
         change = float(np.sqrt(np.median(ratio)))
-        line = max(trust.line_sigma * change, LINE_MIN)
-        done = abs(change - 1.0) < SETTLED or line == LINE_MIN
+        line = max(trust.line_sigma * change, LINE_SIGMA_MIN_M)
+        done = abs(change - 1.0) < NOISE_CHANGE_MIN or line == LINE_SIGMA_MIN_M
         trust = replace(trust, line_sigma=line)
-        found = fit(problem, found.shared, found.position, trust)
+        solution = fit(problem, solution.shared, solution.position, trust)
         if done:
             break
-    return found, trust
+    return solution, trust
 
 
-def _believed(problem: Problem, tests: Tests, settings: Settings) -> tuple[Mask, Mask]:
-    """Whose lengths, and whose known positions, are no blunders."""
+def _believed(
+    problem: MotorAngleProblem, tests: SampleTests, settings: SelfCalibrationSettings
+) -> tuple[Mask, Mask]:
+    """Return which lengths, and which known positions, are no blunders."""
     lengths = chance(tests.closure, tests.closure_free) > settings.blunder
     places = chance(tests.place, tests.place_free) > settings.blunder
     # What a known position is compared with are the lengths: where they are wrong it stays.
@@ -198,17 +222,16 @@ def _believed(problem: Problem, tests: Tests, settings: Settings) -> tuple[Mask,
 
 
 def chance(square: Array, free: Array) -> Array:
-    """Probability that noise alone makes a squared misfit so large; 1 where nothing is tested."""
+    """Return the probability of a squared misfit as large by noise alone; 1 without a test."""
     from scipy.stats import chi2
 
-    found: Array = np.where(free > 0, chi2.sf(square, np.maximum(free, 1)), 1.0)
-    return found
+    return np.asarray(np.where(free > 0, chi2.sf(square, np.maximum(free, 1)), 1.0))
 
 
 def _normalised(vector: Array, covariance: Array) -> tuple[Array, Array]:
-    """Squared norms by the covariance, and the rank used, each shape (N,)."""
+    """Return the squared norms by the covariance, and the rank used, each shape (N,)."""
     values, axes = np.linalg.eigh(0.5 * (covariance + covariance.swapaxes(1, 2)))
-    seen = values > CHECKED
+    seen = values > CHECKED_VARIANCE_MIN
     along = np.einsum("kji,kj->ki", axes, vector)
     square = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0)
     return square.sum(axis=1), seen.sum(axis=1).astype(np.float64)
@@ -216,11 +239,11 @@ def _normalised(vector: Array, covariance: Array) -> tuple[Array, Array]:
 
 def _enough(share: float) -> float:
     """Refuse to tell the noise from hardly anything."""
-    if share < ENOUGH:
+    if share < REDUNDANCY_MIN:
         allowed = (
-            f"{ENOUGH:g} more lengths that fit than numbers that are estimated from them; are the "
-            "known positions in the right unit, the motors in the right order and sense? If so, "
-            "give the noise of the line, line_sigma in the settings"
+            f"at least {REDUNDANCY_MIN:g} more consistent lengths than parameters estimated from "
+            "them; check the unit of the known positions and the order and sign of the motors; if "
+            "these are right, set line_sigma, the noise of the line, in the settings"
         )
         raise InvalidField("motor angles", f"{max(share, 0.0):.1f} more", allowed)
     return share

@@ -11,11 +11,11 @@ from itertools import combinations
 import numpy as np
 
 from calibration.observability import Unobservable
-from calibration.tachymeter.observations import Reference, Survey, cartesian
+from calibration.tachymeter.observations import ReferencePoint, Survey, cartesian
 from carosac_toolkit.base.arrays import Array
 
-SPREAD_MIN = 0.2  # [m] across, seen from above, below which two points tell no heading
-_CAP = 0.1  # [m] beyond which a point does not agree
+HEADING_SPREAD_MIN_M = 0.2  # [m] across, seen from above, below which two points tell no heading
+_AGREEMENT_MAX_M = 0.1  # [m] beyond which a point does not agree
 Places = dict[str, Array]
 
 
@@ -72,7 +72,7 @@ def check_known(survey: Survey) -> None:
             f"{have} known coordinates{extra}, so the {missing} of the survey in the robot's frame "
             f"{'is' if known else 'are'} unknown; {need}"
         )
-    if _spread(known) < SPREAD_MIN:
+    if _spread(known) < HEADING_SPREAD_MIN_M:
         names = ", ".join(ref.name for ref in known)
         raise Unobservable(
             f"the known points {names} lie on one vertical line, within {_spread(known):.3f} m of "
@@ -80,14 +80,14 @@ def check_known(survey: Survey) -> None:
         )
 
 
-def _spread(known: tuple[Reference, ...]) -> float:
-    """Largest horizontal distance between two known points [m]."""
+def _spread(known: tuple[ReferencePoint, ...]) -> float:
+    """Return the largest horizontal distance between two known points [m]."""
     flat = np.array([ref.position for ref in known])[:, :2]
     return float(np.linalg.norm(flat[:, None] - flat[None], axis=2).max())
 
 
 def _local(survey: Survey, name: str) -> Places:
-    """Points in the frame of a set-up: medians over the shots of a target."""
+    """Return the points in the frame of a set-up: medians over the shots of a target."""
     shots = [shot for shot in survey.shots if shot.setup == name]
     points = cartesian(np.array([[s.hz, s.v, s.distance] for s in shots]))
     targets = dict.fromkeys(shot.target for shot in shots)
@@ -98,7 +98,7 @@ def _local(survey: Survey, name: str) -> Places:
 
 
 def _ties(local: Places, points: Places) -> int:
-    """How many points with a place a set-up sees."""
+    """Count the points with a place that a set-up sees."""
     return sum(target in points for target in local)
 
 
@@ -114,16 +114,16 @@ def _place(local: Places, points: Places) -> Array | None:
         if station is None:
             continue
         miss = np.linalg.norm(_moved(station, here) - there, axis=1)
-        cost = float((np.minimum(miss, _CAP) ** 2).sum())
+        cost = float((np.minimum(miss, _AGREEMENT_MAX_M) ** 2).sum())
         if cost < least:
             best, least = station, cost
     return best
 
 
 def _from_pair(here: Array, there: Array) -> Array | None:
-    """Heading and position of a levelled set-up from two points, shapes (2, 3)."""
+    """Return the heading and position of a levelled set-up from two points, shapes (2, 3)."""
     a, b = here[1] - here[0], there[1] - there[0]
-    if min(np.hypot(a[0], a[1]), np.hypot(b[0], b[1])) < SPREAD_MIN:
+    if min(np.hypot(a[0], a[1]), np.hypot(b[0], b[1])) < HEADING_SPREAD_MIN_M:
         return None
     heading = np.arctan2(b[1], b[0]) - np.arctan2(a[1], a[0])
     station = np.array([0.0, 0.0, 0.0, heading, 0.0, 0.0])
@@ -132,20 +132,19 @@ def _from_pair(here: Array, there: Array) -> Array | None:
 
 
 def _moved(station: Array, here: Array) -> Array:
-    """Points of a set-up's frame in W, shapes (B, 3)."""
+    """Return the points of a set-up's frame in W, shapes (B, 3)."""
     cosine, sine = np.cos(station[3]), np.sin(station[3])
     turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    moved: Array = station[:3] + here @ turn.T
-    return moved
+    return np.asarray(station[:3] + here @ turn.T)
 
 
 def _to_world(station: Array, local: Places) -> Places:
-    """Points that a set-up sees, in W."""
+    """Return the points that a set-up sees, in W."""
     return {target: _moved(station, place[None])[0] for target, place in local.items()}
 
 
 def _loose(name: str, local: Places, points: Places, others: bool) -> str:
-    """Why a set-up cannot be placed."""
+    """Explain why a set-up cannot be placed."""
     common = [target for target in local if target in points]
     with_whom = "with the other set-ups and the known points" if others else "with the known points"
     if len(common) < 2:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calibration.lengths.wrench import Balance, balance
+from calibration.lengths.platform_balance import PlatformBalance, balance
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.cable.straight_line import straight_length
 from carosac_toolkit.physics.rest import statics
@@ -28,7 +28,7 @@ def rest(robot: Robot) -> Equilibrium:
     return found
 
 
-def at(robot: Robot, position: Array, rotation: Array) -> Balance:
+def at(robot: Robot, position: Array, rotation: Array) -> PlatformBalance:
     return balance(robot, rotation, straight_length(robot, position, rotation))
 
 

@@ -14,13 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.vectors import cross_matrix
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.cable.straight_line import StraightCables
 from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Balance:
+class PlatformBalance:
     """The balance of S poses of a robot with n < 6 cables.
 
     Attributes:
@@ -45,8 +46,8 @@ class Balance:
 
 def balance(
     robot: Robot, rotation: Array, cables: StraightCables, up: Array | None = None
-) -> Balance:
-    """Tensions and residual of the balance at measured poses.
+) -> PlatformBalance:
+    """Return tensions and residual of the balance at measured poses.
 
     Args:
         robot: With n < 6 cables.
@@ -74,36 +75,38 @@ def balance(
     by_tip, by_exit, by_pose = _derivatives(
         cables.direction, tension / free_length, arm, tension, center, weight
     )
-    return Balance(
+    return PlatformBalance(
         tension=np.where(tension > 0.0, pull, tension),
         residual=np.einsum("sfi,si->sf", row, load),
         by_pose=row @ by_pose,
         by_exit=(row[:, None] @ by_exit).swapaxes(1, 2),
         by_anchor=(row[:, None] @ by_tip @ rotation[:, None]).swapaxes(1, 2),
-        by_center=-row[:, :, 3:] @ _cross(weight) @ rotation,
-        by_gravity=(row[:, :, :3] + row[:, :, 3:] @ _cross(center)) @ -_cross(weight)[:, :2],
+        by_center=-row[:, :, 3:] @ cross_matrix(weight) @ rotation,
+        by_gravity=(row[:, :, :3] + row[:, :, 3:] @ cross_matrix(center))
+        @ -cross_matrix(weight)[:, :2],
     )
 
 
 def _tension(robot: Robot, rotation: Array, center: Array, matrix: Array, load: Array) -> Array:
-    """Tensions of least acceleration, (S, n); `matrix` holds a wrench per cable, (S, n, 6)."""
+    """Return the tensions of least acceleration, (S, n), by wrenches per cable, (S, n, 6)."""
     turning = rotation @ robot.inertia @ rotation.swapaxes(1, 2)
-    lever = _cross(center)
+    lever = cross_matrix(center)
     mass = np.zeros((len(rotation), 6, 6))
     mass[:, :3, :3] = robot.mass * np.eye(3)
     mass[:, :3, 3:] = -robot.mass * lever
     mass[:, 3:, :3] = robot.mass * lever
     mass[:, 3:, 3:] = turning - robot.mass * lever @ lever
     softened = np.linalg.solve(mass, matrix.swapaxes(1, 2))  # (S, 6, n)
-    found = np.linalg.solve(matrix @ softened, -np.einsum("sin,si->sn", softened, load)[..., None])
-    tension: Array = found[..., 0]
-    return tension
+    tension = np.linalg.solve(
+        matrix @ softened, -np.einsum("sin,si->sn", softened, load)[..., None]
+    )
+    return np.asarray(tension[..., 0])
 
 
 def _derivatives(
     direction: Array, stiffness: Array, arm: Array, tension: Array, center: Array, weight: Array
 ) -> tuple[Array, Array, Array]:
-    """Derivatives of the wrench at constant tensions.
+    """Return the derivatives of the wrench at constant tensions.
 
     Returns:
         By the anchor points and by the exit points in W, both (S, n, 6, 3), and by the pose,
@@ -111,20 +114,11 @@ def _derivatives(
     """
     across = np.eye(3) - direction[..., :, None] * direction[..., None, :]
     stiff = across * stiffness[..., None, None]  # (S, n, 3, 3) [N/m]
-    lever, pull = _cross(arm), _cross(-tension[..., None] * direction)
+    lever, pull = cross_matrix(arm), cross_matrix(-tension[..., None] * direction)
     by_exit = np.concatenate([stiff, lever @ stiff], axis=2)
     by_place = -by_exit
     by_tip = by_place.copy()
     by_tip[:, :, 3:] -= pull
     turned = (by_tip @ -lever).sum(1)
-    turned[:, 3:] += _cross(weight) @ _cross(center)
+    turned[:, 3:] += cross_matrix(weight) @ cross_matrix(center)
     return by_tip, by_exit, np.concatenate([by_place.sum(1), turned], axis=2)
-
-
-def _cross(vector: Array) -> Array:
-    """Matrices of the cross product with vectors (..., 3), shape (..., 3, 3)."""
-    matrix = np.zeros((*vector.shape, 3))
-    matrix[..., 0, 1], matrix[..., 0, 2] = -vector[..., 2], vector[..., 1]
-    matrix[..., 1, 0], matrix[..., 1, 2] = vector[..., 2], -vector[..., 0]
-    matrix[..., 2, 0], matrix[..., 2, 1] = -vector[..., 1], vector[..., 0]
-    return matrix

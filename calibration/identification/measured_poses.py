@@ -28,7 +28,7 @@ class MeasuredPoses:
     rotation: Array
 
     def rows(self, which: NDArray[np.int64]) -> MeasuredPoses:
-        """Some of them."""
+        """Return the poses of some rows."""
         return MeasuredPoses(
             index=self.index[which],
             time=self.time[which],
@@ -37,11 +37,11 @@ class MeasuredPoses:
         )
 
     def within(self, start: int, stop: int) -> MeasuredPoses:
-        """Those of length samples start <= i < stop."""
+        """Return the poses of length samples start <= i < stop."""
         return self.rows(np.flatnonzero((self.index >= start) & (self.index < stop)))
 
     def thinned(self, rate: float) -> MeasuredPoses:
-        """As many as come at no more than a rate [Hz]."""
+        """Return as many poses as come at no more than a rate [Hz]."""
         kept, last = [], -np.inf
         for row, time in enumerate(self.time):
             if time - last >= (1.0 - 1e-6) / rate:
@@ -50,7 +50,7 @@ class MeasuredPoses:
         return self.rows(np.array(kept, dtype=np.int64))
 
     def errors(self, position: Array, rotation: Array) -> Array:
-        """Model minus measured: position [m], rotation vector of R_measured^T R [rad].
+        """Return model minus measured: position [m], rotation vector of R_measured^T R [rad].
 
         Args:
             position: Of the model, shape (K, 3).
@@ -64,20 +64,19 @@ class MeasuredPoses:
 
 
 def poses_of(recording: Recording) -> MeasuredPoses:
-    """Measured poses at the length samples that have one nearby in time."""
-    found = recording.pose_at(recording.time)
-    index = np.flatnonzero(found.valid)
+    """Return the measured poses at the length samples that have one nearby in time."""
+    matched = recording.pose_at(recording.time)
+    index = np.flatnonzero(matched.valid)
     return MeasuredPoses(
         index=index,
         time=recording.time[index],
-        position=found.pose.position[index],
-        rotation=found.pose.rotation[index],
+        position=matched.pose.position[index],
+        rotation=matched.pose.rotation[index],
     )
 
 
 def rotation_vectors(rotation: Array) -> Array:
-    """Rotation vectors [rad], shape (K, 3), of rotations (K, 3, 3) below half a turn."""
+    """Return the rotation vectors [rad], shape (K, 3), of rotations (K, 3, 3) below half a turn."""
     from scipy.spatial.transform import Rotation
 
-    found: Array = Rotation.from_matrix(rotation).as_rotvec()
-    return found
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())

@@ -11,19 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.self_calibration.problem import Problem
-from calibration.self_calibration.solver import Fit, Trust, fit
+from calibration.robust import cauchy
+from calibration.self_calibration.problem import MotorAngleProblem
+from calibration.self_calibration.solver import CAUCHY_SIGMAS, SampleFit, Trust, fit
 from carosac_toolkit.base.arrays import Array
 
-DIRECTIONS = 24  # from which the places of one exit point are looked for
-ROUGH = 0.01  # [m] of a length, with drums as they are known before
-LINE = 5e-3  # [m] of line, before the residuals are known
-PLACES = 3  # of one exit point that are kept
-UNLIKELY = 200.0  # squared standard deviations worse than the best place: not kept
-COMBINED = 32  # combinations that are tried
-FINALISTS = 4
-NEAR = 0.02  # of the length of a cable: exit points that close are the same
-GRID = 6  # points along each side of the workspace
+GUESS_DIRECTIONS = 24  # from which the places of one exit point are looked for
+ROUGH_LENGTH_SIGMA_M = 0.01  # [m] of a length, with drums as they are known before
+LINE_SIGMA_START_M = 5e-3  # [m] of line, before the residuals are known
+PLACES_KEPT = 3  # of one exit point that are kept
+PLACE_COST_MAX = 200.0  # squared standard deviations worse than the best place: not kept
+COMBINATIONS_KEPT = 32  # combinations that are tried
+STARTS_KEPT = 4
+SAME_PLACE_SHARE = 0.02  # of the length of a cable: exit points that close are the same
+GRID_POINTS_PER_SIDE = 6  # points along each side of the workspace
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,30 +42,32 @@ class Place:
     cost: float
 
 
-def starts(problem: Problem) -> list[Fit]:
+def starts(problem: MotorAngleProblem) -> list[SampleFit]:
     """Fit from every plausible start; the best first.
 
     Args:
         problem: The samples.
 
     Returns:
-        Robust fits that ended at different places, `FINALISTS` at most.
+        Robust fits that ended at different places, `STARTS_KEPT` at most.
     """
     choices = [_places(problem, i) for i in range(problem.robot.n)]
     combined: list[tuple[Place, ...]] = [()]
     for places in choices:  # the cheapest of all combinations, cable by cable
         longer = [(*chosen, place) for chosen in combined for place in places]
-        combined = sorted(longer, key=lambda chosen: sum(p.cost for p in chosen))[:COMBINED]
+        combined = sorted(longer, key=lambda chosen: sum(p.cost for p in chosen))[
+            :COMBINATIONS_KEPT
+        ]
     angles = problem.angles
     trust = Trust(
-        line_sigma=LINE,
+        line_sigma=LINE_SIGMA_START_M,
         lengths=np.ones(len(angles.samples), dtype=np.bool_),
         known=angles.is_known,
         robust=True,
     )
     first = []
     for chosen in combined:
-        shared = problem.start.copy()
+        shared = problem.prior.mean.copy()
         for i, place in enumerate(chosen):
             shared[problem.exits[i]] = place.exit_point
             shared[problem.zeros[i]] = place.zero
@@ -73,61 +76,64 @@ def starts(problem: Problem) -> list[Fit]:
     return _different(problem, last)
 
 
-def _different(problem: Problem, fits: list[Fit]) -> list[Fit]:
-    """The best of those that are at the same place, the best first."""
-    kept: list[Fit] = []
-    near = NEAR * float(problem.start[problem.zeros].max())
-    for found in sorted(fits, key=lambda one: one.cost):
-        here = found.shared[problem.exits]
+def _different(problem: MotorAngleProblem, fits: list[SampleFit]) -> list[SampleFit]:
+    """Keep the best of the fits at one place, the best first."""
+    kept: list[SampleFit] = []
+    near = SAME_PLACE_SHARE * problem.longest
+    for solution in sorted(fits, key=lambda one: one.cost):
+        here = solution.shared[problem.exits]
         if all(np.abs(here - other.shared[problem.exits]).max() > near for other in kept):
-            kept.append(found)
-    return kept[:FINALISTS]
+            kept.append(solution)
+    return kept[:STARTS_KEPT]
 
 
-def _places(problem: Problem, cable: int) -> list[Place]:
-    """Where one exit point may be, by its lengths to the known positions."""
+def _places(problem: MotorAngleProblem, cable: int) -> list[Place]:
+    """Find places of one exit point by its lengths to the known positions."""
     angles, robot = problem.angles, problem.robot
     known = angles.is_known
     anchor = robot.home_rotation @ robot.anchor_points[cable]
     points = angles.known_position[known] + anchor
-    zero = float(problem.start[problem.zeros[cable]])
-    change = problem.wound(problem.start)[known, cable] - zero  # since the reference [m]
+    zero = float(problem.prior.mean[problem.zeros[cable]])
+    change = problem.wound(problem.prior.mean)[known, cable] - zero  # since the reference [m]
     before = robot.exit_points[cable]
-    guesses = robot.home_position + anchor + zero * _sphere(DIRECTIONS)
-    unknown = np.column_stack([np.vstack([before, guesses]), np.full(DIRECTIONS + 1, zero)])
+    guesses = robot.home_position + anchor + zero * _sphere(GUESS_DIRECTIONS)
+    unknown = np.column_stack([np.vstack([before, guesses]), np.full(GUESS_DIRECTIONS + 1, zero)])
     rows = [*problem.exits[cable], problem.zeros[cable]]
-    prior = np.linalg.inv(np.linalg.inv(problem.prior)[np.ix_(rows, rows)])
-    found = [_trilaterated(u, points, change, np.array([*before, zero]), prior) for u in unknown]
-    found.sort(key=lambda place: place.cost)
+    prior: Array = np.asarray(np.linalg.inv(problem.prior.covariance[np.ix_(rows, rows)]), float)
+    places = [_trilaterated(u, points, change, np.array([*before, zero]), prior) for u in unknown]
+    places.sort(key=lambda place: place.cost)
     kept: list[Place] = []
-    for place in found:
-        near = NEAR * zero
+    for place in places:
+        near = SAME_PLACE_SHARE * zero
         new = all(np.linalg.norm(place.exit_point - k.exit_point) > near for k in kept)
-        if new and place.cost < found[0].cost + UNLIKELY:
+        if new and place.cost < places[0].cost + PLACE_COST_MAX:
             kept.append(place)
-    return kept[:PLACES]
+    return kept[:PLACES_KEPT]
 
 
 def _trilaterated(
     unknown: Array, points: Array, change: Array, before: Array, prior: Array
 ) -> Place:
-    """Exit point and length at the reference downhill of a guess, robust (damped Gauss-Newton)."""
+    """Fit exit point and length at the reference downhill of a guess, robustly."""
     cost = np.inf
     damping = 1e-3
     trial = unknown
     for _ in range(60):
         ray = trial[:3] - points
         distance = np.maximum(np.linalg.norm(ray, axis=1), 1e-9)
-        miss = (distance - trial[3] - change) / ROUGH
+        miss = (distance - trial[3] - change) / ROUGH_LENGTH_SIGMA_M
         away = trial - before
-        new = float(9.0 * np.log1p(miss**2 / 9.0).sum() + away @ prior @ away)
+        weight, loss = cauchy(miss**2, CAUCHY_SIGMAS**2)
+        new = float(loss.sum() + away @ prior @ away)
         if new < cost:
             settled = cost - new < 1e-6
             unknown, cost, damping = trial, new, max(damping / 5.0, 1e-9)
             if settled:
                 break
-            slope = np.column_stack([ray / distance[:, None], -np.ones(len(points))]) / ROUGH
-            weight = 1.0 / (1.0 + miss**2 / 9.0)
+            slope = (
+                np.column_stack([ray / distance[:, None], -np.ones(len(points))])
+                / ROUGH_LENGTH_SIGMA_M
+            )
             matrix = (slope.T * weight) @ slope + prior
             vector = (slope.T * weight) @ miss + prior @ away
         else:
@@ -138,11 +144,11 @@ def _trilaterated(
     return Place(exit_point=unknown[:3], zero=float(unknown[3]), cost=cost)
 
 
-def _positions(problem: Problem, shared: Array) -> Array:
-    """Known positions as they are, the others from a grid in the workspace, shape (N, 3)."""
+def _positions(problem: MotorAngleProblem, shared: Array) -> Array:
+    """Return known positions as they are, the others from a workspace grid, shape (N, 3)."""
     robot, angles = problem.robot, problem.angles
     corners = np.stack([robot.workspace_min, robot.workspace_max])
-    sides = [np.linspace(low, high, GRID) for low, high in corners.T]
+    sides = [np.linspace(low, high, GRID_POINTS_PER_SIDE) for low, high in corners.T]
     grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
     straight, _ = problem.straight(shared, grid)
     best = ((problem.wound(shared)[:, None] - straight) ** 2).sum(axis=2).argmin(axis=1)
@@ -150,7 +156,7 @@ def _positions(problem: Problem, shared: Array) -> Array:
 
 
 def _sphere(count: int) -> Array:
-    """Directions spread evenly (Fibonacci), shape (count, 3)."""
+    """Return the directions spread evenly (Fibonacci), shape (count, 3)."""
     k = np.arange(count) + 0.5
     z = 1.0 - 2.0 * k / count
     turn = np.pi * (1.0 + np.sqrt(5.0)) * k

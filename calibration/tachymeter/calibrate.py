@@ -8,31 +8,33 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from calibration.estimate import Estimate
+from calibration.estimate import ParameterEstimate
 from calibration.observability import Observability, judge
+from calibration.tachymeter.first_values import first_values
 from calibration.tachymeter.network import Network
-from calibration.tachymeter.observations import READINGS, Survey
-from calibration.tachymeter.result import Blunder, Residuals, Station, TachymeterResult
-from calibration.tachymeter.robust import CHECKED, Fit, fit
-from calibration.tachymeter.sightings import Pulley, elevation
-from calibration.tachymeter.start import first_values
+from calibration.tachymeter.observations import READING_NAMES, Survey
+from calibration.tachymeter.result import ReadingBlunder, Residuals, Station, TachymeterResult
+from calibration.tachymeter.sightings import SightedPulley, elevation
+from calibration.tachymeter.survey_fit import CHECKED_REDUNDANCY, SurveyFit, fit
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.parameters import point_names, values_of
 from carosac_toolkit.robot.robot import Robot
 
-PLAUSIBLE = 0.05  # [m] by which an exit point may be off before it is surveyed: a scale, no prior
-EDGE_ON = 0.03  # [rad], beside what the swivel may be off, within which a wheel shows no side
+EXIT_SCALE_M = (
+    0.05  # [m] by which an exit point may be off before it is surveyed: a scale, no prior
+)
+EDGE_ON_RAD = 0.03  # [rad], beside what the swivel may be off, within which a wheel shows no side
 
 
-def calibrate(
+def calibrate_tachymeter(
     robot: Robot, survey: Survey, *, frame_tilt: float = 0.0, use_prior: bool = False
 ) -> TachymeterResult:
     """Estimate the exit points of a robot from a survey.
 
     Args:
         robot: Tells cables, pulleys and the exit points before; those are no prior, unless asked.
-        survey: What was measured.
+        survey: The measurements.
         frame_tilt: Standard deviation of the tilt of the references' frame against W, whose z is
             up, about x and y [rad]; it is estimated then. 0: the references' frame is level.
         use_prior: Take the exit points' covariances in the robot as prior knowledge.
@@ -54,8 +56,8 @@ def calibrate(
         exit_prior=_exit_prior(robot, survey) if use_prior else {},
         frame_tilt=frame_tilt,
     )
-    found = fit(network, _start(network, stations, points))
-    return _result(robot, network, found)
+    solution = fit(network, _start(network, stations, points))
+    return _result(robot, network, solution)
 
 
 def check_targets(robot: Robot, survey: Survey) -> None:
@@ -90,35 +92,35 @@ def check_targets(robot: Robot, survey: Survey) -> None:
         raise InvalidField("shots", "none to a cable", "at least one shot to an exit point")
 
 
-def _pulleys(robot: Robot, survey: Survey) -> dict[str, Pulley]:
-    """Pulleys of which something off the datum was sighted."""
+def _pulleys(robot: Robot, survey: Survey) -> dict[str, SightedPulley]:
+    """Return the pulleys of which something off the datum was sighted."""
     names = dict.fromkeys(shot.target for shot in survey.shots if shot.sighting.on_pulley)
-    found = {}
+    pulleys = {}
     for name in names:
         i = robot.cable_names.index(name)
-        found[name] = Pulley(
+        pulleys[name] = SightedPulley(
             cable=name,
             radius=float(robot.pulley_radius[i]),
             axis=robot.swivel_axis[i],
             towards=np.asarray(survey.towards[name]),
         )
-    return found
+    return pulleys
 
 
 def _sides(
     survey: Survey,
-    pulleys: Mapping[str, Pulley],
+    pulleys: Mapping[str, SightedPulley],
     stations: Mapping[str, Array],
     points: Mapping[str, Array],
 ) -> tuple[float, ...]:
-    """On which side of its wheel each shot was taken; refused where a wheel was seen edge-on."""
+    """Return on which side of its wheel each shot was taken; refuse wheels seen edge-on."""
     sides = []
     for shot in survey.shots:
         side = 1.0
         if shot.sighting.side != 0.0:
             station = stations[shot.setup][:3]
             angle = elevation(points[shot.target], pulleys[shot.target], station)
-            least = EDGE_ON + 3.0 * survey.swivel_sigma
+            least = EDGE_ON_RAD + 3.0 * survey.swivel_sigma
             if abs(angle) < least:
                 allowed = (
                     f"0: from {shot.setup} the pulley is seen edge-on (within "
@@ -131,7 +133,7 @@ def _sides(
 
 
 def _exit_prior(robot: Robot, survey: Survey) -> dict[str, tuple[Array, Array]]:
-    """Sighted exit points as the robot file knows them."""
+    """Return the sighted exit points as the robot file knows them."""
     if robot.exit_covariance is None:
         allowed = "a robot whose exit points have sigma or covariance"
         raise InvalidField("use_prior", f"robot {robot.name} without them", allowed)
@@ -150,7 +152,7 @@ def _exit_prior(robot: Robot, survey: Survey) -> dict[str, tuple[Array, Array]]:
 
 
 def _start(network: Network, stations: Mapping[str, Array], points: Mapping[str, Array]) -> Any:
-    """First values for gtsam."""
+    """Return the first values for gtsam."""
     values = gtsam.Values()
     for name, key in network.keys.items():
         kind, _, owner = name.partition(" ")
@@ -163,45 +165,47 @@ def _start(network: Network, stations: Mapping[str, Array], points: Mapping[str,
     return values
 
 
-def _result(robot: Robot, network: Network, found: Fit) -> TachymeterResult:
+def _result(robot: Robot, network: Network, solution: SurveyFit) -> TachymeterResult:
     """Read the result out of the fit."""
     survey = network.survey
     cables = tuple(name for name in robot.cable_names if name in survey.targets)
-    estimate = _estimate(robot, network, found, cables)
+    estimate = _estimate(robot, network, solution, cables)
     stations = {}
     for name in survey.setups:
         where = network.columns[f"setup {name}"]
         stations[name] = Station(
-            values=np.array(found.values.atVector(network.keys[f"setup {name}"])),
-            sigma=np.sqrt(np.diag(found.covariance)[where]),
+            values=np.array(solution.values.atVector(network.keys[f"setup {name}"])),
+            sigma=np.sqrt(np.diag(solution.covariance)[where]),
         )
     points = {
-        name: np.array(found.values.atVector(network.keys[f"point {name}"]))
+        name: np.array(solution.values.atVector(network.keys[f"point {name}"]))
         for name in survey.targets
     }
     return TachymeterResult(
-        robot=robot,
+        before=robot,
         survey=survey,
         cables=cables,
         estimate=estimate,
         points=points,
         stations=stations,
         swivels={
-            name: float(found.values.atVector(network.keys[f"swivel {name}"])[0])
+            name: float(solution.values.atVector(network.keys[f"swivel {name}"])[0])
             for name in network.pulleys
         },
-        blunders=_blunders(network, found),
-        unchecked=_unchecked(network, found),
-        residuals=_residuals(network, found),
+        blunders=_blunders(network, solution),
+        unchecked=_unchecked(network, solution),
+        residuals=_residuals(network, solution),
         observability=_observability(network, estimate, cables),
-        chi2=found.chi2,
-        freedom=found.freedom,
-        converged=found.converged,
+        chi2=solution.chi2,
+        freedom=solution.freedom,
+        converged=solution.converged,
     )
 
 
-def _estimate(robot: Robot, network: Network, found: Fit, cables: Sequence[str]) -> Estimate:
-    """Exit points, and the tilt of the references' frame where it was estimated."""
+def _estimate(
+    robot: Robot, network: Network, solution: SurveyFit, cables: Sequence[str]
+) -> ParameterEstimate:
+    """Return the exit points, and the tilt of the references' frame where it was estimated."""
     keys = [network.keys[f"point {name}"] for name in cables]
     names = point_names("exit_points", cables)
     start = [robot.exit_points[robot.cable_names.index(name)] for name in cables]
@@ -216,42 +220,44 @@ def _estimate(robot: Robot, network: Network, found: Fit, cables: Sequence[str])
         start.append(values_of(robot, names[-2:]))
         prior.append(np.full(2, network.frame_tilt))
     columns = _columns_of(network, keys)
-    return Estimate(
+    return ParameterEstimate(
         names=tuple(names),
-        value=np.concatenate([found.values.atVector(key) for key in keys]),
-        covariance=found.covariance[np.ix_(columns, columns)],
+        value=np.concatenate([solution.values.atVector(key) for key in keys]),
+        covariance=solution.covariance[np.ix_(columns, columns)],
         start=np.concatenate(start),
         prior_sigma=np.concatenate(prior),
     )
 
 
 def _columns_of(network: Network, keys: Sequence[int]) -> list[int]:
-    """Columns of unknowns in the order of their keys."""
+    """Return the columns of unknowns in the order of their keys."""
     by_key = {key: network.columns[name] for name, key in network.keys.items()}
     return [i for key in keys for i in range(by_key[key].start, by_key[key].stop)]
 
 
-def _observability(network: Network, estimate: Estimate, cables: Sequence[str]) -> Observability:
-    """How well the survey alone determines the exit points."""
+def _observability(
+    network: Network, estimate: ParameterEstimate, cables: Sequence[str]
+) -> Observability:
+    """Judge how well the survey alone determines the exit points."""
     names = [name for name in estimate.names if name.startswith("exit_points")]
     information = np.asarray(np.linalg.inv(estimate.select(names).covariance), dtype=np.float64)
     for i, cable in enumerate(cables):
         if cable in network.exit_prior:
             block = slice(3 * i, 3 * i + 3)
             information[block, block] -= np.linalg.inv(network.exit_prior[cable][1])
-    return judge(names, information, np.full(len(names), PLAUSIBLE))
+    return judge(names, information, np.full(len(names), EXIT_SCALE_M))
 
 
-def _blunders(network: Network, found: Fit) -> tuple[Blunder, ...]:
-    """Rows left out, the worst first."""
-    rows = np.flatnonzero(~found.used)
+def _blunders(network: Network, solution: SurveyFit) -> tuple[ReadingBlunder, ...]:
+    """Return the rows left out, the worst first."""
+    rows = np.flatnonzero(~solution.used)
     blunders = [
-        Blunder(
+        ReadingBlunder(
             **_place(network, int(row)),
             # measured minus model: by how much the reading is too large
-            error=float(-found.residual[row] * network.sigma[row]),
-            sigmas=float(abs(found.test[row])),
-            or_else=_words(network, int(found.alike[row])) if found.alike[row] >= 0 else "",
+            error=float(-solution.residual[row] * network.sigma[row]),
+            sigmas=float(abs(solution.test[row])),
+            or_else=_words(network, int(solution.alike[row])) if solution.alike[row] >= 0 else "",
         )
         for row in rows
     ]
@@ -259,13 +265,13 @@ def _blunders(network: Network, found: Fit) -> tuple[Blunder, ...]:
 
 
 def _place(network: Network, row: int) -> dict[str, Any]:
-    """Which reading a row is."""
+    """Say which reading a row is."""
     shots = network.survey.shots
     if row < 3 * len(shots):
         shot = shots[row // 3]
         return {
             "shot": row // 3 + 1, "setup": shot.setup, "target": shot.target,
-            "reading": READINGS[row % 3], "source": shot.source,
+            "reading": READING_NAMES[row % 3], "source": shot.source,
         }  # fmt: skip
     index = row - 3 * len(shots)
     name = network.survey.known[index // 3].name
@@ -276,16 +282,16 @@ def _place(network: Network, row: int) -> dict[str, Any]:
 
 
 def _words(network: Network, row: int) -> str:
-    """A reading in words."""
+    """Name a reading."""
     place = _place(network, row)
     if place["shot"] is None:
         return f"{place['reading']} of {place['target']}"
     return f"{place['reading']} of shot {place['shot']}"
 
 
-def _unchecked(network: Network, found: Fit) -> tuple[str, ...]:
-    """Readings in use that nothing checks: a blunder in them would pass unseen."""
-    rows = np.flatnonzero(found.used & (found.redundancy < CHECKED))
+def _unchecked(network: Network, solution: SurveyFit) -> tuple[str, ...]:
+    """Return the readings in use that nothing checks: a blunder in them would pass unseen."""
+    rows = np.flatnonzero(solution.used & (solution.redundancy < CHECKED_REDUNDANCY))
     places = [_place(network, int(row)) for row in rows]
     by_target: dict[str, list[str]] = {}
     for place in places:
@@ -294,14 +300,14 @@ def _unchecked(network: Network, found: Fit) -> tuple[str, ...]:
     return tuple(f"{target} ({', '.join(what)})" for target, what in by_target.items())
 
 
-def _residuals(network: Network, found: Fit) -> Residuals:
-    """Residuals of all shots."""
+def _residuals(network: Network, solution: SurveyFit) -> Residuals:
+    """Return the residuals of all shots."""
     count = 3 * len(network.survey.shots)
     sigma = network.sigma[:count].reshape(-1, 3)
     return Residuals(
-        value=-found.residual[:count].reshape(-1, 3) * sigma,
+        value=-solution.residual[:count].reshape(-1, 3) * sigma,
         sigma=sigma,
-        test=-found.test[:count].reshape(-1, 3),
-        used=found.used[:count].reshape(-1, 3),
-        redundancy=found.redundancy[:count].reshape(-1, 3),
+        test=-solution.test[:count].reshape(-1, 3),
+        used=solution.used[:count].reshape(-1, 3),
+        redundancy=solution.redundancy[:count].reshape(-1, 3),
     )
