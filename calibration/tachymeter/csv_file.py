@@ -22,7 +22,6 @@ from calibration.tachymeter.records import (
     shortened_faults,
 )
 from carosac_toolkit.base.errors import InvalidFile, did_you_mean
-from carosac_toolkit.base.yaml import did_you_mean
 
 ANGLE_UNITS_RAD = {"gon": np.pi / 200.0, "deg": np.pi / 180.0, "rad": 1.0, "mil": np.pi / 3200.0}
 LENGTH_UNITS_M = {"m": 1.0, "mm": MILLIMETRE_M, "ft": 0.3048}
