@@ -10,12 +10,12 @@ from calibration.pictures import AFTER, OUTLIER
 from calibration.tachymeter.observations import READINGS
 from calibration.tachymeter.result import TachymeterResult
 from calibration.tachymeter.robust import BLUNDER
-from carosac_toolkit.pictures.drawing import COLORS, new_figure
+from carosac_toolkit.pictures.drawing import SERIES_COLORS, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SETUPS = (*COLORS[2:], COLORS[0])
+SETUPS = (*SERIES_COLORS[2:], SERIES_COLORS[0])
 KNOWN, TIE = "#303030", "#a0a0a0"
 MAGNIFIED = 500.0  # times that sigmas are drawn
 

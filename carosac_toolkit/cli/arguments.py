@@ -14,7 +14,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
 
-_WORDS: dict[type, tuple[str, str]] = {
+_TYPE_DESCRIPTIONS: dict[type, tuple[str, str]] = {
     int: ("INT", "a whole number"),
     float: ("FLOAT", "a number"),
     str: ("TEXT", "a text"),
@@ -56,9 +56,9 @@ def _number_or_nothing(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any]
     kinds = set(get_args(info.type)) if union else {info.type}
     plain = kinds - {NoneType}
     kind = plain.pop() if len(plain) == 1 else None
-    if kind not in _WORDS or (kinds == {kind} and kind not in (int, float)):
+    if kind not in _TYPE_DESCRIPTIONS or (kinds == {kind} and kind not in (int, float)):
         return None
-    metavar, allowed = _WORDS[kind]
+    metavar, allowed = _TYPE_DESCRIPTIONS[kind]
 
     def read(words: list[str]) -> Any:
         try:
@@ -85,7 +85,7 @@ def _one_message(options: type, words: list[str]) -> Iterator[None]:
         return
 
     def refuse(event: Any) -> None:
-        answer = _ANSWERS.get(type(event).__name__)
+        answer = _ERROR_BUILDERS.get(type(event).__name__)
         if answer is not None:
             raise answer(event, options, words)
 
@@ -130,7 +130,7 @@ def _failure(event: Any, options: type, words: list[str]) -> CarosacError:
     return InvalidField(flag, _written(flag, words), str(event.message))
 
 
-_ANSWERS: dict[str, Callable[[Any, type, list[str]], CarosacError]] = {
+_ERROR_BUILDERS: dict[str, Callable[[Any, type, list[str]], CarosacError]] = {
     "UnrecognizedArgs": _unrecognized,
     "MissingArgs": _missing,
     "BadValue": _bad_value,

@@ -9,17 +9,17 @@ import numpy as np
 from carosac_toolkit.base.tables import format_table
 from carosac_toolkit.inspection.report import CalibratedParameter, RobotReport
 
-_POINTS = {"exit_points": "exit point in W", "anchor_points": "anchor point in P"}
-_OF_CABLES = {
+_POINT_LABELS = {"exit_points": "exit point in W", "anchor_points": "anchor point in P"}
+_CABLE_PARAMETER_LABELS = {
     "length_offset": "offset", "length_scale": "scale", "drum_radius": "drum radius",
     "drum_buildup": "build-up", "axial_stiffness": "EA", "linear_density": "density",
     "axial_damping": "damping", "run_length": "run",
 }  # fmt: skip
-_SHOWN = {
+_DISPLAY_UNITS = {
     "m": ("mm", 1e3), "s": ("ms", 1e3), "rad": ("mrad", 1e3), "N": ("kN", 1e-3),
     "kg/m": ("g/m", 1e3),
 }  # fmt: skip
-_DIGITS = 6  # of a number that is known exactly
+_EXACT_VALUE_DIGITS = 6  # of a number that is known exactly
 
 
 def describe_calibration(report: RobotReport) -> Iterator[str]:
@@ -33,16 +33,16 @@ def describe_calibration(report: RobotReport) -> Iterator[str]:
         return
     words = f"{len(known)} parameters, below with one standard deviation" if known else "no"
     yield f"\ncalibrated  {words}"
-    for field, title in _POINTS.items():
+    for field, title in _POINT_LABELS.items():
         columns = {f"{field}[{{}}].{axis}": axis for axis in "xyz"}
         yield from _table(report, known, columns, title)
-    columns = {f"{field}[{{}}]": title for field, title in _OF_CABLES.items()}
+    columns = {f"{field}[{{}}]": title for field, title in _CABLE_PARAMETER_LABELS.items()}
     yield from _table(report, known, columns, "cable")
     alone = [found for name, found in known.items() if "[" not in name]
     width = max((len(found.name) for found in alone), default=0)
     start = "\n"
     for found in alone:
-        unit = _SHOWN.get(found.unit, (found.unit, 1.0))[0]
+        unit = _DISPLAY_UNITS.get(found.unit, (found.unit, 1.0))[0]
         yield f"{start}{found.name:<{width}}  {_number(found)} {unit}"
         start = ""
     yield from _sensors(report, with_table="length_offset" not in _fields(known))
@@ -69,7 +69,7 @@ def _table(
         found = [known.get(pattern.format(name)) for name in cables]
         units = {each.unit for each in found if each is not None}
         if units:
-            unit = _SHOWN.get(units.pop(), ("", 1.0))[0]
+            unit = _DISPLAY_UNITS.get(units.pop(), ("", 1.0))[0]
             header.append(f"{word} [{unit}]" if unit else word)
             cells.append(["-" if each is None else _number(each) for each in found])
     if len(header) > 1:
@@ -98,11 +98,11 @@ def _sensors(report: RobotReport, *, with_table: bool) -> Iterator[str]:
 
 def _number(found: CalibratedParameter) -> str:
     """A value with its sigma, to two digits of the sigma."""
-    factor = _SHOWN.get(found.unit, ("", 1.0))[1]
+    factor = _DISPLAY_UNITS.get(found.unit, ("", 1.0))[1]
     value, sigma = found.value * factor, found.sigma * factor
     if not np.isfinite(value):
         return f"one number for cables that differ, +- {sigma:.2g}"
     if not sigma > 0.0:
-        return f"{value:.{_DIGITS}g} +- 0"
+        return f"{value:.{_EXACT_VALUE_DIGITS}g} +- 0"
     digits = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 9))
     return f"{value:.{digits}f} +- {sigma:.{digits}f}"

@@ -18,7 +18,7 @@ import tyro
 
 from carosac_toolkit.base.errors import InvalidField
 
-RATE_MAX = 1000.0  # [Hz]
+LOOP_RATE_MAX_HZ = 1000.0  # [Hz]
 OutputFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 OutputFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 
@@ -52,6 +52,6 @@ def period_of_rate(rate: float) -> float:
     Raises:
         InvalidField: A rate [Hz] that is none, or above that of any industrial PLC.
     """
-    if not 0.0 < rate <= RATE_MAX:
-        raise InvalidField("--rate", f"{rate} Hz", f"over 0 to {RATE_MAX:g} Hz")
+    if not 0.0 < rate <= LOOP_RATE_MAX_HZ:
+        raise InvalidField("--rate", f"{rate} Hz", f"over 0 to {LOOP_RATE_MAX_HZ:g} Hz")
     return 1.0 / rate

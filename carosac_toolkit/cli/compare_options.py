@@ -8,9 +8,9 @@ from typing import Annotated
 import tyro
 
 from carosac_toolkit.cli.common import CommonOptions, OutputFolder
-from carosac_toolkit.studies.compare.study import TRAJECTORIES
-from carosac_toolkit.studies.run.engine import TIMEOUT
-from carosac_toolkit.studies.run.run_case import DRIVER
+from carosac_toolkit.studies.compare.study import DEFAULT_TRAJECTORIES
+from carosac_toolkit.studies.run.engine import DEFAULT_TIMEOUT_S
+from carosac_toolkit.studies.run.run_case import DEFAULT_DRIVER
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,9 @@ class Options(CommonOptions):
     benchmarks/reference."""
     suites: tuple[str, ...] = ("lengths",)
     """Sensor suites of the driver."""
-    trajectories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--trajectory"])] = TRAJECTORIES
+    trajectories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--trajectory"])] = (
+        DEFAULT_TRAJECTORIES
+    )
     """Trajectories of the catalogue."""
     perturbations: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--perturbation"])] = (
         "nominal-1",
@@ -42,7 +44,7 @@ class Options(CommonOptions):
     """By how much plants differ from the nominal robot."""
     seeds: int | None = None
     """How many draws of plant, path and noise, counted up from --seed; by default 10."""
-    driver: str = DRIVER
+    driver: str = DEFAULT_DRIVER
     """What is controlled: `simulator`, `quasi_static` (no sway), a recording by `replay`, or
     `module:Class`."""
     speed: float = 1.0
@@ -67,7 +69,7 @@ class Options(CommonOptions):
     batch: int = 1
     """How many seeds run together in one simulation, where driver, controller and estimator can:
     10 together are 2 to 3 times faster on a CPU; the same numbers to rounding, but no latencies."""
-    timeout: float = TIMEOUT
+    timeout: float = DEFAULT_TIMEOUT_S
     """How long a case may run [s]."""
     retry: tuple[str, ...] = ()
     """Run again what has ended as `failed`, `crashed` or `timed_out`."""

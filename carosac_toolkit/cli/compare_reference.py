@@ -21,8 +21,8 @@ from carosac_toolkit.reports.study import write_report
 from carosac_toolkit.studies.compare.findings import conclusions
 from carosac_toolkit.studies.compare.paper_tables import text_errors, text_tables
 from carosac_toolkit.studies.compare.tables import failures
-from carosac_toolkit.studies.reference.cases import ReferenceSuite, Task
-from carosac_toolkit.studies.reference.check import Agreement, agreement
+from carosac_toolkit.studies.reference.cases import ReferenceSuite, SuiteTask
+from carosac_toolkit.studies.reference.check import SuiteAgreement, agreement
 from carosac_toolkit.studies.reference.results import (
     RECORD,
     RESULTS,
@@ -37,11 +37,11 @@ from carosac_toolkit.studies.reference.results import (
 )
 from carosac_toolkit.studies.run.rows import Row
 
-FREE = (
+ADJUSTABLE_OPTIONS = (
     "suite", "controllers", "estimators", "settings", "against", "quick", "scheduler", "workers",
     "timeout", "retry", "output", "json",
 )  # fmt: skip
-BASE = Path("carosac-results")
+DEFAULT_PARENT_FOLDER = Path("carosac-results")
 
 
 def run_suite(options: Options, name: str) -> CommandResult:
@@ -68,13 +68,13 @@ def run_suite(options: Options, name: str) -> CommandResult:
 def _check_fixed(options: Options) -> None:
     """Refuse options that a suite does not leave open."""
     for field in fields(options):
-        if field.name not in FREE and getattr(options, field.name) != field.default:
+        if field.name not in ADJUSTABLE_OPTIONS and getattr(options, field.name) != field.default:
             value = repr(getattr(options, field.name))
             allowed = "nothing with --suite, which fixes it"
             raise InvalidField(f"--{field.name}", value, allowed)
 
 
-def _tasks(options: Options, suite: ReferenceSuite) -> list[Task]:
+def _tasks(options: Options, suite: ReferenceSuite) -> list[SuiteTask]:
     """The studies to run."""
     known = suite.definition["parts"].values()
     names = {
@@ -92,10 +92,10 @@ def _folder(options: Options, suite: ReferenceSuite) -> Path:
     """Where results go that were not sent anywhere: entries apart from the whole suite."""
     entries = (*options.controllers, *options.estimators, *options.settings)
     words = [re.sub(r"[^\w.=-]+", "_", name) for name in entries]
-    return BASE / "-".join([suite.name, *words])
+    return DEFAULT_PARENT_FOLDER / "-".join([suite.name, *words])
 
 
-def _what(suite: ReferenceSuite, tasks: Sequence[Task]) -> str:
+def _what(suite: ReferenceSuite, tasks: Sequence[SuiteTask]) -> str:
     """What is about to be run."""
     cases = sum(len(task.study.cases()) for task in tasks)
     return (
@@ -105,7 +105,7 @@ def _what(suite: ReferenceSuite, tasks: Sequence[Task]) -> str:
     )
 
 
-def _run(task: Task, folder: Path, options: Options, suite: ReferenceSuite) -> PartResults:
+def _run(task: SuiteTask, folder: Path, options: Options, suite: ReferenceSuite) -> PartResults:
     """Run one study and print its table."""
     width = terminal_width()
     place = folder / task.part / task.robot
@@ -150,7 +150,7 @@ def _finish(
     return CommandResult(data, status=0 if all(part.results.complete for part in parts) else 1)
 
 
-def _said(found: Agreement) -> list[str]:
+def _said(found: SuiteAgreement) -> list[str]:
     """Whether what ran here and was published agrees, so that the rest can be compared."""
     if not found.differences:
         return ["Nothing that was published ran here: nothing tells whether both agree."]

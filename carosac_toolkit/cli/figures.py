@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
     from carosac_toolkit.pictures.paper_figure import Drawn, PaperFigure
 
-FORMATS = ("png", "pdf", "svg")
-FOLDER = Path("carosac-results") / "figures"
-DPI = 200
+FIGURE_FORMATS = ("png", "pdf", "svg")
+DEFAULT_FIGURES_FOLDER = Path("carosac-results") / "figures"
+FIGURE_DPI = 200
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,12 +52,12 @@ def run(options: Options) -> CommandResult:
     from carosac_toolkit.pictures.paper_figure import find_sources
 
     for name in options.formats:
-        if name not in FORMATS:
-            raise InvalidField("--formats", repr(name), f"some of {list(FORMATS)}")
+        if name not in FIGURE_FORMATS:
+            raise InvalidField("--formats", repr(name), f"some of {list(FIGURE_FORMATS)}")
     if not options.formats:
-        raise InvalidField("--formats", "none", f"some of {list(FORMATS)}")
+        raise InvalidField("--formats", "none", f"some of {list(FIGURE_FORMATS)}")
     sources = find_sources(options.folders)
-    folder = options.output or FOLDER
+    folder = options.output or DEFAULT_FIGURES_FOLDER
     done: list[dict[str, Any]] = []
     skipped: list[dict[str, str]] = []
     for wanted in all_figures():
@@ -95,7 +95,7 @@ def _write(
 def _rendered(figure: Figure, suffix: str) -> bytes:
     """A figure as a file; vector files hold no date, so that equal figures are equal files."""
     stream = io.BytesIO()
-    more: dict[str, Any] = {"dpi": DPI}
+    more: dict[str, Any] = {"dpi": FIGURE_DPI}
     if suffix != "png":
         more["metadata"] = {"Date": None} if suffix == "svg" else {"CreationDate": None}
     figure.savefig(stream, format=suffix, **more)

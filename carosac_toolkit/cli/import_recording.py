@@ -22,7 +22,7 @@ from carosac_toolkit.base.tables import format_table
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.interchange.bag import Bag, Topic, open_bag
 from carosac_toolkit.interchange.bag_channels import (
-    IMU,
+    IMU_TYPE,
     LENGTH_TYPES,
     POSE_TYPES,
     TF_TYPES,
@@ -30,7 +30,7 @@ from carosac_toolkit.interchange.bag_channels import (
 )
 from carosac_toolkit.interchange.bag_recording import Imported, Topics, read_bag
 
-_CHANNELS = ("tension", "command", "rates", "pose", "imu", "output")
+_OTHER_CHANNELS = ("tension", "command", "rates", "pose", "imu", "output")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +82,7 @@ def run(options: Options) -> CommandResult:
         raise InvalidField("BAG", "nothing", "a bag; see 'carosac import recording --help'")
     definitions = Path(options.definitions) if options.definitions else None
     with open_bag([Path(bag) for bag in options.bag], definitions=definitions) as bag:
-        asked = [name for name in _CHANNELS if getattr(options, name)]
+        asked = [name for name in _OTHER_CHANNELS if getattr(options, name)]
         if not options.lengths and not asked:
             return _list(bag)
         imported = read_bag(bag, _topics(options))
@@ -141,7 +141,7 @@ def _list(bag: Bag) -> CommandResult:
 def _use(bag: Bag, topic: Topic) -> str:
     """Which option a message type fits; of unknown ones the fields with numbers."""
     kind = topic.kind
-    if kind == IMU:
+    if kind == IMU_TYPE:
         return "--imu"
     if kind in TF_TYPES:
         return "--pose, with --frames"

@@ -15,7 +15,7 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
 from carosac_toolkit.base.version import __version__
 from carosac_toolkit.loop.plugins import entry_points_of, load
 
-_USAGE = """usage: carosac {group}COMMAND [options]
+_USAGE_TEMPLATE = """usage: carosac {group}COMMAND [options]
 
 Estimation and control of cable-driven parallel robots whose cables sag.
 
@@ -67,7 +67,7 @@ def _dispatch(words: list[str]) -> int:
 
 def _help(asked: bool, group: str = "") -> int:
     """List the commands; without being asked for it, it is the answer to bad input."""
-    print(_USAGE.format(group=group.replace(".", " "), commands=_summaries(group)))
+    print(_USAGE_TEMPLATE.format(group=group.replace(".", " "), commands=_summaries(group)))
     return 0 if asked else 2
 
 

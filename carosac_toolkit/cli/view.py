@@ -40,11 +40,21 @@ from carosac_toolkit.robot.file import list_robots, load_robot
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.run_case import own_settings
 from carosac_toolkit.viewer.live import LiveWatch, follow
-from carosac_toolkit.viewer.page import LOOPBACK, MOST_ENLARGED, PORT, Page, is_loopback
+from carosac_toolkit.viewer.page import (
+    DEFAULT_PORT,
+    LOOPBACK_ADDRESS,
+    SAG_FACTOR_MAX,
+    Page,
+    is_loopback,
+)
 from carosac_toolkit.viewer.page_process import PageOptions, PageProcess
 
-ROBOT_FILES = (".yaml", ".yml")
-TAKEN = ("suite", "period", "real_time")  # settings of the driver that options say
+ROBOT_FILE_SUFFIXES = (".yaml", ".yml")
+RESERVED_DRIVER_SETTINGS = (
+    "suite",
+    "period",
+    "real_time",
+)  # settings of the driver that options say
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,9 +98,9 @@ class Options(CommonOptions):
     it."""
     html: OutputFile = None
     """Write one HTML file with the robot at rest, or with the replay, and end."""
-    host: str = LOOPBACK
+    host: str = LOOPBACK_ADDRESS
     """Address to serve at; another than 127.0.0.1 lets other machines see and move things."""
-    port: int = PORT
+    port: int = DEFAULT_PORT
     """Port to serve at; the next free one where it is taken."""
     duration: float | None = None
     """End after so long [s]; with --live, of simulated time."""
@@ -113,8 +123,8 @@ def _check(options: Options) -> None:
     """Refuse numbers that are none, and combinations that mean nothing."""
     if len(options.what) not in (1, 2):
         raise InvalidField("WHAT [GHOST]", f"{len(options.what)} names", "one or two")
-    if not 1.0 <= options.sag <= MOST_ENLARGED:
-        raise InvalidField("--sag", str(options.sag), f"1 to {MOST_ENLARGED:g}")
+    if not 1.0 <= options.sag <= SAG_FACTOR_MAX:
+        raise InvalidField("--sag", str(options.sag), f"1 to {SAG_FACTOR_MAX:g}")
     for name in ("speed", "acceleration", "duration"):
         value = getattr(options, name)
         if value is not None and not 0.0 < value < np.inf:
@@ -134,7 +144,7 @@ def _check(options: Options) -> None:
 
 def _is_robot(what: str) -> bool:
     """Whether a name is that of a robot."""
-    return what in list_robots() or Path(what).suffix.lower() in ROBOT_FILES
+    return what in list_robots() or Path(what).suffix.lower() in ROBOT_FILE_SUFFIXES
 
 
 def _statics(options: Options, robot: Robot) -> CommandResult:
@@ -272,7 +282,7 @@ def _driver(options: Options, robot: Robot, asked: Any, period: float) -> Simula
         )
         raise InvalidField("--driver", repr(options.driver), allowed)
     own = own_settings(options.driver, asked)
-    for name in TAKEN:
+    for name in RESERVED_DRIVER_SETTINGS:
         if name in own:
             raise InvalidField("--set", f"driver.{name}={own[name]!r}", "what the options say")
     offered = {"suite": options.suite, "period": period, "real_time": True}

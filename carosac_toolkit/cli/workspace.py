@@ -31,7 +31,7 @@ from carosac_toolkit.cli.position_option import Place
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.workspace.grid import AXES, Grid, box_grid, box_of, slice_grid
+from carosac_toolkit.workspace.grid import GRID_AXES, Grid, box_grid, box_of, slice_grid
 from carosac_toolkit.workspace.limits import cable_of, words_of
 from carosac_toolkit.workspace.maps import Maps, maps
 from carosac_toolkit.workspace.region import Region, compute
@@ -175,7 +175,9 @@ def _planes(options: Options, lower: Array, upper: Array) -> list[Grid]:
     count = _count("--slice-points", options.slice_points)
     if not options.slice:
         middle = 0.5 * (lower + upper)
-        return [slice_grid(lower, upper, a, float(middle[k]), count) for k, a in enumerate(AXES)]
+        return [
+            slice_grid(lower, upper, a, float(middle[k]), count) for k, a in enumerate(GRID_AXES)
+        ]
     planes = []
     for text in options.slice:
         axis, _, value = text.partition("=")
@@ -183,7 +185,7 @@ def _planes(options: Options, lower: Array, upper: Array) -> list[Grid]:
             place = float(value)
         except ValueError:
             place = float("nan")
-        if axis not in tuple(AXES) or not np.isfinite(place):
+        if axis not in tuple(GRID_AXES) or not np.isfinite(place):
             raise InvalidField("--slice", repr(text), "x=, y= or z= with a number, such as z=2")
         planes.append(slice_grid(lower, upper, axis, place, count))
     return planes
@@ -192,7 +194,7 @@ def _planes(options: Options, lower: Array, upper: Array) -> list[Grid]:
 def _name(grid: Grid) -> str:
     """The plane of a slice."""
     across = int(np.argmin(grid.shape))
-    return f"{AXES[across]}={grid.axes[across][0]:.6g}"
+    return f"{GRID_AXES[across]}={grid.axes[across][0]:.6g}"
 
 
 def _print(found: dict[str, tuple[Region, list[Region]]], lower: Array, upper: Array) -> None:

@@ -11,15 +11,15 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.conformance.scenes import (
-    Playback,
+    LengthPlayback,
     make_scene,
     other_robot,
     stacked,
     wide_numbers,
 )
 from carosac_toolkit.conformance.verdicts import (
-    BATCH_TOLERANCE,
-    SEED,
+    BATCH_TOLERANCE_M,
+    CHECK_SEED,
     Check,
     Factory,
     only_clear_errors,
@@ -35,7 +35,7 @@ from carosac_toolkit.robot.robot import Robot
 
 def period_and_horizon(factory: Factory, robot: Robot) -> None:
     """`period` is positive and finite, `horizon` finite and not negative."""
-    controller = factory(robot, seed=SEED)
+    controller = factory(robot, seed=CHECK_SEED)
     for name, allowed in (("period", "> 0"), ("horizon", ">= 0")):
         value: Any = getattr(controller, name, None)
         number = isinstance(value, float | int) and not isinstance(value, bool)
@@ -46,7 +46,7 @@ def period_and_horizon(factory: Factory, robot: Robot) -> None:
 def command_fits(factory: Factory, robot: Robot) -> None:
     """It returns a `Command` of its belief's time, with one positive length per cable."""
     scene = make_scene(robot)
-    controller = factory(robot, seed=SEED)
+    controller = factory(robot, seed=CHECK_SEED)
     controller.reset(scene.beliefs[0])
     references = scene.references(controller.period, controller.horizon)
     for belief, reference in zip(scene.beliefs, references, strict=True):
@@ -64,7 +64,7 @@ def command_fits(factory: Factory, robot: Robot) -> None:
 
 def reset_forgets(factory: Factory, robot: Robot) -> None:
     """After `reset` the same inputs give the same commands, bit by bit."""
-    controller = factory(robot, seed=SEED)
+    controller = factory(robot, seed=CHECK_SEED)
     first = _commands(controller, robot)
     again = _commands(controller, robot)
     require_same(first, again, "reset(): the same inputs gave other commands than before")
@@ -72,16 +72,16 @@ def reset_forgets(factory: Factory, robot: Robot) -> None:
 
 def same_seed_same_commands(factory: Factory, robot: Robot) -> None:
     """Two made with the same seed agree, whatever else draws random numbers."""
-    one = _commands(factory(robot, seed=SEED), robot)
+    one = _commands(factory(robot, seed=CHECK_SEED), robot)
     np.random.random(7)  # noqa: NPY002 - somebody else's draw
-    other = _commands(factory(robot, seed=SEED), robot)
+    other = _commands(factory(robot, seed=CHECK_SEED), robot)
     require_same(one, other, "seed: two controllers made with the same seed disagreed")
 
 
 def extremes_stay_finite(factory: Factory, robot: Robot) -> None:
     """Far, fast and turned inputs give finite lengths or a clear error."""
     scene = make_scene(robot)
-    controller = factory(robot, seed=SEED)
+    controller = factory(robot, seed=CHECK_SEED)
     calm = scene.references(controller.period, controller.horizon)[0]
     start = scene.beliefs[0]
     upside_down = np.diag([1.0, -1.0, -1.0])[None]
@@ -106,7 +106,7 @@ def extremes_stay_finite(factory: Factory, robot: Robot) -> None:
 def bare_belief_is_enough(factory: Factory, robot: Robot) -> None:
     """A belief of a pose alone works, or what is missing is said."""
     scene = make_scene(robot)
-    controller = factory(robot, seed=SEED)
+    controller = factory(robot, seed=CHECK_SEED)
     reference = scene.references(controller.period, controller.horizon)[0]
     refuses("a belief without twist, covariance, tension and memory",
             lambda: _once(controller, scene.beliefs[0], reference))  # fmt: skip
@@ -117,9 +117,9 @@ def other_robot_refused(factory: Factory, robot: Robot) -> None:
     scene = make_scene(robot)
 
     def misuse() -> None:
-        controller = factory(other_robot(robot), seed=SEED)
+        controller = factory(other_robot(robot), seed=CHECK_SEED)
         estimator = _Fixed(scene.beliefs[0])
-        run(Playback(scene.measurements), estimator, controller, scene.path, duration=0.1)
+        run(LengthPlayback(scene.measurements), estimator, controller, scene.path, duration=0.1)
 
     refused = refuses(f"a robot of {robot.n + 1} cables", misuse)
     require(refused, f"made for {robot.n + 1} cables, it commanded {robot.n}")
@@ -128,7 +128,7 @@ def other_robot_refused(factory: Factory, robot: Robot) -> None:
 def batch_equals_loop(factory: Factory, robot: Robot) -> None:
     """A batch of two gives what two batches of one give, or is refused."""
     scene = make_scene(robot)
-    period, horizon = (getattr(factory(robot, seed=SEED), x) for x in ("period", "horizon"))
+    period, horizon = (getattr(factory(robot, seed=CHECK_SEED), x) for x in ("period", "horizon"))
     references = scene.references(period, horizon)
     pairs = [(scene.beliefs[k], references[k]) for k in (1, 3)]
     (one, ahead), (other, further) = pairs
@@ -140,14 +140,14 @@ def batch_equals_loop(factory: Factory, robot: Robot) -> None:
     together: list[Array] = []
 
     def batched() -> None:
-        command = _once(factory(robot, seed=SEED), both, stacked(ahead, further))
+        command = _once(factory(robot, seed=CHECK_SEED), both, stacked(ahead, further))
         together.append(command.unstrained_length)
 
     if refuses("a batch of two", batched):
         return
-    alone = [_once(factory(robot, seed=SEED), *pair).unstrained_length for pair in pairs]
+    alone = [_once(factory(robot, seed=CHECK_SEED), *pair).unstrained_length for pair in pairs]
     message = "a batch of two and two batches of one"
-    require_close(together[0], np.concatenate(alone), message, BATCH_TOLERANCE)
+    require_close(together[0], np.concatenate(alone), message, BATCH_TOLERANCE_M)
 
 
 CONTROLLER_CHECKS: dict[str, Check] = {

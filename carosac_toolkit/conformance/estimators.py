@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.conformance.scenes import Playback, make_scene, wide_numbers
+from carosac_toolkit.conformance.scenes import LengthPlayback, make_scene, wide_numbers
 from carosac_toolkit.conformance.verdicts import (
-    BATCH_TOLERANCE,
-    SEED,
+    BATCH_TOLERANCE_M,
+    CHECK_SEED,
     Check,
     Factory,
     only_clear_errors,
@@ -28,7 +28,7 @@ from carosac_toolkit.robot.robot import Robot
 
 def belief_fits(factory: Factory, robot: Robot) -> None:
     """It returns a `Belief` of the measurement's time and batch, all finite."""
-    estimator = factory(robot, seed=SEED)
+    estimator = factory(robot, seed=CHECK_SEED)
     for belief, measurement in _beliefs(estimator, make_scene(robot).measurements):
         kind = type(belief).__name__
         require(isinstance(belief, Belief), f"got {kind}; allowed: Belief")
@@ -44,7 +44,7 @@ def belief_fits(factory: Factory, robot: Robot) -> None:
 
 def reset_forgets(factory: Factory, robot: Robot) -> None:
     """After `reset` the same measurements give the same beliefs, bit by bit."""
-    estimator = factory(robot, seed=SEED)
+    estimator = factory(robot, seed=CHECK_SEED)
     measurements = make_scene(robot).measurements
     first = _poses(estimator, measurements)
     again = _poses(estimator, measurements)
@@ -54,9 +54,9 @@ def reset_forgets(factory: Factory, robot: Robot) -> None:
 def same_seed_same_beliefs(factory: Factory, robot: Robot) -> None:
     """Two made with the same seed agree, whatever else draws random numbers."""
     measurements = make_scene(robot).measurements
-    one = _poses(factory(robot, seed=SEED), measurements)
+    one = _poses(factory(robot, seed=CHECK_SEED), measurements)
     np.random.random(7)  # noqa: NPY002 - somebody else's draw
-    other = _poses(factory(robot, seed=SEED), measurements)
+    other = _poses(factory(robot, seed=CHECK_SEED), measurements)
     require_same(one, other, "seed: two estimators made with the same seed disagreed")
 
 
@@ -74,7 +74,7 @@ def extremes_stay_finite(factory: Factory, robot: Robot) -> None:
     )  # fmt: skip
     for measurement in strange:
         for series in ((first, measurement), (measurement,)):
-            estimator = factory(robot, seed=SEED)
+            estimator = factory(robot, seed=CHECK_SEED)
             with wide_numbers():
                 refuses("extreme but valid measurement", partial(_run, estimator, series))
 
@@ -85,7 +85,7 @@ def other_robot_refused(factory: Factory, robot: Robot) -> None:
     measurement = Measurement(time=np.zeros(1), unstrained_length=np.c_[lengths, lengths[:, -1:]])
 
     def misuse() -> None:
-        factory(robot, seed=SEED).reset(measurement)
+        factory(robot, seed=CHECK_SEED).reset(measurement)
 
     refused = refuses(f"lengths of {robot.n + 1} cables", misuse)
     require(refused, f"made for {robot.n} cables, it took lengths of {robot.n + 1}")
@@ -98,7 +98,7 @@ def lengths_are_enough(factory: Factory, robot: Robot) -> None:
     hold = _Hold(scene.measurements[0].unstrained_length)
 
     def live() -> None:
-        run(Playback(scene.measurements), factory(robot, seed=SEED), hold, scene.path)
+        run(LengthPlayback(scene.measurements), factory(robot, seed=CHECK_SEED), hold, scene.path)
 
     refuses("a driver without truth, poses, tensions and IMU", live)
 
@@ -117,15 +117,15 @@ def batch_equals_loop(factory: Factory, robot: Robot) -> None:
     together: list[Array] = []
 
     def batched() -> None:
-        together.extend(_poses(factory(robot, seed=SEED), both))
+        together.extend(_poses(factory(robot, seed=CHECK_SEED), both))
 
     if refuses("a batch of two", batched):
         return
     late = tuple(replace(b, time=a.time) for a, b in zip(*series, strict=True))
-    alone = [_poses(factory(robot, seed=SEED), row) for row in (series[0], late)]
+    alone = [_poses(factory(robot, seed=CHECK_SEED), row) for row in (series[0], late)]
     message = "a batch of two and two batches of one"
     for pair, one, other in zip(together, *alone, strict=True):
-        require_close(pair, np.concatenate([one, other]), message, BATCH_TOLERANCE)
+        require_close(pair, np.concatenate([one, other]), message, BATCH_TOLERANCE_M)
 
 
 ESTIMATOR_CHECKS: dict[str, Check] = {

@@ -17,9 +17,9 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories import Trajectory
 
-STEPS = 5
-PERIOD = 0.02  # [s], where the plug-in does not say
-PER_CABLE = (
+SCENE_STEPS = 5
+DEFAULT_PERIOD_S = 0.02  # [s], where the plug-in does not say
+PER_CABLE_FIELDS = (
     "exit_points", "exit_covariance", "pulley_radius", "swivel_axis", "run_length",
     "anchor_points", "linear_density", "axial_stiffness", "axial_damping", "cable_diameter",
     "tension_min", "tension_max", "speed_max", "acceleration_max", "winch_lag", "length_min",
@@ -28,8 +28,8 @@ PER_CABLE = (
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scene:
-    """A platform that follows a slow line, seen at `STEPS` times.
+class ConformanceScene:
+    """A platform that follows a slow line, seen at `SCENE_STEPS` times.
 
     Attributes:
         path: From home a little into the workspace.
@@ -46,7 +46,7 @@ class Scene:
         return [self.path.window(float(b.time[0]), horizon, period) for b in self.beliefs]
 
 
-def make_scene(robot: Robot, *, offset: float = 0.003) -> Scene:
+def make_scene(robot: Robot, *, offset: float = 0.003) -> ConformanceScene:
     """Make a scene near home.
 
     Args:
@@ -60,12 +60,12 @@ def make_scene(robot: Robot, *, offset: float = 0.003) -> Scene:
     reach = 0.1 * (robot.workspace_max - robot.workspace_min)
     towards = np.where(home + reach < robot.workspace_max, reach, -reach)
     path = trajectories.line(home, home + towards, speed_max=0.3, acceleration_max=0.3)
-    time = np.linspace(0.0, 0.9 * path.duration, STEPS)
+    time = np.linspace(0.0, 0.9 * path.duration, SCENE_STEPS)
     rest = statics.inverse_kinematics(robot, path.sample(time).position)
     if not rest.converged.all():
         raise InvalidField("robot", robot.name, "a robot that can rest at home and near it")
-    rows = [slice(k, k + 1) for k in range(STEPS)]
-    return Scene(
+    rows = [slice(k, k + 1) for k in range(SCENE_STEPS)]
+    return ConformanceScene(
         path=path,
         beliefs=tuple(
             Belief(time=time[k], position=rest.position[k] + offset, rotation=rest.rotation[k])
@@ -81,7 +81,7 @@ def other_robot(robot: Robot) -> Robot:
     """The same robot with one cable more, beside the last one."""
     changed: dict[str, Any] = {
         name: np.concatenate([value, value[-1:]])
-        for name in PER_CABLE
+        for name in PER_CABLE_FIELDS
         if (value := getattr(robot, name)) is not None
     }
     changed["exit_points"][-1] += [0.1, 0.0, 0.0]
@@ -104,7 +104,7 @@ def wide_numbers() -> Iterator[None]:
         yield
 
 
-class Playback:
+class LengthPlayback:
     """A driver that measures given lengths, obeys nothing and knows no truth."""
 
     def __init__(self, measurements: tuple[Measurement, ...]) -> None:

@@ -15,8 +15,8 @@ from carosac_toolkit.robot.robot import Robot
 Factory = Callable[..., Any]  # factory(robot, seed=...) makes a plug-in
 Check = Callable[[Factory, Robot], None]
 
-SEED = 3
-BATCH_TOLERANCE = 1e-9  # [m], between rows computed together and alone
+CHECK_SEED = 3
+BATCH_TOLERANCE_M = 1e-9  # [m], between rows computed together and alone
 
 
 class NotConforming(CarosacError, AssertionError):

@@ -15,12 +15,16 @@ if TYPE_CHECKING:
     from carosac_toolkit.inspection.report import RobotReport
     from carosac_toolkit.physics.rest.statics import Equilibrium
 
-FAR = 20.0  # times the median distance: a point that far from the others has the wrong unit
-DEEP_SAG = 0.1  # of the length: a cable that sags more is hardly a cable of a robot
-RANK = 1e-6  # of the largest singular value: smaller ones count as none
-TINY = 1e-6  # [Hz]: a slower motion does not oscillate
-UPSET = 60.0  # [deg]: a platform that hangs more tilted at home was meant to hang otherwise
-EDGE = 1e-6  # [N]: what rounding may exceed a tension limit by
+OUTLIER_DISTANCE_RATIO = (
+    20.0  # times the median distance: a point that far from the others has the wrong unit
+)
+DEEP_SAG_RATIO = 0.1  # of the length: a cable that sags more is hardly a cable of a robot
+RANK_TOLERANCE = 1e-6  # of the largest singular value: smaller ones count as none
+OSCILLATION_FREQUENCY_MIN_HZ = 1e-6  # [Hz]: a slower motion does not oscillate
+HOME_TILT_MAX_DEG = (
+    60.0  # [deg]: a platform that hangs more tilted at home was meant to hang otherwise
+)
+TENSION_LIMIT_TOLERANCE_N = 1e-6  # [N]: what rounding may exceed a tension limit by
 
 
 def problems(report: RobotReport) -> list[str]:
@@ -46,7 +50,7 @@ def warnings(report: RobotReport) -> list[str]:
     """
     found = [*_far_points(report), *_low_rank(report), *_deep_sag(report), *_long_wrap(report)]
     tilt = float(np.degrees(report.tilt))
-    if report.equilibrium.converged[0] and tilt > UPSET:
+    if report.equilibrium.converged[0] and tilt > HOME_TILT_MAX_DEG:
         found.append(f"the platform tilts by {tilt:.0f} degrees at home: is center_of_mass right?")
     if report.file is not None:
         found += [f"{name} is used by no chain" for name in unused_parts(report.file)]
@@ -55,7 +59,9 @@ def warnings(report: RobotReport) -> list[str]:
 
 def _unstable(report: RobotReport) -> str:
     """What it means that an equilibrium is not stable."""
-    growing = [f"{value:.3g} Hz" for value in report.frequencies if value < -TINY]
+    growing = [
+        f"{value:.3g} Hz" for value in report.frequencies if value < -OSCILLATION_FREQUENCY_MIN_HZ
+    ]
     if growing:
         return (
             "the equilibrium is not stable: a motion of negative natural frequency grows instead "
@@ -112,9 +118,9 @@ def _tension_limits(report: RobotReport, home: Equilibrium) -> Iterator[str]:
     robot = report.robot
     for i, tension in enumerate(home.tension[0]):
         needs = f"cable {robot.cable_names[i]} would need {tension:.1f} N at home"
-        if tension > robot.tension_max[i] + EDGE:
+        if tension > robot.tension_max[i] + TENSION_LIMIT_TOLERANCE_N:
             yield f"{needs}, its maximum is {robot.tension_max[i]:g} N"
-        elif tension < robot.tension_min[i] - EDGE:
+        elif tension < robot.tension_min[i] - TENSION_LIMIT_TOLERANCE_N:
             yield f"{needs}, its minimum is {robot.tension_min[i]:g} N"
 
 
@@ -161,7 +167,7 @@ def _far_points(report: RobotReport) -> Iterator[str]:
     ):
         distance = np.linalg.norm(points - middle, axis=1)
         usual = float(np.median(distance))
-        for i in np.flatnonzero((distance > FAR * usual) & (usual > 0.0)):
+        for i in np.flatnonzero((distance > OUTLIER_DISTANCE_RATIO * usual) & (usual > 0.0)):
             whence = "home" if kind == "exit point" else "the platform's origin"
             yield (
                 f"the {kind} of cable {robot.cable_names[i]} is {distance[i]:.4g} m from {whence}, "
@@ -180,7 +186,7 @@ def _low_rank(report: RobotReport) -> Iterator[str]:
     size = float(np.linalg.norm(robot.anchor_points, axis=1).max()) or 1.0
     scaled = matrix / np.array([1.0, 1.0, 1.0, size, size, size])[:, None]
     values = np.linalg.svd(scaled, compute_uv=False)
-    rank, full = int((values > RANK * values[0]).sum()), min(6, robot.n)
+    rank, full = int((values > RANK_TOLERANCE * values[0]).sum()), min(6, robot.n)
     if rank < full:
         yield (
             f"the structure matrix at home has rank {rank} of {full}: "
@@ -193,7 +199,7 @@ def _cause(anchors: Array) -> str:
     spread = np.linalg.svd(anchors - anchors.mean(axis=0), compute_uv=False)
     if spread[0] < 1e-9:
         return "anchor points coincide"
-    if len(spread) > 1 and spread[1] < RANK * spread[0]:
+    if len(spread) > 1 and spread[1] < RANK_TOLERANCE * spread[0]:
         return "anchor points lie on one line"
     return "the cables' lines of action depend on each other"
 
@@ -201,7 +207,7 @@ def _cause(anchors: Array) -> str:
 def _deep_sag(report: RobotReport) -> Iterator[str]:
     """Cables that hang through."""
     lengths = report.equilibrium.unstrained_length[0]
-    for i in np.flatnonzero(report.sag > DEEP_SAG * lengths):
+    for i in np.flatnonzero(report.sag > DEEP_SAG_RATIO * lengths):
         yield (
             f"cable {report.robot.cable_names[i]} sags {report.sag[i]:.4g} m at home, more than a "
             f"tenth of its {lengths[i]:.4g} m: are its weight, length and tension_min right?"

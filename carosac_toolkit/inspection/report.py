@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from carosac_toolkit.physics.rest.statics import Equilibrium
     from carosac_toolkit.robot.schema import RobotFile
 
-SHAPE_SAMPLES = 101
+CABLE_SHAPE_POINTS = 101
 
 
 class CalibratedParameter(NamedTuple):
@@ -38,7 +38,7 @@ class CalibratedParameter(NamedTuple):
     unit: str
 
 
-class Sensors(NamedTuple):
+class SensorReport(NamedTuple):
     """What the robot file says of its sensors.
 
     Attributes:
@@ -135,7 +135,7 @@ class RobotReport:
         )
 
     @property
-    def sensors(self) -> Sensors | None:
+    def sensors(self) -> SensorReport | None:
         """What the robot file says of its sensors; None where it says nothing."""
         robot = self.robot
         known = (robot.length_offset, robot.length_scale, robot.length_delay, robot.pose_rotation)
@@ -147,7 +147,7 @@ class RobotReport:
             rest = with_values(robot, ("pose_tilt.x", "pose_tilt.y"), np.zeros(2)).pose_rotation
             assert rest is not None
             turn = float(np.arctan2(rest[1, 0], rest[0, 0]))
-        return Sensors(robot.length_offset, robot.length_scale, robot.length_delay, tilt, turn)
+        return SensorReport(robot.length_offset, robot.length_scale, robot.length_delay, tilt, turn)
 
     def data(self) -> dict[str, Any]:
         """All numbers under names with units, ready for JSON; NaN is unknown."""
@@ -260,13 +260,13 @@ def report_robot(robot: Robot, file: RobotFile | None = None) -> RobotReport:
     straight = straight_line.straight_length(robot, robot.home_position[None])
     wrap = straight.wrap[0]
     if equilibrium.converged[0]:
-        shape = statics.cable_shape(robot, equilibrium, SHAPE_SAMPLES)[0]
-        sag = statics.sag(robot, equilibrium, samples=SHAPE_SAMPLES)[0]
+        shape = statics.cable_shape(robot, equilibrium, CABLE_SHAPE_POINTS)[0]
+        sag = statics.sag(robot, equilibrium, samples=CABLE_SHAPE_POINTS)[0]
         frequencies = modes.natural_frequencies(robot, equilibrium)[0]
         wrap = _wrap(robot, equilibrium)
     else:
         anchors = robot.home_position + robot.anchor_points @ robot.home_rotation.T
-        share = np.linspace(0.0, 1.0, SHAPE_SAMPLES)[:, None]
+        share = np.linspace(0.0, 1.0, CABLE_SHAPE_POINTS)[:, None]
         free = straight.length[0] - robot.pulley_radius * wrap
         start = anchors - free[:, None] * straight.direction[0]
         shape = start[:, None] * (1.0 - share) + anchors[:, None] * share

@@ -18,8 +18,8 @@ from carosac_toolkit.base.errors import (
     did_you_mean,
 )
 
-_SUFFIXES = (".bag", ".mcap", ".db3")
-_KINDS = "a .bag of ROS 1, the folder of a ROS 2 bag, or a single .mcap or .db3 file"
+_BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+_BAG_KINDS = "a .bag of ROS 1, the folder of a ROS 2 bag, or a single .mcap or .db3 file"
 
 
 @dataclass(frozen=True)
@@ -135,9 +135,9 @@ def _check(paths: Sequence[Path]) -> None:
         if not path.exists():
             raise MissingFile(path)
         if path.is_dir() and not (path / "metadata.yaml").exists():
-            raise InvalidFile(path, [f"no metadata.yaml in this folder; allowed: {_KINDS}"])
-        if path.is_file() and path.suffix.lower() not in _SUFFIXES:
-            raise InvalidField("BAG", repr(str(path)), _KINDS)
+            raise InvalidFile(path, [f"no metadata.yaml in this folder; allowed: {_BAG_KINDS}"])
+        if path.is_file() and path.suffix.lower() not in _BAG_SUFFIXES:
+            raise InvalidField("BAG", repr(str(path)), _BAG_KINDS)
     if len(paths) > 1 and any(path.suffix.lower() != ".bag" for path in paths):
         raise InvalidField("BAG", ", ".join(map(str, paths)), "one, or the parts of a ROS 1 bag")
 

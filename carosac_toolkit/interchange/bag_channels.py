@@ -15,29 +15,29 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.interchange.bag import Bag
 
 Nanoseconds = NDArray[np.int64]
-STAMPS = ("header", "receive")
-_DEFAULT = {
+STAMP_SOURCES = ("header", "receive")
+_LENGTH_FIELDS = {
     "std_msgs/msg/Float64MultiArray": "data", "std_msgs/msg/Float32MultiArray": "data",
     "std_msgs/msg/Float64": "data", "std_msgs/msg/Float32": "data",
     "sensor_msgs/msg/JointState": "position",
 }  # fmt: skip
-_EFFORT = {"sensor_msgs/msg/JointState": "effort"}
-_RATE = {"sensor_msgs/msg/JointState": "velocity"}
-_POSE = {
+_TENSION_FIELDS = {"sensor_msgs/msg/JointState": "effort"}
+_RATE_FIELDS = {"sensor_msgs/msg/JointState": "velocity"}
+_POSE_FIELDS = {
     "geometry_msgs/msg/PoseStamped": "pose",
     "geometry_msgs/msg/PoseWithCovarianceStamped": "pose.pose",
     "nav_msgs/msg/Odometry": "pose.pose", "geometry_msgs/msg/TransformStamped": "transform",
     "geometry_msgs/msg/Pose": "", "geometry_msgs/msg/Transform": "",
 }  # fmt: skip
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-IMU = "sensor_msgs/msg/Imu"
-POSE_TYPES = (*_POSE, *TF_TYPES)
-LENGTH_TYPES = tuple(_DEFAULT)
-_SPEC = re.compile(r"(?P<topic>/?[^.\[\]]+)(?:\.(?P<field>[\w.]+))?")
+IMU_TYPE = "sensor_msgs/msg/Imu"
+POSE_TYPES = (*_POSE_FIELDS, *TF_TYPES)
+LENGTH_TYPES = tuple(_LENGTH_FIELDS)
+_CHANNEL_PATTERN = re.compile(r"(?P<topic>/?[^.\[\]]+)(?:\.(?P<field>[\w.]+))?")
 
 
 @dataclass(frozen=True)
-class Samples:
+class TopicSamples:
     """Numbers of a topic, in order of their stamps.
 
     Attributes:
@@ -59,7 +59,9 @@ class Samples:
     labels: tuple[str, ...] = ()
 
 
-def numbers(bag: Bag, spec: str, option: str, *, stamps: str, names: Sequence[str] = ()) -> Samples:
+def numbers(
+    bag: Bag, spec: str, option: str, *, stamps: str, names: Sequence[str] = ()
+) -> TopicSamples:
     """Numbers of a topic.
 
     Args:
@@ -75,8 +77,8 @@ def numbers(bag: Bag, spec: str, option: str, *, stamps: str, names: Sequence[st
     """
     topic, field = split_spec(spec, option)
     kind = bag.topic(topic, option).kind
-    own = {"--tension": _EFFORT, "--rates": _RATE}.get(option, {})
-    path = field or own.get(kind) or _DEFAULT.get(kind)
+    own = {"--tension": _TENSION_FIELDS, "--rates": _RATE_FIELDS}.get(option, {})
+    path = field or own.get(kind) or _LENGTH_FIELDS.get(kind)
     times: list[int | None] = []
     received, rows = list[int](), list[Array]()
     labels: tuple[str, ...] = ()
@@ -96,7 +98,7 @@ def numbers(bag: Bag, spec: str, option: str, *, stamps: str, names: Sequence[st
     return _ordered(f"{topic}.{path}", times, received, np.array(rows), stamps, labels)
 
 
-def poses(bag: Bag, spec: str, *, stamps: str, frames: Sequence[str] = ()) -> Samples:
+def poses(bag: Bag, spec: str, *, stamps: str, frames: Sequence[str] = ()) -> TopicSamples:
     """Positions and quaternions w x y z of a topic, shape (K, 7); in ROS the order is x y z w.
 
     Args:
@@ -123,7 +125,11 @@ def poses(bag: Bag, spec: str, *, stamps: str, frames: Sequence[str] = ()) -> Sa
                 if list(pair) != [frame.lstrip("/") for frame in frames]:
                     continue
             path = (
-                "transform" if kind in TF_TYPES else field if field is not None else _POSE.get(kind)
+                "transform"
+                if kind in TF_TYPES
+                else field
+                if field is not None
+                else _POSE_FIELDS.get(kind)
             )
             if path is None:
                 allowed = f"{topic}.FIELD with the pose, or a topic of {', '.join(POSE_TYPES)}"
@@ -138,15 +144,15 @@ def poses(bag: Bag, spec: str, *, stamps: str, frames: Sequence[str] = ()) -> Sa
     return _ordered(topic, times, received, np.array(rows), stamps)
 
 
-def inertial(bag: Bag, spec: str, *, stamps: str) -> Samples:
+def inertial(bag: Bag, spec: str, *, stamps: str) -> TopicSamples:
     """Angular rates [rad/s] and specific forces [m/s^2] of ``sensor_msgs/Imu``, shape (K, 6).
 
     Its `linear_acceleration` is what an accelerometer reads: +g upwards at rest.
     """
     topic, field = split_spec(spec, "--imu")
     kind = bag.topic(topic, "--imu").kind
-    if kind != IMU or field:
-        raise InvalidField("--imu", f"{spec!r}, {kind}", f"a topic of {IMU}")
+    if kind != IMU_TYPE or field:
+        raise InvalidField("--imu", f"{spec!r}, {kind}", f"a topic of {IMU_TYPE}")
     times, received, rows = [], [], []
     for time, message in bag.messages(topic):
         rate, force = message.angular_velocity, message.linear_acceleration
@@ -158,7 +164,7 @@ def inertial(bag: Bag, spec: str, *, stamps: str) -> Samples:
 
 def split_spec(spec: str, option: str) -> tuple[str, str | None]:
     """Topic and field of ``/topic.field``."""
-    match = _SPEC.fullmatch(spec)
+    match = _CHANNEL_PATTERN.fullmatch(spec)
     if match is None:
         raise InvalidField(option, repr(spec), "/topic or /topic.field")
     return match["topic"], match["field"]
@@ -251,7 +257,7 @@ def _ordered(
     rows: Array,
     stamps: str,
     labels: tuple[str, ...] = (),
-) -> Samples:
+) -> TopicSamples:
     """Samples in order of one clock, a stamp once."""
     known = [time for time in times if time is not None]
     complete = len(known) == len(times)
@@ -261,4 +267,4 @@ def _ordered(
     if complete and known:
         behind = 1e-9 * float(np.median(np.array(received) - np.array(known, dtype=np.int64)))
     time, first = np.unique(time, return_index=True)
-    return Samples(topic, time, rows[first], clock, behind, len(times) - len(time), labels)
+    return TopicSamples(topic, time, rows[first], clock, behind, len(times) - len(time), labels)

@@ -13,9 +13,9 @@ from carosac_toolkit.base.units import parse_quantity
 from carosac_toolkit.base.version import __version__
 from carosac_toolkit.interchange.bag import Bag
 from carosac_toolkit.interchange.bag_channels import (
-    STAMPS,
+    STAMP_SOURCES,
     Nanoseconds,
-    Samples,
+    TopicSamples,
     inertial,
     numbers,
     poses,
@@ -25,7 +25,7 @@ from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
 
-_APART = 1.0  # [s] by which delays of two channels may differ before a warning
+_DELAY_DIFFERENCE_MAX_S = 1.0  # [s] by which delays of two channels may differ before a warning
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,8 +64,8 @@ class Topics:
 
     def __post_init__(self) -> None:
         """Refuse what no bag can answer."""
-        if self.stamps not in STAMPS:
-            raise InvalidField("--stamps", repr(self.stamps), f"one of {', '.join(STAMPS)}")
+        if self.stamps not in STAMP_SOURCES:
+            raise InvalidField("--stamps", repr(self.stamps), f"one of {', '.join(STAMP_SOURCES)}")
         if not self.lengths:
             allowed = "a topic with cable lengths; a recording needs them"
             raise InvalidField("--lengths", "nothing", allowed)
@@ -85,7 +85,7 @@ class Imported:
     """
 
     recording: Recording
-    channels: dict[str, Samples]
+    channels: dict[str, TopicSamples]
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
@@ -98,7 +98,7 @@ def read_bag(bag: Bag, topics: Topics) -> Imported:
     """
     notes: list[str] = []
     scale = parse_quantity(f"1 {topics.length_unit}", "m")
-    found: dict[str, Samples] = {}
+    found: dict[str, TopicSamples] = {}
     for channel, option, specs in (
         ("unstrained_length", "--lengths", topics.lengths),
         ("tension", "--tension", topics.tensions),
@@ -125,7 +125,7 @@ def read_bag(bag: Bag, topics: Topics) -> Imported:
 
 def _cables(
     bag: Bag, specs: Sequence[str], option: str, topics: Topics, notes: list[str]
-) -> Samples:
+) -> TopicSamples:
     """A number for each cable: of one topic, or of one topic for each."""
     each = [numbers(bag, spec, option, stamps=topics.stamps, names=topics.names) for spec in specs]
     if len(each) == 1:
@@ -150,10 +150,10 @@ def _cables(
     title = ", ".join(samples.topic for samples in each)
     repeated = sum(samples.repeated for samples in each)
     labels = tuple(samples.topic for samples in each)
-    return Samples(title, first.time[kept], value, first.clock, first.behind, repeated, labels)
+    return TopicSamples(title, first.time[kept], value, first.clock, first.behind, repeated, labels)
 
 
-def _in_order_of(lengths: Samples, samples: Samples) -> Samples:
+def _in_order_of(lengths: TopicSamples, samples: TopicSamples) -> TopicSamples:
     """The columns in the order of the lengths, where they have the same names in another one."""
     names = list(samples.labels)
     if samples.labels == lengths.labels or set(names) != set(lengths.labels):
@@ -163,7 +163,7 @@ def _in_order_of(lengths: Samples, samples: Samples) -> Samples:
 
 
 def _matched(
-    each: Sequence[Samples], together: float | None, option: str
+    each: Sequence[TopicSamples], together: float | None, option: str
 ) -> list[np.ndarray[tuple[int], np.dtype[np.int64]]]:
     """For each sample of the first topic, the row of each topic that belongs to it, or -1."""
     first = each[0].time
@@ -194,7 +194,7 @@ def _nearest(time: Nanoseconds, when: Nanoseconds) -> np.ndarray[tuple[int], np.
 
 
 def _recording(
-    found: dict[str, Samples], start: int, scale: float, topics: Topics, bag: Bag
+    found: dict[str, TopicSamples], start: int, scale: float, topics: Topics, bag: Bag
 ) -> Recording:
     """All channels by one clock that begins with the first sample."""
     lengths = found["unstrained_length"]
@@ -234,12 +234,12 @@ def _recording(
     )
 
 
-def _seconds(samples: Samples, start: int) -> Array:
+def _seconds(samples: TopicSamples, start: int) -> Array:
     """Stamps as seconds since the first one."""
     return np.asarray((samples.time - start) / 1e9, dtype=np.float64)
 
 
-def _clock_warnings(found: dict[str, Samples]) -> list[str]:
+def _clock_warnings(found: dict[str, TopicSamples]) -> list[str]:
     """Channels whose clocks can hardly be one."""
     warnings = []
     clocks = {samples.clock for samples in found.values()}
@@ -250,7 +250,7 @@ def _clock_warnings(found: dict[str, Samples]) -> list[str]:
             "other is not known; --stamps receive takes times of receipt for all"
         )
     delays = {n: s.behind for n, s in found.items() if s.behind is not None and s.clock == "header"}
-    if delays and max(delays.values()) - min(delays.values()) > _APART:
+    if delays and max(delays.values()) - min(delays.values()) > _DELAY_DIFFERENCE_MAX_S:
         said = ", ".join(f"{name} {delay:.3g} s" for name, delay in delays.items())
         warnings.append(f"header stamps of different clocks? received after their stamps: {said}")
     return warnings

@@ -28,9 +28,9 @@ from carosac_toolkit.interchange.source_file import SourceFile, about_centre_of_
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-_JOINT = "SPATIAL_EULER_XYZ"
-_DOWN = np.array([0.0, 0.0, -1.0])
-_DROPPED = (
+_SUPPORTED_JOINT = "SPATIAL_EULER_XYZ"
+_DOWNWARD_AXIS = np.array([0.0, 0.0, -1.0])
+_IGNORED_ELEMENTS = (
     "display_range and view_angle of the pictures, end_location, operational spaces, trajectories"
 )
 
@@ -53,7 +53,7 @@ def read_caspr(
     body, rope = SourceFile(bodies), SourceFile(cables)
     chosen = _chosen_set(rope, cable_set)
     title = f"CASPR, {bodies.name} and {cables.name}, cable set {chosen.get('id')!r}"
-    draft = Draft(title, dropped=[_DROPPED])
+    draft = Draft(title, dropped=[_IGNORED_ELEMENTS])
     centre = _platform(body, draft)
     _cables(rope, chosen, centre, draft, pulleys)
     body.check()
@@ -87,9 +87,9 @@ def _platform(file: SourceFile, draft: Draft) -> Array:
     draft.put(("name",), (link.get("name") or file.path.stem).strip())
     draft.put(("description",), f"{link.get('name') or file.path.stem}, imported from CASPR")
     joint = link.find("joint")
-    if joint is None or joint.get("type") != _JOINT:
+    if joint is None or joint.get("type") != _SUPPORTED_JOINT:
         kind = None if joint is None else joint.get("type")
-        raise file.refuse(f"link_rigid/joint@type: got {kind!r}; allowed: {_JOINT!r}")
+        raise file.refuse(f"link_rigid/joint@type: got {kind!r}; allowed: {_SUPPORTED_JOINT!r}")
     physical = link.find("physical")
     if physical is None:
         raise file.refuse("link_rigid: no element <physical>")
@@ -229,7 +229,7 @@ def _ends(
     if len(points) != 2:
         allowed = "two, at base and platform; a cable over further links is not a single platform's"
         file.fault(f"{where}/attachments", f"{len(points)} attachments", allowed)
-        return (nothing, 0.0, _DOWN), nothing
+        return (nothing, 0.0, _DOWNWARD_AXIS), nothing
     base, end = points
     if base.tag == "attachment" and (base.findtext("link") or "").strip() == "1":
         base, end = end, base
@@ -245,7 +245,7 @@ def _exit(file: SourceFile, base: Element, where: str, pulleys: bool) -> tuple[A
         length = float(np.linalg.norm(axis))
         if length == 0.0:
             file.fault(f"{where}/cable_entry_vector", "0 0 0", "a direction")
-            return position, 0.0, _DOWN
+            return position, 0.0, _DOWNWARD_AXIS
         if radius < 0.0:
             file.fault(f"{where}/pulley_radius", f"{radius:g}", ">= 0")
         return position, radius if pulleys else 0.0, axis / length
@@ -253,8 +253,8 @@ def _exit(file: SourceFile, base: Element, where: str, pulleys: bool) -> tuple[A
     if base.tag != "attachment" or link != "0":
         got = f"<{base.tag}> at link {link or 'nothing'}"
         file.fault(f"{where}/attachments", got, "an attachment or base_rotating_pulley at link 0")
-        return np.full(3, np.nan), 0.0, _DOWN
-    return file.numbers(base.findtext("location"), f"{where}/location", 3, "m"), 0.0, _DOWN
+        return np.full(3, np.nan), 0.0, _DOWNWARD_AXIS
+    return file.numbers(base.findtext("location"), f"{where}/location", 3, "m"), 0.0, _DOWNWARD_AXIS
 
 
 def _anchor(file: SourceFile, cable: Element, end: Element, where: str, centre: Array) -> Array:

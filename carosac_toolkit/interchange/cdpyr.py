@@ -21,7 +21,7 @@ from carosac_toolkit.base.yaml import read_yaml
 from carosac_toolkit.interchange.draft import Draft
 from carosac_toolkit.interchange.source_file import SourceFile, about_centre_of_mass
 
-INERTIA_ABOUT = ("origin", "center_of_mass")
+INERTIA_REFERENCE_POINTS = ("origin", "center_of_mass")
 
 
 def read_cdpyr(path: Path, *, pulleys: bool = True, inertia_about: str | None = None) -> Draft:
@@ -36,8 +36,10 @@ def read_cdpyr(path: Path, *, pulleys: bool = True, inertia_about: str | None = 
     Raises:
         InvalidFile: A file with faults, or no single platform with six degrees of freedom.
     """
-    if inertia_about is not None and inertia_about not in INERTIA_ABOUT:
-        raise InvalidField("--inertia-about", repr(inertia_about), f"one of {INERTIA_ABOUT}")
+    if inertia_about is not None and inertia_about not in INERTIA_REFERENCE_POINTS:
+        raise InvalidField(
+            "--inertia-about", repr(inertia_about), f"one of {INERTIA_REFERENCE_POINTS}"
+        )
     file = SourceFile(path)
     data = _mapping(file, _parsed(file), "the file")
     draft = Draft(f"cdpyr, {path.name}")

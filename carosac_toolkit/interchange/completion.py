@@ -13,22 +13,22 @@ from carosac_toolkit.interchange.draft import Draft
 from carosac_toolkit.robot.file import document_faults, fields_to_give, parse_robot
 from carosac_toolkit.robot.robot import Robot
 
-_ORDER = (
+_SECTION_ORDER = (
     "schema", "name", "description", "licence", "gravity", "frame", "platform", "cable_types",
     "winches", "chains", "tension_limits", "workspace", "home",
 )  # fmt: skip
-_TEXTS = ("schema", "name", "description", "licence")
-_HINTS: dict[FieldPath, str] = {
+_TEXT_SECTIONS = ("schema", "name", "description", "licence")
+_FIELD_HINTS: dict[FieldPath, str] = {
     ("licence",): "a text: under which licence the numbers may be used",
     ("workspace", "min"): "3 numbers in m, the lowest corner of the box of platform positions",
     ("workspace", "max"): "3 numbers in m, the highest corner of that box",
     ("home", "position"): "3 numbers in m, inside the workspace",
     ("home", "rpy_deg"): "3 numbers in degrees: roll, pitch, yaw",
 }
-_STIFFNESS = (
+_STIFFNESS_HINT = (
     "EA, a force in N (or mN, kN, MN), > 0; or youngs_modulus with area or material_density"
 )
-_MODULUS = (
+_MODULUS_HINT = (
     "a force in N (or mN, kN, MN), > 0, instead of the file's youngs_modulus; or, to that, the "
     "load-bearing area (m^2 or mm^2; not pi d^2/4 of a rope), or material_density (kg/m^3)"
 )
@@ -93,8 +93,8 @@ def robot_and_text(completed: Completed) -> tuple[Robot, str]:
     """
     if completed.missing:
         raise CarosacError("\n".join([*missing_lines(completed)]))
-    data = {key: completed.draft.data[key] for key in _ORDER if key in completed.draft.data}
-    rest = {key: value for key, value in completed.draft.data.items() if key not in _ORDER}
+    data = {key: completed.draft.data[key] for key in _SECTION_ORDER if key in completed.draft.data}
+    rest = {key: value for key, value in completed.draft.data.items() if key not in _SECTION_ORDER}
     content = {**data, **rest, "provenance": _needed(completed.draft)}
     text = dump_yaml({key: _styled(value) for key, value in content.items()})
     return parse_robot(text, source="imported robot"), text
@@ -165,11 +165,11 @@ def _merge(
             if not isinstance(place, dict):
                 raise InvalidField(format_path(path), "a field of it", "the whole field")
         name = format_path(path)
-        if path[-1] in place and path[0] not in _TEXTS:
+        if path[-1] in place and path[0] not in _TEXT_SECTIONS:
             replaced.append(name)
         _instead(place, path)
         place[path[-1]] = value
-        if path[0] in _TEXTS:
+        if path[0] in _TEXT_SECTIONS:
             continue
         for known in [p for p in draft.provenance if _covers(name, p)]:
             del draft.provenance[known]
@@ -218,7 +218,7 @@ def _sorted_faults(
     for name, kind in (kinds if isinstance(kinds, dict) else {}).items():
         ways = ("axial_stiffness", "area", "material_density")
         if isinstance(kind, dict) and not any(way in kind for way in ways):
-            allowed = _MODULUS if "youngs_modulus" in kind else _STIFFNESS
+            allowed = _MODULUS_HINT if "youngs_modulus" in kind else _STIFFNESS_HINT
             missing.append((("cable_types", name, "axial_stiffness"), allowed))
     for path, what in document_faults(data):
         known = [known for known, _ in missing]
@@ -228,8 +228,8 @@ def _sorted_faults(
                 missing += [leaf] if leaf[0] not in known else []
         elif path not in known:
             faults.append((path, what))
-    missing.sort(key=lambda entry: _ORDER.index(str(entry[0][0])))
-    return [(path, _HINTS.get(path, allowed)) for path, allowed in missing], faults
+    missing.sort(key=lambda entry: _SECTION_ORDER.index(str(entry[0][0])))
+    return [(path, _FIELD_HINTS.get(path, allowed)) for path, allowed in missing], faults
 
 
 def _needed(draft: Draft) -> dict[str, str]:

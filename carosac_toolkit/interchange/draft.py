@@ -9,7 +9,9 @@ from typing import Any
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.schema import SCHEMA
 
-FAR = 300.0  # [m] from the origin; points farther away than this are more likely in mm
+POINT_DISTANCE_MAX_M = (
+    300.0  # [m] from the origin; points farther away than this are more likely in mm
+)
 
 
 @dataclass
@@ -74,9 +76,10 @@ class Draft:
             platform[name] = _numbers(anchor)
             ends = {"exit_point": name, "anchor_point": name, "cable": cable, "winch": winch}
             chains.append({"name": name, **ends})
-            if max(abs(float(x)) for x in position) > FAR:
+            if max(abs(float(x)) for x in position) > POINT_DISTANCE_MAX_M:
                 self.warnings.append(
-                    f"exit point {name!r} is over {FAR:g} m from the origin: is the file in mm?"
+                    f"exit point {name!r} is over {POINT_DISTANCE_MAX_M:g} m from the origin: "
+                    "is the file in mm?"
                 )
         self.data["chains"] = chains
 

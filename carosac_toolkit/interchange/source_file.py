@@ -14,8 +14,8 @@ from carosac_toolkit.base.errors import InvalidFile, MissingFile
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-_ROTATION = 1e-4  # of R^T R
-_LARGEST = 20_000_000  # [bytes]; robots take kilobytes
+_ORTHOGONALITY_TOLERANCE = 1e-4  # of R^T R
+_FILE_BYTES_MAX = 20_000_000  # [bytes]; robots take kilobytes
 
 
 class SourceFile:
@@ -57,8 +57,10 @@ class SourceFile:
         if not self.path.exists():
             raise MissingFile(self.path)
         try:
-            if self.path.stat().st_size > _LARGEST:
-                raise self.refuse(f"larger than {_LARGEST // 1_000_000} MB; this is no robot")
+            if self.path.stat().st_size > _FILE_BYTES_MAX:
+                raise self.refuse(
+                    f"larger than {_FILE_BYTES_MAX // 1_000_000} MB; this is no robot"
+                )
             return self.path.read_text(encoding="utf-8-sig")
         except UnicodeDecodeError as error:
             raise self.refuse(f"not UTF-8 text (byte {error.start})") from error
@@ -113,7 +115,7 @@ class SourceFile:
 
     def rotation(self, matrix: Array, where: str) -> None:
         """Note a fault where a matrix is no rotation, to the digits that files have."""
-        square = np.allclose(matrix.T @ matrix, np.eye(3), atol=_ROTATION)
+        square = np.allclose(matrix.T @ matrix, np.eye(3), atol=_ORTHOGONALITY_TOLERANCE)
         if np.isfinite(matrix).all() and not (square and np.linalg.det(matrix) > 0.0):
             self.fault(where, "no rotation", "a rotation matrix, orthonormal and right-handed")
 

@@ -24,11 +24,11 @@ from carosac_toolkit.interchange.source_file import SourceFile
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-_PATTERN = "3R3T"
-_VERSIONS = ("0.31", "0.32")
-_FRAME = tuple(f"a{row}{column}" for column in "123" for row in "123")
+_MOTION_PATTERN = "3R3T"
+_SUPPORTED_VERSIONS = ("0.31", "0.32")
+_ROTATION_ATTRIBUTES = tuple(f"a{row}{column}" for column in "123" for row in "123")
 _DEFAULT_MASS, _DEFAULT_CENTRE, _DEFAULT_RADIUS = 25.0, (0.0, 1.0, 0.2), 0.1
-_WINCH = {
+_WINCH_FIELDS = {
     "max_velocity": "speed_max",
     "max_acceleration": "acceleration_max",
     "l_min": "length_min",
@@ -52,13 +52,15 @@ def read_wirex(path: Path, *, pulleys: bool = True) -> Draft:
         allowed = "one <robot> in <models>"
         raise file.refuse(f"{len(robots)} robots in <{root.tag}>; allowed: {allowed}")
     robot = robots[0]
-    if robot.get("motionpattern") != _PATTERN:
+    if robot.get("motionpattern") != _MOTION_PATTERN:
         got = repr(robot.get("motionpattern"))
-        raise file.refuse(f"robot@motionpattern: got {got}; allowed: {_PATTERN!r}, a free body")
+        raise file.refuse(
+            f"robot@motionpattern: got {got}; allowed: {_MOTION_PATTERN!r}, a free body"
+        )
     version = root.get("version")
     draft = Draft(f"WireX {version or 'of no version'}, {path.name}")
-    if version not in _VERSIONS:
-        draft.warnings.append(f"version {version!r}; known are {' and '.join(_VERSIONS)}")
+    if version not in _SUPPORTED_VERSIONS:
+        draft.warnings.append(f"version {version!r}; known are {' and '.join(_SUPPORTED_VERSIONS)}")
     name = (robot.get("name") or path.stem).strip()
     draft.put(("name",), name)
     draft.put(("description",), f"{name}, imported from WireX")
@@ -117,7 +119,7 @@ def _exit(
     radius = file.attribute(base, "radius", f"{where}/base", "m")
     if radius < 0.0:
         file.fault(f"{where}/base@radius", f"{radius:g}", ">= 0")
-    entries = [file.attribute(base, entry, f"{where}/base") for entry in _FRAME]
+    entries = [file.attribute(base, entry, f"{where}/base") for entry in _ROTATION_ATTRIBUTES]
     frame = np.array(entries).reshape(3, 3).T
     file.rotation(frame, f"{where}/base, a11 ... a33")
     return position, radius, frame[:, 2]
@@ -211,7 +213,7 @@ def _winches(file: SourceFile, root: Element, draft: Draft) -> list[str]:
         names.append(name)
         draft.data["winches"][name] = {}
         cable = winch.find("cable")
-        for known, ours in _WINCH.items():
+        for known, ours in _WINCH_FIELDS.items():
             value = _value(file, cable, known, f"winch {name!r}/cable")
             if value is not None:
                 draft.put(("winches", name, ours), value, f"{known} of the winch's cable")

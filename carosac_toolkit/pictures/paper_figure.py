@@ -13,17 +13,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SourceKind = Literal["study", "validation", "evaluation", "training"]
-MARKS: Mapping[str, SourceKind] = {  # a file that tells what a folder is
+MARKER_FILES: Mapping[str, SourceKind] = {  # a file that tells what a folder is
     "study.json": "study",
     "samples.npz": "validation",
     "scores.npz": "evaluation",
     "curve.csv": "training",
 }
-DEPTH = 6  # folders below one that was named
+SEARCH_DEPTH_MAX = 6  # folders below one that was named
 
 
 @dataclass(frozen=True, kw_only=True)
-class Source:
+class FigureSource:
     """A folder that one of our commands wrote.
 
     Attributes:
@@ -66,24 +66,24 @@ class PaperFigure:
     name: str
     what: str
     command: str
-    draw: Callable[[Sequence[Source]], list[Drawn]]
+    draw: Callable[[Sequence[FigureSource]], list[Drawn]]
 
 
-def find_sources(folders: Sequence[str]) -> list[Source]:
+def find_sources(folders: Sequence[str]) -> list[FigureSource]:
     """All that our commands wrote to some folders, and to folders inside them.
 
     Raises:
         InvalidField: A folder is not there, or holds nothing of ours.
     """
-    found: list[Source] = []
+    found: list[FigureSource] = []
     for name in folders:
         top = Path(name)
         if not top.is_dir():
             raise InvalidField("FOLDER", f"'{name}'", "a folder that is there")
         here = [
-            Source(kind=kind, folder=path.parent)
-            for depth in range(DEPTH)
-            for mark, kind in MARKS.items()
+            FigureSource(kind=kind, folder=path.parent)
+            for depth in range(SEARCH_DEPTH_MAX)
+            for mark, kind in MARKER_FILES.items()
             for path in sorted(top.glob("*/" * depth + mark))
         ]
         if not here:
@@ -93,6 +93,6 @@ def find_sources(folders: Sequence[str]) -> list[Source]:
     return found
 
 
-def of_kind(sources: Sequence[Source], kind: SourceKind) -> list[Path]:
+def of_kind(sources: Sequence[FigureSource], kind: SourceKind) -> list[Path]:
     """Folders of a kind, in their order."""
     return [source.folder for source in sources if source.kind == kind]

@@ -11,26 +11,26 @@ from numpy.typing import NDArray
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.pictures.drawing import new_figure, set_space
 from carosac_toolkit.pictures.robot import box_edges, exit_labels
-from carosac_toolkit.workspace.limits import OF_CABLE, Limit, describe
+from carosac_toolkit.workspace.limits import CABLE_LIMITS, Limit, describe
 from carosac_toolkit.workspace.maps import Maps
 from carosac_toolkit.workspace.region import Region
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-INSIDE = "#eef1f4"
-FRAME = "#202020"
-PLAIN = {
+INSIDE_COLOR = "#eef1f4"
+FRAME_COLOR = "#202020"
+PLAIN_COLORS = {
     Limit.NOT_CONVERGED: "#ff00ff", Limit.NO_PULL: "#9aa3ad", Limit.TOO_FLAT: "#f2b6a0",
     Limit.NO_EQUILIBRIUM: "#5b6470",
     Limit.UNSTABLE: "#c79a00", Limit.TILT: "#8a6d1f", Limit.COLLISION: "#d62728",
 }  # fmt: skip
-SCALES = {
+COLOR_SCALES = {
     Limit.NO_EQUILIBRIUM: "Greys",
     Limit.SLACK: "Blues", Limit.OVERLOAD: "Oranges", Limit.TOO_SHORT: "Greens",
     Limit.TOO_LONG: "Purples",
 }  # fmt: skip
-QUANTITIES = (
+MAPPED_QUANTITIES = (
     ("margin", "margin [N]", 1.0),
     ("tilt", "tilt [deg]", 180.0 / np.pi),
     ("stiffness", "least stiffness [N/m]", 1.0),
@@ -86,7 +86,7 @@ def draw_maps(region: Region, found: Maps) -> Figure:
     size = (across * (unit * plane.width + 1.6), rows * (unit * plane.height + 0.8) + 0.5)
     figure = new_figure(max(size[0], 6.0), size[1])
     panels = figure.subplots(rows, across).ravel()
-    for axes, (name, label, factor) in zip(panels, QUANTITIES, strict=True):
+    for axes, (name, label, factor) in zip(panels, MAPPED_QUANTITIES, strict=True):
         record: Any = region.verdicts if name in ("margin", "distance") else found
         values = np.where(region.verdicts.inside, getattr(record, name) * factor, np.nan)
         mesh = plane.fill(axes, values, cmap="viridis", norm=_norm(name, values))
@@ -121,17 +121,17 @@ def draw_space(region: Region) -> Figure:
     axes = figure.add_subplot(projection="3d")
     faces, keys = _boundary(region)
     shown = _shown_limits([region])
-    colors = [BOX_FACE if key == (0, -1) else shown[key] for key in keys]
+    colors = [BOX_FACE_COLOR if key == (0, -1) else shown[key] for key in keys]
     if faces:
         axes.add_collection3d(
             Poly3DCollection(faces, facecolors=colors, edgecolors=(0, 0, 0, 0.12), linewidths=0.2)
         )
     robot = region.robot
-    axes.scatter(*robot.exit_points.T, color=FRAME, s=26, marker="s", depthshade=False)
+    axes.scatter(*robot.exit_points.T, color=FRAME_COLOR, s=26, marker="s", depthshade=False)
     for name, point in exit_labels(robot, 0.08 * float(np.ptp(robot.exit_points, axis=0).max())):
         axes.text(*point, f" {name}", fontsize=7)
     for edge in box_edges(robot):
-        axes.plot(*edge.T, color=FRAME, lw=0.8, ls="--", zorder=5)
+        axes.plot(*edge.T, color=FRAME_COLOR, lw=0.8, ls="--", zorder=5)
     drawn = np.vstack([robot.exit_points, region.grid.positions])
     lower, upper = drawn.min(axis=0), drawn.max(axis=0)
     pad = 0.03 * float((upper - lower).max())
@@ -141,7 +141,7 @@ def draw_space(region: Region) -> Figure:
     return figure
 
 
-BOX_FACE = "#dfe5ea"
+BOX_FACE_COLOR = "#dfe5ea"
 
 
 class _Plane:
@@ -193,7 +193,7 @@ def _draw_limits(axes: Any, region: Region, plane: _Plane, shown: dict[Any, Any]
     from matplotlib.colors import to_rgb
 
     out = region.verdicts
-    colors = np.tile(to_rgb(INSIDE), (len(out.limit), 1))
+    colors = np.tile(to_rgb(INSIDE_COLOR), (len(out.limit), 1))
     for key, color in shown.items():
         colors[_matches(out, key)] = to_rgb(color)
     picture = colors.reshape(*plane.size, 3).swapaxes(0, 1)
@@ -204,7 +204,7 @@ def _draw_limits(axes: Any, region: Region, plane: _Plane, shown: dict[Any, Any]
 def _matches(out: Any, key: tuple[int, int]) -> NDArray[np.bool_]:
     """Positions that a limit, and a cable where it is about one, keeps out."""
     found: NDArray[np.bool_] = out.limit == key[0]
-    return found & (out.cable == key[1]) if key[0] in OF_CABLE else found
+    return found & (out.cable == key[1]) if key[0] in CABLE_LIMITS else found
 
 
 def _set_plane(axes: Any, region: Region, plane: _Plane) -> None:
@@ -215,26 +215,26 @@ def _set_plane(axes: Any, region: Region, plane: _Plane) -> None:
     corners = [(low, low), (high, low), (high, high), (low, high), (low, low)]
     axes.plot(
         [a[plane.right] for a, _ in corners], [b[plane.up] for _, b in corners],
-        color=FRAME, lw=0.8, ls="--",
+        color=FRAME_COLOR, lw=0.8, ls="--",
     )  # fmt: skip
     columns = [plane.right, plane.up]
-    axes.plot(*robot.exit_points[:, columns].T, "s", color=FRAME, ms=4)
+    axes.plot(*robot.exit_points[:, columns].T, "s", color=FRAME_COLOR, ms=4)
 
 
 def _shown_limits(regions: Sequence[Region]) -> dict[tuple[int, int], Any]:
     """A colour for each limit, and cable, that keeps positions out."""
     from matplotlib import colormaps
 
-    keys = {(limit, cable if limit in OF_CABLE else -1)
+    keys = {(limit, cable if limit in CABLE_LIMITS else -1)
             for region in regions for limit, cable, _ in region.causes()}  # fmt: skip
     n = regions[0].robot.n
     shown: dict[tuple[int, int], Any] = {}
     for limit, cable in sorted(keys):
         kind = Limit(limit)
-        if kind in SCALES and cable >= 0:
-            shown[limit, cable] = colormaps[SCALES[kind]](0.35 + 0.6 * (cable + 0.5) / n)
+        if kind in COLOR_SCALES and cable >= 0:
+            shown[limit, cable] = colormaps[COLOR_SCALES[kind]](0.35 + 0.6 * (cable + 0.5) / n)
         else:
-            shown[limit, cable] = PLAIN[kind]
+            shown[limit, cable] = PLAIN_COLORS[kind]
     return shown
 
 
@@ -245,14 +245,16 @@ def _limit_legend(
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    first = Patch(color=INSIDE, label="inside")
+    first = Patch(color=INSIDE_COLOR, label="inside")
     if box:
-        first = Patch(color=BOX_FACE, label="face of the box")
+        first = Patch(color=BOX_FACE_COLOR, label="face of the box")
     handles: list[Any] = [first]
     names = region.robot.cable_names
     handles += [Patch(color=c, label=describe(*key, names)) for key, c in shown.items()]
-    handles.append(Line2D([], [], color=FRAME, marker="s", ls="", ms=4, label="exit points"))
-    handles.append(Line2D([], [], color=FRAME, lw=0.8, ls="--", label="box of the robot file"))
+    handles.append(Line2D([], [], color=FRAME_COLOR, marker="s", ls="", ms=4, label="exit points"))
+    handles.append(
+        Line2D([], [], color=FRAME_COLOR, lw=0.8, ls="--", label="box of the robot file")
+    )
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
 
 
@@ -275,7 +277,7 @@ def _boundary(region: Region) -> tuple[list[Array], list[tuple[int, int]]]:
                     if inside[place]:
                         continue
                     kind = int(limit[place])
-                    key = (kind, int(cable[place]) if kind in OF_CABLE else -1)
+                    key = (kind, int(cable[place]) if kind in CABLE_LIMITS else -1)
                 faces.append(_face(edges, cell, axis, way))
                 keys.append(key)
     return faces, keys

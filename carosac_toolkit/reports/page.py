@@ -24,9 +24,9 @@ from carosac_toolkit.base.version import __version__
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DPI = 110
-LIBRARIES = ("numpy", "warp-lang", "scipy", "casadi", "osqp")
-_STYLE = """
+PICTURE_DPI = 110
+REPORTED_LIBRARIES = ("numpy", "warp-lang", "scipy", "casadi", "osqp")
+_STYLE_SHEET = """
 body{font:15px/1.5 system-ui,sans-serif;color:#202020;max-width:1180px;margin:2em auto;
 padding:0 1em}
 h1{font-size:1.5em}h2{font-size:1.15em;margin-top:2em}
@@ -94,7 +94,7 @@ def write_files(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
 def png(figure: Figure) -> bytes:
     """Render a figure."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI)
+    figure.savefig(buffer, format="png", dpi=PICTURE_DPI)
     return buffer.getvalue()
 
 
@@ -102,7 +102,7 @@ def page(title: str, parts: Sequence[str]) -> str:
     """The whole document."""
     head = [
         '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">',
-        f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>",
+        f"<title>{escape(title)}</title><style>{_STYLE_SHEET}</style></head><body>",
         f"<h1>{escape(title)}</h1>",
     ]
     return "\n".join([*head, *parts]) + "</body></html>"
@@ -168,7 +168,7 @@ def made_with() -> dict[str, str]:
 def _versions() -> list[str]:
     """Python, and the libraries that the numbers depend on."""
     found = [f"Python {platform.python_version()}"]
-    for name in LIBRARIES:
+    for name in REPORTED_LIBRARIES:
         try:
             found.append(f"{name} {version(name)}")
         except PackageNotFoundError:

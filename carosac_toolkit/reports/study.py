@@ -19,13 +19,13 @@ from carosac_toolkit.reports.page import (
     table,
     write_files,
 )
-from carosac_toolkit.studies.compare.paired import Block, paired_blocks
+from carosac_toolkit.studies.compare.paired import PairedBlock, paired_blocks
 from carosac_toolkit.studies.compare.paper_tables import explanation, latex, markdown, sheets
 from carosac_toolkit.studies.compare.results import StudyResults, estimated, tracked
 from carosac_toolkit.studies.compare.tables import failures, header, name_columns, rows, units
 
 TABLES_MARKDOWN, TABLES_LATEX, STATISTICS = "tables.md", "tables.tex", "statistics.json"
-CAPTIONS = {
+STUDY_CAPTIONS = {
     "paired": "Every error over that of the baseline on the same draws, with its interval: left of "
     "1 is better.",
     "paths": "One case: where the platform origin went, against the reference.",
@@ -46,7 +46,7 @@ def write_report(
     results: StudyResults,
     said: Sequence[str],
     words: Sequence[str],
-    blocks: Sequence[Block] | None = None,
+    blocks: Sequence[PairedBlock] | None = None,
 ) -> list[Path]:
     """Draw the pictures and write tables and ``report.html`` into the folder of the study.
 
@@ -59,16 +59,16 @@ def write_report(
     Returns:
         The files, the report last.
     """
-    from carosac_toolkit.pictures.comparison import PICTURES
+    from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES
     from carosac_toolkit.pictures.paired import comparable, draw_paired
 
     blocks = paired_blocks(results) if blocks is None else blocks
-    names = list(PICTURES) if tracked(results.rows) else []
+    names = list(COMPARISON_PICTURES) if tracked(results.rows) else []
     if all(len(tracked(rows)) < 2 for rows in results.groups):  # one case does not scatter
         names = [name for name in names if name != "rmse_gaussians"]
     if not names and estimated(results.rows):  # nothing follows commands on a recording
         names = ["estimation"]
-    images = {f"{name}.png": png(PICTURES[name](results)) for name in names}
+    images = {f"{name}.png": png(COMPARISON_PICTURES[name](results)) for name in names}
     if comparable(blocks):
         images = {"paired.png": png(draw_paired(blocks)), **images}
     document = _html(results, said, words, images, blocks)
@@ -98,7 +98,7 @@ def _html(
     said: Sequence[str],
     words: Sequence[str],
     images: Mapping[str, bytes],
-    blocks: Sequence[Block],
+    blocks: Sequence[PairedBlock],
 ) -> str:
     """The whole document."""
     names = list(dict.fromkeys(str(row["controller"]) for row in results.rows))
@@ -116,7 +116,7 @@ def _html(
         f"<p>The same as {TABLES_MARKDOWN} and {TABLES_LATEX}, and all digits in {STATISTICS}, "
         "beside this page.</p>",
         f"<h2>Cases without a score</h2><pre>{escape(lost)}</pre>" if lost else "",
-        *(picture(image, CAPTIONS[Path(file).stem]) for file, image in images.items()),
+        *(picture(image, STUDY_CAPTIONS[Path(file).stem]) for file, image in images.items()),
         "<h2>Settings</h2>",
         definitions({**_settings(results), **made_with()}),
         repeat(words),

@@ -10,11 +10,11 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.validation.scores import AXES, by_axis
+from carosac_toolkit.validation.scores import SCORE_AXES, by_axis
 
-SPEED_MIN = 0.02  # [m/s]: slower motion of an axis says nothing about a delay
-FREQUENCY_MAX = 5.0  # [Hz]
-CLEAR = 0.6  # share of the swing at rest that one frequency must explain
+AXIS_SPEED_MIN_M_S = 0.02  # [m/s]: slower motion of an axis says nothing about a delay
+SWAY_FREQUENCY_MAX_HZ = 5.0  # [Hz]
+EXPLAINED_SHARE_MIN = 0.6  # share of the swing at rest that one frequency must explain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,7 +44,7 @@ class Delay:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sway:
+class RestSway:
     """The swing of the error while the winches rest.
 
     Attributes:
@@ -63,7 +63,7 @@ class Sway:
     @property
     def clear(self) -> bool:
         """Whether one frequency explains most of it."""
-        return self.explained >= CLEAR
+        return self.explained >= EXPLAINED_SHARE_MIN
 
     def data(self) -> dict[str, Any]:
         """Ready for JSON."""
@@ -81,7 +81,7 @@ def find_delay(error: Array, velocity: Array) -> Delay:
     """Regress model minus measured position [m] on the measured velocity [m/s], both (S, 3)."""
     found = np.full((3, 3), np.nan)
     for axis in range(3):
-        if len(error) < 4 or velocity[:, axis].std() < SPEED_MIN:
+        if len(error) < 4 or velocity[:, axis].std() < AXIS_SPEED_MIN_M_S:
             continue
         v = velocity[:, axis] - velocity[:, axis].mean()
         e = error[:, axis] - error[:, axis].mean()
@@ -93,7 +93,7 @@ def find_delay(error: Array, velocity: Array) -> Delay:
     return Delay(seconds=found[0], deviation=found[1], explained=found[2])
 
 
-def find_sway(time: Array, error: Array, rests: Sequence[tuple[int, int]]) -> Sway | None:
+def find_sway(time: Array, error: Array, rests: Sequence[tuple[int, int]]) -> RestSway | None:
     """Fit one frequency to all rests, each with its own mean, amplitude and phase.
 
     Args:
@@ -110,7 +110,7 @@ def find_sway(time: Array, error: Array, rests: Sequence[tuple[int, int]]) -> Sw
         return None
     spans = np.array([time[b - 1] - time[a] for a, b in parts])
     step = float(np.median(np.diff(time)))
-    lowest, highest = 0.75 / float(np.median(spans)), min(FREQUENCY_MAX, 0.4 / step)
+    lowest, highest = 0.75 / float(np.median(spans)), min(SWAY_FREQUENCY_MAX_HZ, 0.4 / step)
     if highest <= lowest:
         return None
     step = 0.05 / float(spans.max())
@@ -126,8 +126,8 @@ def find_sway(time: Array, error: Array, rests: Sequence[tuple[int, int]]) -> Sw
         return None
     count = sum(b - a for a, b in parts)
     ratio = (count - len(parts)) / (count - 3 * len(parts))
-    return Sway(
-        axis=AXES[axis],
+    return RestSway(
+        axis=SCORE_AXES[axis],
         frequency=float(fine[chosen]),
         amplitude=float(amplitude[chosen, axis]),
         explained=float(1.0 - residual[chosen, axis] / total * ratio),

@@ -10,16 +10,18 @@ from carosac_toolkit.validation.plausibility import doubt_exit_points
 from carosac_toolkit.validation.quantities import say_length
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 
-SWAY_MIN = 2e-3  # [m]: a smaller swing is not worth a sentence
-DELAY_MIN = 3e-3  # [s]
-DELAY_SURE = 3.0  # standard deviations from none
-OFFSET_MIN = 2e-3  # [m]
-OFFSET_SHARE = 0.1  # of the RMSE in norm
-NATURAL_MAX = 0.25  # of the observed frequency: farther is no agreement
-SAMPLES_MIN = 10  # fewer say nothing about causes
-CAUSE_MIN = 1e-4  # [m]: a smaller error needs no cause
-CAUSE_MAX = 0.1  # of the typical cable length: causes of a larger error cannot be told apart
-MATTERS = 0.3  # of the length error
+SWAY_MIN_M = 2e-3  # [m]: a smaller swing is not worth a sentence
+DELAY_MIN_S = 3e-3  # [s]
+DELAY_SIGMAS_MIN = 3.0  # standard deviations from none
+OFFSET_MIN_M = 2e-3  # [m]
+OFFSET_SHARE_MIN = 0.1  # of the RMSE in norm
+FREQUENCY_MISMATCH_MAX = 0.25  # of the observed frequency: farther is no agreement
+CAUSE_SAMPLES_MIN = 10  # fewer say nothing about causes
+CAUSE_ERROR_MIN_M = 1e-4  # [m]: a smaller error needs no cause
+CAUSE_ERROR_RATIO_MAX = (
+    0.1  # of the typical cable length: causes of a larger error cannot be told apart
+)
+CAUSE_SHARE_MIN = 0.3  # of the length error
 
 
 def conclusions(result: ValidationResult) -> list[str]:
@@ -49,15 +51,15 @@ def _no_causes(result: ValidationResult, best: ModelResult) -> str | None:
     """Why no cause of the error is named, or None where causes may be."""
     if result.warnings:
         return "Causes of the error are not looked into until lengths and poses fit together."
-    if result.samples < SAMPLES_MIN:
+    if result.samples < CAUSE_SAMPLES_MIN:
         count = f"{result.samples} sample" + ("s" if result.samples > 1 else "")
         return f"Only {count} scored: too few to say anything about causes, or about other poses."
-    if _norm(best) > CAUSE_MAX * result.typical_length:
+    if _norm(best) > CAUSE_ERROR_RATIO_MAX * result.typical_length:
         return (
-            f"The error is more than {CAUSE_MAX:.0%} of the cable lengths: too large to tell its "
-            "causes apart."
+            f"The error is more than {CAUSE_ERROR_RATIO_MAX:.0%} of the cable lengths: too large "
+            "to tell its causes apart."
         )
-    if _norm(best) < CAUSE_MIN:
+    if _norm(best) < CAUSE_ERROR_MIN_M:
         return "That is too little to look for causes."
     return None
 
@@ -97,7 +99,7 @@ def _rest_and_motion(result: ValidationResult, best: ModelResult) -> Iterator[st
     """Whether standing still helps."""
     if best.moving is None or best.resting is None:
         return
-    if min(best.moving.samples, best.resting.samples) < SAMPLES_MIN:
+    if min(best.moving.samples, best.resting.samples) < CAUSE_SAMPLES_MIN:
         return
     moving, resting = best.moving.rmse[3], best.resting.rmse[3]
     ratio = resting / moving if moving > 0.0 else np.inf
@@ -116,7 +118,7 @@ def _rest_and_motion(result: ValidationResult, best: ModelResult) -> Iterator[st
 def _sway(result: ValidationResult, best: ModelResult) -> Iterator[str]:
     """Whether the platform swings while the winches rest."""
     sway = best.sway
-    if sway is None or not sway.clear or sway.amplitude < SWAY_MIN:
+    if sway is None or not sway.clear or sway.amplitude < SWAY_MIN_M:
         return
     text = (
         f"At rest the error in {sway.axis} swings by {sway.amplitude * 1e3:.0f} mm with a period "
@@ -133,7 +135,7 @@ def _sway(result: ValidationResult, best: ModelResult) -> Iterator[str]:
             f" (observed {sway.frequency:.2f} Hz; nearest natural frequency of the robot there "
             f"{nearest:.2f} Hz"
         )
-        far = abs(nearest - sway.frequency) > NATURAL_MAX * sway.frequency
+        far = abs(nearest - sway.frequency) > FREQUENCY_MISMATCH_MAX * sway.frequency
         text += ": far from it, so check mass, centre of mass and inertia)" if far else ")"
     yield text + "."
 
@@ -144,8 +146,8 @@ def _delay(best: ModelResult) -> Iterator[str]:
     if delay is None or moving is None:
         return
     size = np.abs(np.nan_to_num(delay.seconds))
-    clear = (np.nan_to_num(delay.explained) >= 0.25) & (size >= DELAY_MIN)
-    clear &= size >= DELAY_SURE * np.nan_to_num(delay.deviation)
+    clear = (np.nan_to_num(delay.explained) >= 0.25) & (size >= DELAY_MIN_S)
+    clear &= size >= DELAY_SIGMAS_MIN * np.nan_to_num(delay.deviation)
     if not clear.any():
         return
     axes = " and ".join(axis for axis, use in zip("xyz", clear, strict=True) if use)
@@ -165,7 +167,7 @@ def _offset(best: ModelResult) -> Iterator[str]:
     resting = best.resting
     if resting is None or not resting.samples:
         return
-    least = max(OFFSET_MIN, OFFSET_SHARE * float(resting.rmse[3]))
+    least = max(OFFSET_MIN_M, OFFSET_SHARE_MIN * float(resting.rmse[3]))
     large = (np.abs(resting.bias) >= 0.6 * resting.rmse[:3]) & (np.abs(resting.bias) >= least)
     if large.any():
         values = ", ".join(
@@ -184,7 +186,7 @@ def _sag(best: ModelResult) -> Iterator[str]:
     if best.sag is None or best.stretch is None or best.length_scores is None:
         return
     left = best.length_scores.rmse
-    least = max(CAUSE_MIN, MATTERS * left)
+    least = max(CAUSE_ERROR_MIN_M, CAUSE_SHARE_MIN * left)
     parts = {"sag": best.sag, "stretch": best.stretch}
     large = [name for name, size in parts.items() if abs(size) >= least]
     if not large:

@@ -23,19 +23,27 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.scores import rotation_angle
 
 Order = NDArray[np.intp]
-OFF = 0.1  # of the distance: a larger median difference is no matter of calibration
-MISFIT_MIN = 0.005  # of the distance: a smaller misfit needs no explanation
-CLEAR = 0.5  # a mix-up is named where putting it right leaves less than this of the misfit
-OUTSIDE = 3.0  # times the size of the frame: positions farther from it are in other units
-SAMPLES = 500  # compared, evenly spread
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-EXIT_POINT_MAX = 0.01  # [m] from the measured ones
-STILL_MIN = 0.03  # of the distance: misfit from which lengths that hardly change tell an order
-XYZW = "The orientation fits if the quaternion is x y z w: the format wants w x y z."
+DISTANCE_MISFIT_MAX = 0.1  # of the distance: a larger median difference is no matter of calibration
+EXPLAINED_MISFIT_MIN = 0.005  # of the distance: a smaller misfit needs no explanation
+REMAINING_MISFIT_MAX = (
+    0.5  # a mix-up is named where putting it right leaves less than this of the misfit
+)
+FRAME_DISTANCE_RATIO_MAX = (
+    3.0  # times the size of the frame: positions farther from it are in other units
+)
+COMPARED_SAMPLES_MAX = 500  # compared, evenly spread
+METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+EXIT_POINT_DISTANCE_MAX_M = 0.01  # [m] from the measured ones
+STATIC_MISFIT_MIN = (
+    0.03  # of the distance: misfit from which lengths that hardly change tell an order
+)
+QUATERNION_ORDER_HINT = (
+    "The orientation fits if the quaternion is x y z w: the format wants w x y z."
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Trial:
+class _MixUpTrial:
     """Lengths (S, n) [m] and poses, as measured or with a mix-up put right."""
 
     robot: Robot
@@ -65,8 +73,8 @@ def find_mix_ups(
     Returns:
         Sentences; none for a recording that is plausible.
     """
-    some = evenly(len(length), SAMPLES)
-    trial = _Trial(
+    some = evenly(len(length), COMPARED_SAMPLES_MAX)
+    trial = _MixUpTrial(
         robot=robot,
         length=length[some],
         position=pose.position[some],
@@ -112,48 +120,48 @@ def exit_point_distance(recording: Recording, robot: Robot) -> float | None:
 
 def doubt_exit_points(distance: float | None) -> Iterator[str]:
     """Say that exit points are not those of the robot."""
-    if distance is not None and distance > EXIT_POINT_MAX:
+    if distance is not None and distance > EXIT_POINT_DISTANCE_MAX_M:
         yield (
             f"Check the robot: its exit points lie up to {distance * 1e3:.0f} mm from those "
             "measured in the recording."
         )
 
 
-def _units(trial: _Trial) -> tuple[list[str], _Trial]:
+def _units(trial: _MixUpTrial) -> tuple[list[str], _MixUpTrial]:
     """Lengths or positions in other units than metres."""
     ratio = _median(trial.length / trial.distance)
-    if not abs(ratio - 1.0) > OFF:
+    if not abs(ratio - 1.0) > DISTANCE_MISFIT_MAX:
         return [], trial
-    best, repaired, chosen = OFF, trial, ("m", "m")
-    for units in product(UNITS, UNITS if _outside(trial) else ("m",)):
-        scales = [UNITS[unit] for unit in units]
+    best, repaired, chosen = DISTANCE_MISFIT_MAX, trial, ("m", "m")
+    for units in product(METRES_PER_UNIT, METRES_PER_UNIT if _outside(trial) else ("m",)):
+        scales = [METRES_PER_UNIT[unit] for unit in units]
         other = replace(trial, length=trial.length * scales[0], position=trial.position * scales[1])
         misfit = abs(_median(other.length / other.distance) - 1.0)
         if misfit < best:
             best, repaired, chosen = misfit, other, units
     said = []
     if chosen[0] != "m":
-        times = f"{1.0 / UNITS[chosen[0]]:.0f} times the distance at the measured poses"
+        times = f"{1.0 / METRES_PER_UNIT[chosen[0]]:.0f} times the distance at the measured poses"
         said.append(f"Lengths are {times}: are they in {chosen[0]}?")
     if chosen[1] != "m":
         said.append(f"Lengths and poses fit if the positions are in {chosen[1]}: are they?")
     return said, repaired
 
 
-def _outside(trial: _Trial) -> bool:
+def _outside(trial: _MixUpTrial) -> bool:
     """Whether the platform is so far from the frame that no robot could hold it."""
     points = trial.robot.exit_points
     away = np.linalg.norm(trial.position - points.mean(axis=0), axis=1)
-    return bool(np.median(away) > OUTSIDE * np.ptp(points, axis=0).max())
+    return bool(np.median(away) > FRAME_DISTANCE_RATIO_MAX * np.ptp(points, axis=0).max())
 
 
-def _orders(trial: _Trial) -> tuple[list[str], _Trial]:
+def _orders(trial: _MixUpTrial) -> tuple[list[str], _MixUpTrial]:
     """Cables or quaternions in another order: one of the two explains more than half, or both."""
     trials = {False: trial, True: _turned(trial)}
     orders = {turn: _assignment(_pairs(each)) for turn, each in trials.items()}
     same = np.arange(trial.robot.n)
     left, turn, order = _misfit(trial, same), False, same
-    if not left >= MISFIT_MIN:  # also where there is no distance
+    if not left >= EXPLAINED_MISFIT_MIN:  # also where there is no distance
         return [], trial
     simple, double = [(False, orders[False])], []
     if _nearer_home(trial.rotation, trials[True].rotation, trial.robot):
@@ -165,16 +173,16 @@ def _orders(trial: _Trial) -> tuple[list[str], _Trial]:
             if _tells_order(trials[turn], order)
         ]
         best = min(found, key=lambda entry: entry[0], default=(np.inf, False, same))
-        if best[0] < CLEAR * left:
+        if best[0] < REMAINING_MISFIT_MAX * left:
             left, turn, order = best
-    said = [XYZW] if turn else []
+    said = [QUATERNION_ORDER_HINT] if turn else []
     swaps = [f"{i + 1} fits exit point {j + 1}" for i, j in enumerate(order) if i != j]
     if swaps:
         said.append(f"Cables seem swapped: measured length {', '.join(swaps)}.")
     return said, replace(trials[turn], length=trial.length[:, np.argsort(order)])
 
 
-def _turned(trial: _Trial) -> _Trial:
+def _turned(trial: _MixUpTrial) -> _MixUpTrial:
     """The orientations that were meant if the quaternions were written x y z w."""
     swapped = rotations.from_matrix(trial.rotation)[:, [3, 0, 1, 2]]
     return replace(trial, rotation=rotations.to_matrix(swapped))
@@ -184,19 +192,19 @@ def _nearer_home(measured: Array, other: Array, robot: Robot) -> bool:
     """Whether other orientations are those of a platform that hangs as at home, and these not."""
     home = robot.home_rotation[None]
     angles = [float(np.median(rotation_angle(home, each))) for each in (measured, other)]
-    return angles[1] < CLEAR * angles[0]
+    return angles[1] < REMAINING_MISFIT_MAX * angles[0]
 
 
-def _misfit(trial: _Trial, order: Order) -> float:
+def _misfit(trial: _MixUpTrial, order: Order) -> float:
     """Mean over the cables of the median difference to the distance, as a share of it."""
     difference = np.abs(trial.length - trial.distance[:, order])
     return float(np.mean([_median(column) for column in difference.T])) / _median(trial.distance)
 
 
-def _tells_order(trial: _Trial, order: Order) -> bool:
+def _tells_order(trial: _MixUpTrial, order: Order) -> bool:
     """Whether lengths also change as in this order, or are too far off for wrong zeros."""
     same = np.arange(trial.robot.n)
-    if (order == same).all() or _misfit(trial, same) >= STILL_MIN:
+    if (order == same).all() or _misfit(trial, same) >= STATIC_MISFIT_MIN:
         return True
     distance = trial.distance
     ok = np.isfinite(distance).all(axis=1)
@@ -204,10 +212,10 @@ def _tells_order(trial: _Trial, order: Order) -> bool:
     length = length - np.median(length, axis=0)
     distance = distance - np.median(distance, axis=0)
     as_is, swapped = (np.abs(length - distance[:, each]).mean() for each in (same, order))
-    return bool(swapped < CLEAR * as_is)
+    return bool(swapped < REMAINING_MISFIT_MAX * as_is)
 
 
-def _pairs(trial: _Trial) -> Array:
+def _pairs(trial: _MixUpTrial) -> Array:
     """Median difference of each measured length to the distance of each cable [m], (n, n)."""
     distance = trial.distance
     distance = distance[np.isfinite(distance).all(axis=1)]
@@ -226,11 +234,11 @@ def _assignment(pairs: Array) -> Order:
     return np.asarray(linear_sum_assignment(pairs)[1], dtype=np.intp)
 
 
-def _differences(trial: _Trial) -> Iterator[str]:
+def _differences(trial: _MixUpTrial) -> Iterator[str]:
     """Lengths that are far from the distance for no reason that was found."""
     ratio = trial.length / trial.distance
     each = np.array([_median(column) for column in ratio.T])
-    far = np.abs(each - 1.0) > OFF
+    far = np.abs(each - 1.0) > DISTANCE_MISFIT_MAX
     if far.all():
         yield (
             f"Lengths are {_median(ratio):.3g} times the distance at the measured poses: check "
@@ -245,7 +253,7 @@ def _differences(trial: _Trial) -> Iterator[str]:
         )
 
 
-def _winch_range(trial: _Trial) -> Iterator[str]:
+def _winch_range(trial: _MixUpTrial) -> Iterator[str]:
     """Lengths that the winches of this robot cannot wind."""
     robot, typical = trial.robot, np.median(trial.length, axis=0)
     for i in np.flatnonzero((typical < robot.length_min) | (typical > robot.length_max)):

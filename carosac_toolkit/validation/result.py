@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.validation.diagnostics import Delay, Sway
-from carosac_toolkit.validation.phases import REST_DURATION, REST_SPEED
+from carosac_toolkit.validation.diagnostics import Delay, RestSway
+from carosac_toolkit.validation.phases import REST_DURATION_MIN_S, REST_SPEED_MAX_M_S
 from carosac_toolkit.validation.scores import LengthScores, PoseScores
 
 
@@ -63,7 +63,7 @@ class ModelResult:
     stretch: float | None = None
     delay: Delay | None = None
     rmse_without_delay: float = np.nan
-    sway: Sway | None = None
+    sway: RestSway | None = None
     update_time: float = np.nan
 
     @property
@@ -162,8 +162,8 @@ class ValidationResult:
             "robot": self.robot.name,
             "rest": {
                 "count": len(self.rests),
-                "speed_below_m_per_s": REST_SPEED,
-                "for_at_least_s": REST_DURATION,
+                "speed_below_m_per_s": REST_SPEED_MAX_M_S,
+                "for_at_least_s": REST_DURATION_MIN_S,
                 "natural_frequencies_Hz": self.natural_frequency,
             },
             "exit_point_distance_m": self.exit_point_distance,

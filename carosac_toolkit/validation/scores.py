@@ -9,7 +9,7 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 
-AXES = ("x", "y", "z", "norm")
+SCORE_AXES = ("x", "y", "z", "norm")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,7 +73,7 @@ class LengthScores:
 
 def by_axis(values: Array) -> dict[str, float]:
     """Name the entries x, y, z and, where there are four, norm."""
-    return {axis: float(value) for axis, value in zip(AXES, values, strict=False)}
+    return {axis: float(value) for axis, value in zip(SCORE_AXES, values, strict=False)}
 
 
 def score_poses(error: Array, angle: Array) -> PoseScores:

@@ -7,9 +7,9 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-FLAT = 0.22  # of its largest side: a flatter platform is drawn this high
-SMALLEST = 0.02  # of the frame: a smaller platform is drawn this large
-VIEW = np.array([0.62, -1.0, 0.30])  # from where the camera looks
+PLATFORM_FLATNESS_MIN = 0.22  # of its largest side: a flatter platform is drawn this high
+PLATFORM_SIZE_MIN = 0.02  # of the frame: a smaller platform is drawn this large
+CAMERA_DIRECTION = np.array([0.62, -1.0, 0.30])  # from where the camera looks
 
 
 def extent(robot: Robot) -> Array:
@@ -36,8 +36,8 @@ def platform_box(robot: Robot) -> tuple[Array, Array]:
     """
     lower, upper = robot.anchor_points.min(axis=0), robot.anchor_points.max(axis=0)
     sides = upper - lower
-    smallest = SMALLEST * float(np.ptp(extent(robot), axis=0).max())
-    least = max(FLAT * float(sides.max()), FLAT * smallest)
+    smallest = PLATFORM_SIZE_MIN * float(np.ptp(extent(robot), axis=0).max())
+    least = max(PLATFORM_FLATNESS_MIN * float(sides.max()), PLATFORM_FLATNESS_MIN * smallest)
     sides = np.maximum(sides, [smallest, smallest, least])
     sides = np.maximum(sides, least)
     return sides, 0.5 * (lower + upper)
@@ -48,7 +48,7 @@ def camera(robot: Robot) -> tuple[Array, Array]:
     lower, upper = extent(robot)
     middle = 0.5 * (lower + upper)
     span = upper - lower
-    view = VIEW.copy()
+    view = CAMERA_DIRECTION.copy()
     if span[1] > 1.5 * span[0]:  # look across the long side
         view = np.array([1.0, -0.62, 0.30])
     away = 1.4 * float(np.linalg.norm(span))

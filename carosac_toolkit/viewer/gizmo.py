@@ -11,8 +11,8 @@ from carosac_toolkit.base.rotations import from_matrix
 from carosac_toolkit.viewer.geometry import extent
 from carosac_toolkit.viewer.page import Page
 
-SIZE = 0.09  # of the frame
-NAME = "/target"
+GIZMO_SIZE = 0.09  # of the frame
+GIZMO_NODE = "/target"
 
 
 def add_gizmo(page: Page, position: Array, rotation: Array | None = None, *,
@@ -27,7 +27,7 @@ def add_gizmo(page: Page, position: Array, rotation: Array | None = None, *,
     """
     turn = np.eye(3) if rotation is None else rotation
     return page.server.scene.add_transform_controls(
-        NAME, scale=SIZE * float(np.ptp(extent(page.robot), axis=0).max()),
+        GIZMO_NODE, scale=GIZMO_SIZE * float(np.ptp(extent(page.robot), axis=0).max()),
         disable_rotations=not rotations, depth_test=False, position=position,
         wxyz=from_matrix(turn[None])[0], line_width=3.0,
     )  # fmt: skip

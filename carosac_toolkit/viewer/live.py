@@ -22,7 +22,7 @@ from carosac_toolkit.viewer.page import Page, note_html
 from carosac_toolkit.viewer.picture import Picture, take_picture
 from carosac_toolkit.viewer.publisher import Publisher
 
-LATEST = 1000  # cycles whose latencies are kept
+LATENCY_CYCLES_MAX = 1000  # cycles whose latencies are kept
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,7 +74,7 @@ class LiveWatch:
 
     def __call__(self, step: Step) -> None:
         """Take one cycle in."""
-        place = self.cycles % LATEST
+        place = self.cycles % LATENCY_CYCLES_MAX
         self.latencies[place : place + 1] = [step.latency]
         self.cycles += 1
         self.limits.update({hit.limit for hit in step.command.limited})

@@ -17,15 +17,15 @@ from carosac_toolkit.viewer.colors import legend_html
 from carosac_toolkit.viewer.geometry import camera
 from carosac_toolkit.viewer.picture import Picture
 from carosac_toolkit.viewer.plots import Plots
-from carosac_toolkit.viewer.publisher import RATE, Publisher
+from carosac_toolkit.viewer.publisher import PUBLISH_RATE_MAX_HZ, Publisher
 from carosac_toolkit.viewer.scene import RobotScene
 
-LOOPBACK = "127.0.0.1"
-PORT = 8080
-STATUS_EVERY = 0.15  # [s] between two status lines, unless the news is bad or good again
-PLAIN_STATUS_EVERY = 0.45  # [s]
-MOST_ENLARGED = 50.0
-PLAIN_PIXELS = 0.5  # drawn per pixel of the screen along each axis, on a plain page
+LOOPBACK_ADDRESS = "127.0.0.1"
+DEFAULT_PORT = 8080
+STATUS_INTERVAL_S = 0.15  # [s] between two status lines, unless the news is bad or good again
+PLAIN_STATUS_INTERVAL_S = 0.45  # [s]
+SAG_FACTOR_MAX = 50.0
+PLAIN_PIXEL_RATIO = 0.5  # drawn per pixel of the screen along each axis, on a plain page
 
 
 class Page:
@@ -43,8 +43,8 @@ class Page:
     """
 
     def __init__(
-        self, robot: Robot, title: str, *, host: str = LOOPBACK, port: int = PORT,
-        rate: float = RATE, followed: str = "target", plain: bool = False,
+        self, robot: Robot, title: str, *, host: str = LOOPBACK_ADDRESS, port: int = DEFAULT_PORT,
+        rate: float = PUBLISH_RATE_MAX_HZ, followed: str = "target", plain: bool = False,
     ) -> None:  # fmt: skip
         """Start to serve.
 
@@ -81,7 +81,7 @@ class Page:
     def url(self) -> str:
         """Where the page is."""
         address = f"http://{self.server.get_host()}:{self.server.get_port()}"
-        return f"{address}/?fixedDpr={PLAIN_PIXELS:g}" if self.plain else address
+        return f"{address}/?fixedDpr={PLAIN_PIXEL_RATIO:g}" if self.plain else address
 
     def offer(self, picture: Picture) -> None:
         """Show a picture soon, unless a newer one comes first; never waits."""
@@ -96,7 +96,7 @@ class Page:
         """Show a status line."""
         if (text, problem) == self._said:
             return
-        every = PLAIN_STATUS_EVERY if self.plain else STATUS_EVERY
+        every = PLAIN_STATUS_INTERVAL_S if self.plain else STATUS_INTERVAL_S
         fresh = time.monotonic() - self._said_at < every
         if fresh and problem == self._said[1]:
             return
@@ -146,7 +146,7 @@ class Page:
         gui: Any = self.server.gui
         with gui.add_folder("Display", order=90):
             enlarged = gui.add_slider(
-                "sag drawn times", min=1.0, max=MOST_ENLARGED, step=1.0,
+                "sag drawn times", min=1.0, max=SAG_FACTOR_MAX, step=1.0,
                 initial_value=self.scene.enlarged,
                 hint="The distance of each cable from its chord is drawn so many times larger.",
             )  # fmt: skip

@@ -25,10 +25,10 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.viewer.live import Instant, LivePage, drawing
 from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.picture import take_picture
-from carosac_toolkit.viewer.publisher import RATE, Publisher
+from carosac_toolkit.viewer.publisher import PUBLISH_RATE_MAX_HZ, Publisher
 
-LATER = 10  # by so much the page's process is nicer than the loop's
-PATIENCE = 60.0  # [s] for the process to start, and for it to end
+PAGE_NICENESS = 10  # by so much the page's process is nicer than the loop's
+PROCESS_TIMEOUT_S = 60.0  # [s] for the process to start, and for it to end
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,7 +50,7 @@ class PageOptions:
     host: str
     port: int
     enlarged: float = 1.0
-    rate: float = RATE
+    rate: float = PUBLISH_RATE_MAX_HZ
     plain: bool = False
 
 
@@ -82,7 +82,7 @@ class PageProcess:
         self._closing = False
         kind, value = self._first_word()
         if kind == "error":
-            self._process.join(PATIENCE)
+            self._process.join(PROCESS_TIMEOUT_S)
             raise CarosacError(str(value))
         self.url = str(value)
         self.instants: Publisher[Instant] = Publisher(self._send, rate=options.rate)
@@ -99,8 +99,8 @@ class PageProcess:
         self._closing = True
         self.instants.close()
         self._tell(("close", None))
-        self._listener.join(PATIENCE)
-        self._process.join(PATIENCE)
+        self._listener.join(PROCESS_TIMEOUT_S)
+        self._process.join(PROCESS_TIMEOUT_S)
         if self._process.is_alive():
             self._process.terminate()
             self._process.join()
@@ -108,7 +108,7 @@ class PageProcess:
     def _first_word(self) -> tuple[str, Any]:
         """Its address, or what went wrong."""
         try:
-            if self._pipe.poll(PATIENCE):
+            if self._pipe.poll(PROCESS_TIMEOUT_S):
                 kind, value = self._pipe.recv()
                 return kind, value
         except EOFError:
@@ -144,7 +144,9 @@ def _serve(pipe: Connection, options: PageOptions) -> None:
     """Be the process of the page until it is told to end, or its parent has gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which then ends this
     if hasattr(os, "nice"):
-        os.nice(LATER)  # where the cores do not suffice for both, pictures are late, not the loop
+        os.nice(
+            PAGE_NICENESS
+        )  # where the cores do not suffice for both, pictures are late, not the loop
     try:
         page = Page(
             options.robot, options.title, host=options.host, port=options.port,

@@ -11,7 +11,7 @@ from carosac_toolkit.physics.cable.lengths import length_at_tension
 from carosac_toolkit.physics.cable.shapes import hanging_cables, offset_from_chord
 from carosac_toolkit.robot.robot import Robot
 
-SAMPLES = 24  # points of a cable
+CABLE_POINTS = 24  # points of a cable
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,7 +97,7 @@ def take_picture(
         if unstrained_length is None:
             unstrained_length = np.full(robot.n, np.nan)
         found = hanging_cables(
-            robot, position[None], rotation[None], unstrained_length[None], samples=SAMPLES
+            robot, position[None], rotation[None], unstrained_length[None], samples=CABLE_POINTS
         )
         straight = ~found.valid[0]
         points = _straightened(robot, position, rotation, found.points[0], straight)

@@ -9,8 +9,8 @@ from typing import Generic, TypeVar
 
 from carosac_toolkit.base.numbers import check_positive
 
-RATE = 35.0  # pictures a second, at most
-QUIET = 0.25  # [s] without news, after which what was put off is drawn
+PUBLISH_RATE_MAX_HZ = 35.0  # pictures a second, at most
+QUIET_INTERVAL_S = 0.25  # [s] without news, after which what was put off is drawn
 T = TypeVar("T")
 
 
@@ -26,7 +26,7 @@ class Publisher(Generic[T]):
     """
 
     def __init__(
-        self, draw: Callable[[T], None], *, rate: float = RATE,
+        self, draw: Callable[[T], None], *, rate: float = PUBLISH_RATE_MAX_HZ,
         settle: Callable[[], None] | None = None,
     ) -> None:  # fmt: skip
         """Start the thread.
@@ -74,7 +74,7 @@ class Publisher(Generic[T]):
         settled = True
         while True:
             with self._news:
-                heard = self._news.wait_for(self._has_news, None if settled else QUIET)
+                heard = self._news.wait_for(self._has_news, None if settled else QUIET_INTERVAL_S)
                 picture, self._latest = self._latest, None
                 over = self._closed
             if picture is None and heard and over:

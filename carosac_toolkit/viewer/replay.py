@@ -12,14 +12,14 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array, evenly
 from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.publisher import Publisher
-from carosac_toolkit.viewer.runs import Run
+from carosac_toolkit.viewer.runs import RecordedRun
 from carosac_toolkit.viewer.scene import RobotScene
 
-NONE = "none"
-SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "5", "10")
-TICK = 0.025  # [s]
-WAY = 400  # points of a trail
-SLIDER_EVERY = 0.2  # [s] between two moves of the slider while it plays
+NO_SELECTION = "none"
+PLAYBACK_SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "5", "10")
+PLAYBACK_TICK_S = 0.025  # [s]
+TRAIL_POINTS_MAX = 400  # points of a trail
+SLIDER_INTERVAL_S = 0.2  # [s] between two moves of the slider while it plays
 PLAY, PAUSE = "Play", "Pause"
 
 
@@ -34,7 +34,7 @@ class Replay:
         over: Whether `play` shall end.
     """
 
-    def __init__(self, page: Page, runs: Sequence[Run], ghost: int | None = None) -> None:
+    def __init__(self, page: Page, runs: Sequence[RecordedRun], ghost: int | None = None) -> None:
         """Add the controls; begin with the first run, and maybe another one as a ghost."""
         self._page = page
         self._runs = {f"{k}: {run.name}": run for k, run in enumerate(runs)}
@@ -51,7 +51,7 @@ class Replay:
         )
         self._ghost_scene.own_trails = False
         self._ghost_scene.visible = self.ghost is not None
-        self._add_controls(names, NONE if ghost is None else names[ghost])
+        self._add_controls(names, NO_SELECTION if ghost is None else names[ghost])
         self._times: Publisher[float] = Publisher(self.draw, rate=page.rate, settle=self._settle)
         self._times.offer(self.now)
 
@@ -65,11 +65,11 @@ class Replay:
         begun = last = moved = time.monotonic()
         try:
             while not self.over and (duration is None or time.monotonic() - begun < duration):
-                time.sleep(TICK)
+                time.sleep(PLAYBACK_TICK_S)
                 passed, last = time.monotonic() - last, time.monotonic()
                 if self.playing:
                     self._advance(passed)
-                    if last - moved > SLIDER_EVERY:
+                    if last - moved > SLIDER_INTERVAL_S:
                         moved = last
                         self._slider.value = round(min(self.now, self._slider.max), 2)
         except KeyboardInterrupt:
@@ -141,9 +141,9 @@ class Replay:
                 initial_value=0.0,
             )  # fmt: skip
             self._button = gui.add_button(PAUSE)
-            speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
+            speed = gui.add_dropdown("speed", PLAYBACK_SPEEDS, initial_value="1")
             which = gui.add_dropdown("run", names, initial_value=names[0])
-            beside = gui.add_dropdown("ghost", [NONE, *names], initial_value=ghost)
+            beside = gui.add_dropdown("ghost", [NO_SELECTION, *names], initial_value=ghost)
             self._source = gui.add_markdown(f"*{self.run.source}*")
 
         self._slider.on_update(self._slid)
@@ -176,5 +176,5 @@ class Replay:
 
 
 def thinned(way: Array) -> Array:
-    """At most `WAY` points of a way, the last one included."""
-    return np.asarray(way[evenly(len(way), WAY)])
+    """At most `TRAIL_POINTS_MAX` points of a way, the last one included."""
+    return np.asarray(way[evenly(len(way), TRAIL_POINTS_MAX)])

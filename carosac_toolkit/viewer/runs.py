@@ -24,12 +24,12 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.rows import Row
 from carosac_toolkit.viewer.picture import Picture, take_picture
 
-MOST = 6_000  # samples of a run; longer ones are thinned out
-GAP = 0.5  # [s] without a pose that is bridged
+RUN_SAMPLES_MAX = 6_000  # samples of a run; longer ones are thinned out
+POSE_GAP_MAX_S = 0.5  # [s] without a pose that is bridged
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Run:
+class RecordedRun:
     """One run, T samples of a robot with n cables.
 
     Attributes:
@@ -81,7 +81,7 @@ class Run:
         )  # fmt: skip
 
 
-def load_runs(where: str, robot: str | None = None) -> list[Run]:
+def load_runs(where: str, robot: str | None = None) -> list[RecordedRun]:
     """Load what there is to play.
 
     Args:
@@ -106,7 +106,7 @@ def _numbered(where: str) -> tuple[Path, int | None]:
     return Path(where), None
 
 
-def _study_runs(folder: Path, number: int | None) -> list[Run]:
+def _study_runs(folder: Path, number: int | None) -> list[RecordedRun]:
     """The cases of a study whose course was kept."""
     from carosac_toolkit.studies.run.folder import read_rows
 
@@ -126,7 +126,7 @@ def _study_runs(folder: Path, number: int | None) -> list[Run]:
     return [runs[number]]
 
 
-def _case_run(row: Row) -> Run | None:
+def _case_run(row: Row) -> RecordedRun | None:
     """A case of a study, or None where too little of it was kept."""
     series: dict[str, Any] = json.loads(str(row["series"]))
     if series["position_m"] is None or series.get("quaternion") is None:
@@ -136,7 +136,7 @@ def _case_run(row: Row) -> Run | None:
     quaternion = np.array(series["quaternion"])
     tension = series.get("tension_N")
     names = [str(row[key]) for key in ("controller", "estimator", "trajectory", "perturbation")]
-    return Run(
+    return RecordedRun(
         name=f"{names[0]} with {names[1]}: {names[2]}, {names[3]}, seed {row['seed']}",
         robot=robot, time=time - time[0], position=np.array(series["position_m"]),
         rotation=to_matrix(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)),
@@ -147,7 +147,7 @@ def _case_run(row: Row) -> Run | None:
     )  # fmt: skip
 
 
-def _recorded_run(where: str, asked: str | None) -> Run:
+def _recorded_run(where: str, asked: str | None) -> RecordedRun:
     """A recording."""
     from carosac_toolkit.recordings.bundled import find_recording
 
@@ -176,15 +176,17 @@ def _load(path: Path) -> tuple[Recording, PoseSamples | None]:
 
 
 def _thinned(recording: Recording) -> Recording:
-    """At most `MOST` samples of the lengths."""
-    step = -(-len(recording.time) // MOST)
+    """At most `RUN_SAMPLES_MAX` samples of the lengths."""
+    step = -(-len(recording.time) // RUN_SAMPLES_MAX)
     return replace(
         recording, time=recording.time[::step],
         unstrained_length=recording.unstrained_length[::step],
     )  # fmt: skip
 
 
-def _run_of(name: str, robot: Robot, recording: Recording, believed: PoseSamples | None) -> Run:
+def _run_of(
+    name: str, robot: Robot, recording: Recording, believed: PoseSamples | None
+) -> RecordedRun:
     """Poses as measured, else as believed, else at rest on the recorded lengths."""
     poses, source = recording.poses, "measured"
     if poses is None:
@@ -194,7 +196,7 @@ def _run_of(name: str, robot: Robot, recording: Recording, believed: PoseSamples
     keep = np.ones(len(recording.time), dtype=bool)
     guess = None
     if poses is not None:
-        found = poses.at(recording.time, gap_max=GAP)
+        found = poses.at(recording.time, gap_max=POSE_GAP_MAX_S)
         keep = found.valid
         if not keep.any():
             raise CarosacError(f"{name}: no pose near the time of any length; nothing to show")
@@ -215,12 +217,12 @@ def _run_of(name: str, robot: Robot, recording: Recording, believed: PoseSamples
         keep = np.ones(len(time), dtype=bool)
     tension, words = _tensions(recording.tension, rest, time, robot.n)
     target = _targets(robot, recording.command, time, guess) if absolute else None
-    return Run(
+    return RecordedRun(
         name=name, robot=robot, time=time[keep] - time[keep][0], position=guess.position[keep],
         rotation=guess.rotation[keep], tension=tension[keep],
         target=None if target is None else target[keep],
         believed=None if believed is None else
-        believed.at(time[keep], gap_max=GAP).pose.position,
+        believed.at(time[keep], gap_max=POSE_GAP_MAX_S).pose.position,
         source=f"poses {source}; tensions {words}{_of_target(recording.command, target)}",
     )  # fmt: skip
 
@@ -259,6 +261,6 @@ def _targets(robot: Robot, command: Stamped | None, time: Array, guess: Pose) ->
     return rest.position
 
 
-def same_robot(runs: Sequence[Run]) -> list[Run]:
+def same_robot(runs: Sequence[RecordedRun]) -> list[RecordedRun]:
     """Those runs that are of the robot of the first."""
     return [run for run in runs if run.robot.name == runs[0].robot.name]

@@ -16,20 +16,20 @@ from carosac_toolkit.viewer.colors import Rgb, tension_colors, vertex_colors
 from carosac_toolkit.viewer.geometry import extent, platform_box, posts
 from carosac_toolkit.viewer.picture import Picture
 
-FRAME: Rgb = (70, 74, 82)
-PLATFORM: Rgb = (200, 85, 61)
-HELD: Rgb = (150, 150, 150)
-GHOST: Rgb = (60, 90, 160)
-TARGET: Rgb = (20, 120, 60)
-REFUSED: Rgb = (200, 20, 70)
-BELIEVED: Rgb = (123, 79, 163)
-WORKSPACE: Rgb = (170, 175, 182)
-TRAIL = 500  # pictures that a trail is long
-TRAIL_EVERY = 5  # pictures between two drawings of the trails, and of the labels
-PLAIN_TRAIL_EVERY = 15
-PLAIN_MOST = 60  # points of a trail that are drawn
-PLAIN_SAMPLES = 10  # points of a cable
-STEP = 2e-3  # [m], below which a trail does not grow
+FRAME_COLOR: Rgb = (70, 74, 82)
+PLATFORM_COLOR: Rgb = (200, 85, 61)
+HELD_COLOR: Rgb = (150, 150, 150)
+GHOST_COLOR: Rgb = (60, 90, 160)
+TARGET_COLOR: Rgb = (20, 120, 60)
+REFUSED_COLOR: Rgb = (200, 20, 70)
+ESTIMATE_COLOR: Rgb = (123, 79, 163)
+WORKSPACE_COLOR: Rgb = (170, 175, 182)
+TRAIL_PICTURES = 500  # pictures that a trail is long
+TRAIL_INTERVAL_PICTURES = 5  # pictures between two drawings of the trails, and of the labels
+PLAIN_TRAIL_INTERVAL_PICTURES = 15
+PLAIN_TRAIL_POINTS_MAX = 60  # points of a trail that are drawn
+PLAIN_CABLE_POINTS = 10  # points of a cable
+TRAIL_STEP_MIN_M = 2e-3  # [m], below which a trail does not grow
 GHOST_OPACITY = 0.3
 
 
@@ -62,24 +62,29 @@ class RobotScene:
         self.enlarged = 1.0
         self.trails = self.own_trails = True
         self.labels = not plain
-        self._every = PLAIN_TRAIL_EVERY if plain else TRAIL_EVERY
+        self._every = PLAIN_TRAIL_INTERVAL_PICTURES if plain else TRAIL_INTERVAL_PICTURES
         self._plain = plain
         self._count = 0
         self._size = float(np.ptp(extent(robot), axis=0).max())
         self._ways: dict[str, deque[Array]] = {
-            key: deque(maxlen=TRAIL) for key in ("platform", "target")
+            key: deque(maxlen=TRAIL_PICTURES) for key in ("platform", "target")
         }
         if not ghost:
             self._draw_frame(plain=plain)
         self._platform = self._add_platform()
-        self._cables = self._add_lines("cables", np.zeros((1, 2, 3)), FRAME, 2.0 if ghost else 4.0)
+        self._cables = self._add_lines(
+            "cables", np.zeros((1, 2, 3)), FRAME_COLOR, 2.0 if ghost else 4.0
+        )
         self._trails = {
             key: self._add_lines(f"trail_{key}", np.zeros((1, 2, 3)), color, 2.0)
-            for key, color in (("platform", GHOST if ghost else PLATFORM), ("target", TARGET))
+            for key, color in (
+                ("platform", GHOST_COLOR if ghost else PLATFORM_COLOR),
+                ("target", TARGET_COLOR),
+            )
         }
         self._names: list[Any] = []  # labels cost even where they cannot be seen: made when wanted
-        self._target = self._add_ball("target", TARGET, 0.010)
-        self._belief = self._add_ball("believed", BELIEVED, 0.008)
+        self._target = self._add_ball("target", TARGET_COLOR, 0.010)
+        self._belief = self._add_ball("believed", ESTIMATE_COLOR, 0.008)
         self._colored: Rgb | None = None
         self._visible = True
 
@@ -124,7 +129,9 @@ class RobotScene:
         handle = self._trails[key]
         handle.visible = self.trails and len(way) > 1
         if handle.visible:
-            handle.points = segments(way[evenly(len(way), PLAIN_MOST)] if self._plain else way)
+            handle.points = segments(
+                way[evenly(len(way), PLAIN_TRAIL_POINTS_MAX)] if self._plain else way
+            )
 
     @property
     def visible(self) -> bool:
@@ -149,7 +156,7 @@ class RobotScene:
         radius = 0.007 * self._size
         if plain:
             scene.add_point_cloud(
-                f"{name}/exits", robot.exit_points, FRAME, point_size=2.0 * radius,
+                f"{name}/exits", robot.exit_points, FRAME_COLOR, point_size=2.0 * radius,
                 point_shape="circle", precision="float32",
             )  # fmt: skip
         else:
@@ -157,10 +164,14 @@ class RobotScene:
             self._draw_letters(lower, axes)
             for i, point in enumerate(robot.exit_points):
                 scene.add_icosphere(
-                    f"{name}/exit_{i}", radius=radius, color=FRAME, subdivisions=2, position=point
+                    f"{name}/exit_{i}",
+                    radius=radius,
+                    color=FRAME_COLOR,
+                    subdivisions=2,
+                    position=point,
                 )
         self._add_lines("posts", posts(robot), (190, 193, 199), 2.0)
-        self._add_lines("workspace", np.stack(box_edges(robot)), WORKSPACE, 1.2)
+        self._add_lines("workspace", np.stack(box_edges(robot)), WORKSPACE_COLOR, 1.2)
         scene.add_frame(
             f"{name}/world", axes_length=axes, axes_radius=0.05 * axes,
             position=lower, origin_radius=0.08 * axes,
@@ -194,7 +205,7 @@ class RobotScene:
         )
         self._box = self._scene.add_box(
             f"{name}/box", dimensions=tuple(size), position=center,
-            color=GHOST if self._ghost else PLATFORM,
+            color=GHOST_COLOR if self._ghost else PLATFORM_COLOR,
             opacity=GHOST_OPACITY if self._ghost else 0.9,
         )  # fmt: skip
         return handle
@@ -229,7 +240,7 @@ class RobotScene:
         """All cables as one set of segments, coloured by tension."""
         points = picture.drawn(self.enlarged)
         if self._plain:
-            points = points[:, evenly(points.shape[1], PLAIN_SAMPLES)]
+            points = points[:, evenly(points.shape[1], PLAIN_CABLE_POINTS)]
         pairs = np.stack([points[:, :-1], points[:, 1:]], axis=2)  # (n, samples - 1, 2, 3)
         colors = tension_colors(self._robot, picture.tension)
         if self._ghost:
@@ -240,12 +251,12 @@ class RobotScene:
 
     def _color_target(self, held: bool) -> None:
         """Grey platform and red target where the pose is not the one that was asked for."""
-        color = HELD if held else PLATFORM
+        color = HELD_COLOR if held else PLATFORM_COLOR
         if self._ghost or color == self._colored:
             return
         self._colored = color
         self._box.color = color
-        self._target.color = REFUSED if held else TARGET
+        self._target.color = REFUSED_COLOR if held else TARGET_COLOR
 
     def _place(self, handle: Any, position: Array | None) -> None:
         """Put a ball somewhere, or away."""
@@ -257,7 +268,7 @@ class RobotScene:
         """Let the trails grow."""
         for key, place in (("platform", picture.position), ("target", picture.target)):
             way = self._ways[key]
-            if place is not None and (not way or np.abs(place - way[-1]).max() > STEP):
+            if place is not None and (not way or np.abs(place - way[-1]).max() > TRAIL_STEP_MIN_M):
                 way.append(np.array(place))
 
     def _label(self, tension: Array) -> None:

@@ -16,9 +16,9 @@ from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.publisher import Publisher
 from carosac_toolkit.viewer.resting import RestingRobot
 
-BY_TARGET = "target"
-BY_LENGTHS = "cable lengths"
-REACH = 0.5  # [m] that the length of a cable can be moved each way
+TARGET_MODE = "target"
+LENGTHS_MODE = "cable lengths"
+LENGTH_RANGE_M = 0.5  # [m] that the length of a cable can be moved each way
 
 
 class Wish(NamedTuple):
@@ -52,7 +52,9 @@ class StaticsPage:
             page, rest.position[0], rest.rotation[0] if turns else None, rotations=turns
         )
         with page.controls:
-            self.mode = gui.add_dropdown("move", (BY_TARGET, BY_LENGTHS), initial_value=BY_TARGET)
+            self.mode = gui.add_dropdown(
+                "move", (TARGET_MODE, LENGTHS_MODE), initial_value=TARGET_MODE
+            )
             self.place = gui.add_vector3(
                 "target [m]", initial_value=tuple(rest.position[0].round(4)), step=0.05
             )
@@ -71,8 +73,8 @@ class StaticsPage:
         robot, now = self.page.robot, self.resting.rest.unstrained_length[0]
         return [
             gui.add_slider(
-                f"{name} [m]", min=float(max(1e-3, round(now[i] - REACH, 3))),
-                max=float(round(now[i] + REACH, 3)), step=0.001,
+                f"{name} [m]", min=float(max(1e-3, round(now[i] - LENGTH_RANGE_M, 3))),
+                max=float(round(now[i] + LENGTH_RANGE_M, 3)), step=0.001,
                 initial_value=float(round(now[i], 3)), visible=False,
             )
             for i, name in enumerate(robot.cable_names)
@@ -102,7 +104,7 @@ class StaticsPage:
     def _go_home(self) -> None:
         """Ask for the home pose."""
         robot = self.page.robot
-        self.mode.value = BY_TARGET
+        self.mode.value = TARGET_MODE
         self._put_target(robot.home_position, robot.home_rotation)
         self._ask_for_target()
 
@@ -120,15 +122,15 @@ class StaticsPage:
 
     def _change_mode(self) -> None:
         """Show the controls of the other way to move; it begins where the robot is."""
-        by_target = self.mode.value == BY_TARGET
+        by_target = self.mode.value == TARGET_MODE
         rest = self.resting.rest
         if by_target:
             self._put_target(rest.position[0], rest.rotation[0])
         for slider, now in zip(self.lengths, rest.unstrained_length[0], strict=True):
             slider.visible = not by_target
             if not by_target:
-                slider.min = float(max(1e-3, round(now - REACH, 3)))
-                slider.max = float(round(now + REACH, 3))
+                slider.min = float(max(1e-3, round(now - LENGTH_RANGE_M, 3)))
+                slider.max = float(round(now + LENGTH_RANGE_M, 3))
                 slider.value = float(round(now, 3))
         self.gizmo.visible = self.place.visible = by_target
         self.page.offer(replace(self.resting.home(), time=self._now()))

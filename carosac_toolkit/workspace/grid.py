@@ -11,7 +11,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.robot import Robot
 
-AXES = "xyz"
+GRID_AXES = "xyz"
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ def slice_grid(lower: Array, upper: Array, axis: str, value: float, count: int) 
         value: Its coordinate there [m].
         count: About how many positions.
     """
-    across = AXES.index(axis)
+    across = GRID_AXES.index(axis)
     rest = [k for k in range(3) if k != across]
     axes = [np.array([value])] * 3
     for k, number in zip(rest, _numbers((upper - lower)[rest], count), strict=True):

@@ -18,8 +18,8 @@ from carosac_toolkit.workspace.limits import Limit, tension_limit
 from carosac_toolkit.workspace.second_search import second_opinion
 from carosac_toolkit.workspace.settings import WorkspaceSettings
 
-WEIGHTLESS = 1e-9  # of its own density: a cable that heavy is straight to rounding
-CHUNK = 4096  # poses whose cable shapes are in memory at a time
+WEIGHTLESS_DENSITY_RATIO = 1e-9  # of its own density: a cable that heavy is straight to rounding
+SHAPE_CHUNK_POSES = 4096  # poses whose cable shapes are in memory at a time
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,7 +65,7 @@ def modelled(robot: Robot, settings: WorkspaceSettings) -> Robot:
     """The robot that is judged: itself, or with cables so light that they are straight."""
     if settings.sag:
         return robot
-    return replace(robot, linear_density=WEIGHTLESS * robot.linear_density)
+    return replace(robot, linear_density=WEIGHTLESS_DENSITY_RATIO * robot.linear_density)
 
 
 def judge(
@@ -206,8 +206,8 @@ def _distance(robot: Robot, rest: Equilibrium) -> tuple[Array, NDArray[np.int64]
     if len(separate_pairs(robot)) == 0:
         least[rows] = np.inf
         return least, pair
-    for start in range(0, len(rows), CHUNK):
-        part = rows[start : start + CHUNK]
+    for start in range(0, len(rows), SHAPE_CHUNK_POSES):
+        part = rows[start : start + SHAPE_CHUNK_POSES]
         found, pairs = cable_distances(robot, pick(rest, part))
         first = np.argmin(found, axis=1)
         least[part] = found[np.arange(len(part)), first]

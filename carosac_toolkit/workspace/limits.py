@@ -28,7 +28,7 @@ class Limit(IntEnum):
     COLLISION = 11  # two cables too near each other
 
 
-WORDS = {
+LIMIT_LABELS = {
     Limit.INSIDE: "inside",
     Limit.NOT_CONVERGED: "not converged",
     Limit.NO_PULL: "no cable pulls there",
@@ -42,7 +42,7 @@ WORDS = {
     Limit.TOO_LONG: "longer than its winch has",
     Limit.COLLISION: "cables too near each other",
 }
-OF_CABLE = (Limit.NO_EQUILIBRIUM, Limit.SLACK, Limit.OVERLOAD, Limit.TOO_SHORT, Limit.TOO_LONG)
+CABLE_LIMITS = (Limit.NO_EQUILIBRIUM, Limit.SLACK, Limit.OVERLOAD, Limit.TOO_SHORT, Limit.TOO_LONG)
 
 
 def tension_limit(
@@ -75,13 +75,13 @@ def tension_limit(
 
 def cable_of(limit: int, cable: int, names: Sequence[str]) -> str | None:
     """Name of the cable that a limit is about, or None."""
-    return names[cable] if limit in OF_CABLE and cable >= 0 else None
+    return names[cable] if limit in CABLE_LIMITS and cable >= 0 else None
 
 
 def words_of(limit: int, cable: int) -> str:
     """Say a limit in words, without its cable."""
     pushes = limit == Limit.NO_EQUILIBRIUM and cable >= 0
-    return "would have to push" if pushes else WORDS[Limit(limit)]
+    return "would have to push" if pushes else LIMIT_LABELS[Limit(limit)]
 
 
 def describe(limit: int, cable: int, names: Sequence[str]) -> str:

@@ -12,11 +12,17 @@ from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest.modes import natural_frequencies
 from carosac_toolkit.physics.rest.statics import Equilibrium, inverse_kinematics, sag
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.workspace.judgement import CHUNK, Verdicts, modelled, pick, tilt_angle
+from carosac_toolkit.workspace.judgement import (
+    SHAPE_CHUNK_POSES,
+    Verdicts,
+    modelled,
+    pick,
+    tilt_angle,
+)
 from carosac_toolkit.workspace.settings import WorkspaceSettings
 
-SAMPLES = 25  # points along a cable: they miss the largest sag by less than 0.2 %
-TENSIONS = ("widest", "least")
+SAG_SAMPLES = 25  # points along a cable: they miss the largest sag by less than 0.2 %
+TENSION_CHOICES = ("widest", "least")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,8 +68,8 @@ def maps(
     Returns:
         The maps.
     """
-    if tensions not in TENSIONS:
-        raise InvalidField("tensions", repr(tensions), f"one of {list(TENSIONS)}")
+    if tensions not in TENSION_CHOICES:
+        raise InvalidField("tensions", repr(tensions), f"one of {list(TENSION_CHOICES)}")
     model = modelled(robot, settings or WorkspaceSettings())
     size = len(verdicts.margin)
     out = {
@@ -72,8 +78,8 @@ def maps(
         "frequency": np.full(size, np.nan), "sag": np.full(size, np.nan),
     }  # fmt: skip
     rows = np.flatnonzero(verdicts.rest.converged)
-    for start in range(0, len(rows), CHUNK):
-        part = rows[start : start + CHUNK]
+    for start in range(0, len(rows), SHAPE_CHUNK_POSES):
+        part = rows[start : start + SHAPE_CHUNK_POSES]
         rest = pick(verdicts.rest, part)
         if tensions == "least":
             rest = _least(model, rest)
@@ -102,7 +108,7 @@ def _of_rest(robot: Robot, rest: Equilibrium) -> dict[str, Array]:
         "softest": np.where(rest.stable[:, None], softest, np.nan),
         "turning_stiffness": np.where(rest.stable, turning, np.nan),
         "frequency": natural_frequencies(robot, rest)[:, 0],
-        "sag": sag(robot, rest, samples=SAMPLES).max(axis=1),
+        "sag": sag(robot, rest, samples=SAG_SAMPLES).max(axis=1),
     }
 
 

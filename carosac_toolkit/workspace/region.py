@@ -14,7 +14,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.workspace.grid import Grid
 from carosac_toolkit.workspace.judgement import Verdicts, judge
-from carosac_toolkit.workspace.limits import WORDS, Limit, cable_of, describe
+from carosac_toolkit.workspace.limits import LIMIT_LABELS, Limit, cable_of, describe
 from carosac_toolkit.workspace.settings import WorkspaceSettings
 
 
@@ -143,7 +143,7 @@ class Region:
         names = self.robot.cable_names
         return [
             {
-                "limit": WORDS[Limit(limit)],
+                "limit": LIMIT_LABELS[Limit(limit)],
                 "cable": cable_of(limit, cable, names),
                 "positions": count,
             }

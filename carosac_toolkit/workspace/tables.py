@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.workspace.limits import OF_CABLE, WORDS, Limit
+from carosac_toolkit.workspace.limits import CABLE_LIMITS, LIMIT_LABELS, Limit
 from carosac_toolkit.workspace.maps import Maps
 from carosac_toolkit.workspace.region import Region
 
@@ -23,9 +23,9 @@ def columns(region: Region, found: Maps | None = None) -> dict[str, NDArray[Any]
     """
     out, rest = region.verdicts, region.verdicts.rest
     names = np.array([*region.robot.cable_names, ""])
-    words = np.array([WORDS[limit] for limit in Limit])
-    of_cable = np.isin(out.limit, OF_CABLE)
-    near_cable = np.isin(out.nearest, OF_CABLE)
+    words = np.array([LIMIT_LABELS[limit] for limit in Limit])
+    of_cable = np.isin(out.limit, CABLE_LIMITS)
+    near_cable = np.isin(out.nearest, CABLE_LIMITS)
     table: dict[str, NDArray[Any]] = {
         **{f"{axis}_m": rest.position[:, k] for k, axis in enumerate("xyz")},
         "inside": out.inside,

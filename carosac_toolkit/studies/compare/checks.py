@@ -18,13 +18,13 @@ from carosac_toolkit.loop.protocols import replays
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.perturbations import CONDITIONS
 from carosac_toolkit.studies.run.folder import check_statuses
-from carosac_toolkit.studies.run.run_case import GIVEN, own_settings, plugin_name
+from carosac_toolkit.studies.run.run_case import CASE_DRIVER_SETTINGS, own_settings, plugin_name
 
 if TYPE_CHECKING:
     from carosac_toolkit.studies.compare.study import Study
 
 
-RECORDED = "recorded"  # the path of a recording, the only one on a driver that replays
+RECORDED_TRAJECTORY = "recorded"  # the path of a recording, the only one on a driver that replays
 
 
 def check_study(study: Study) -> None:
@@ -40,11 +40,11 @@ def check_study(study: Study) -> None:
     for robot in study.robots:
         load_robot(robot)
     driver = _plugin("drivers", study.driver)
-    paths = (RECORDED, *trajectories.NAMES) if replays(driver) else trajectories.NAMES
+    paths = (RECORDED_TRAJECTORY, *trajectories.NAMES) if replays(driver) else trajectories.NAMES
     _known("trajectory", study.trajectories, paths)
     _known("perturbation", study.perturbations, sorted(CONDITIONS))
     own = own_settings(study.driver, study.driver_settings)
-    for taken in sorted(set(GIVEN) & set(own)):
+    for taken in sorted(set(CASE_DRIVER_SETTINGS) & set(own)):
         value = repr(own[taken])
         raise InvalidField(f"driver_settings.{taken}", value, "none: each case says it")
     _check_suites(driver, study.driver, study.suites)

@@ -12,9 +12,9 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.studies.compare.results import scored, tracked
 from carosac_toolkit.studies.run.rows import Row
 
-MM = 1e3
-REST_SPEED = 5e-3  # [m/s]: slower references count as rest
-REST_TIME = 0.3  # [s]: shorter ones are the beginning of a motion
+MM_PER_M = 1e3
+REST_SPEED_MAX_M_S = 5e-3  # [m/s]: slower references count as rest
+REST_DURATION_MIN_S = 0.3  # [s]: shorter ones are the beginning of a motion
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,10 +51,10 @@ class Example:
     def rests(self) -> list[tuple[float, float]]:
         """Start and end of each rest of the reference [s]."""
         speed = np.linalg.norm(np.diff(self.reference, axis=0), axis=1) / np.diff(self.time)
-        resting = np.concatenate([[False], speed < REST_SPEED, [False]]).astype(int)
+        resting = np.concatenate([[False], speed < REST_SPEED_MAX_M_S, [False]]).astype(int)
         edges = np.flatnonzero(np.diff(resting))
         spans = [(float(self.time[a]), float(self.time[b])) for a, b in edges.reshape(-1, 2)]
-        return [(start, end) for start, end in spans if end - start > REST_TIME]
+        return [(start, end) for start, end in spans if end - start > REST_DURATION_MIN_S]
 
 
 def examples_of(rows: Sequence[Row]) -> list[Example]:
@@ -70,7 +70,7 @@ def estimates_of(rows: Sequence[Row]) -> list[Example]:
 
 def _absolute(error: Array) -> Array:
     """Error (S, 3) [m] per axis and in norm [mm], shape (S, 4)."""
-    return MM * np.column_stack([np.abs(error), np.linalg.norm(error, axis=1)])
+    return MM_PER_M * np.column_stack([np.abs(error), np.linalg.norm(error, axis=1)])
 
 
 def _example(row: Row) -> Example | None:

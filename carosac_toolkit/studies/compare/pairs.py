@@ -10,12 +10,12 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.studies.compare.resampling import interval, sign_flip_p, typical
-from carosac_toolkit.studies.compare.results import PAIR
+from carosac_toolkit.studies.compare.results import PAIR_COLUMNS
 from carosac_toolkit.studies.run.rows import Row
 
 
 @dataclass(frozen=True, kw_only=True)
-class Estimate:
+class IntervalEstimate:
     """A number and its 95 % interval.
 
     Attributes:
@@ -68,8 +68,8 @@ class Pair:
     won: int
     lost: int
     typical: tuple[float, float] | None
-    difference: Estimate | None
-    ratio: Estimate | None
+    difference: IntervalEstimate | None
+    ratio: IntervalEstimate | None
     p: float | None
     p_holm: float | None = None
 
@@ -135,7 +135,7 @@ def compare(rows: Sequence[Row], others: Sequence[Row], column: str) -> Pair:
     )
 
 
-def typical_of(rows: Sequence[Row], column: str) -> Estimate | None:
+def typical_of(rows: Sequence[Row], column: str) -> IntervalEstimate | None:
     """Typical error over the cases of a group that have it, with its interval."""
     found = {key: x for key, x in errors_by_case(rows, column).items() if np.isfinite(x)}
     return estimate(_table(list(found), list(found.values()))) if found else None
@@ -147,10 +147,10 @@ def typical_value(rows: Sequence[Row], column: str) -> float | None:
     return _typical(_table(list(found), list(found.values()))) if found else None
 
 
-def estimate(table: Array) -> Estimate:
+def estimate(table: Array) -> IntervalEstimate:
     """Typical value of a table (S, T), one row per seed, NaN where there is no case."""
     ends = interval(typical, table)
-    return Estimate(
+    return IntervalEstimate(
         value=_typical(table), low=ends[0] if ends else None, high=ends[1] if ends else None
     )
 
@@ -163,14 +163,14 @@ def errors_by_case(rows: Sequence[Row], column: str) -> dict[tuple[str, int], fl
     """An error by trajectory and seed: infinite where the case failed, absent where it has none."""
     found: dict[tuple[str, int], float] = {}
     for row in rows:
-        trajectory, seed = (row[name] for name in PAIR)
+        trajectory, seed = (row[name] for name in PAIR_COLUMNS)
         value = row.get(column) if row["status"] == "ok" else np.inf
         if value is not None:
             found[str(trajectory), int(seed or 0)] = float(value)
     return found
 
 
-def _ratio(a: Array, b: Array) -> Estimate:
+def _ratio(a: Array, b: Array) -> IntervalEstimate:
     """Ratio of the typical values of two tables with the same gaps."""
 
     def ratio(one: Array, other: Array) -> Array:
@@ -180,7 +180,9 @@ def _ratio(a: Array, b: Array) -> Estimate:
 
     ends = interval(ratio, a, b)
     value = _typical(a) / _typical(b)
-    return Estimate(value=value, low=ends[0] if ends else None, high=ends[1] if ends else None)
+    return IntervalEstimate(
+        value=value, low=ends[0] if ends else None, high=ends[1] if ends else None
+    )
 
 
 def _table(keys: Sequence[tuple[str, int]], values: Sequence[float]) -> Array:

@@ -8,24 +8,30 @@ from dataclasses import dataclass
 from math import floor, isfinite, log10
 
 from carosac_toolkit.base.tables import counted, fit, wrapped
-from carosac_toolkit.studies.compare.paired import LEVEL, Block, Compared
-from carosac_toolkit.studies.compare.pairs import Estimate, Pair
-from carosac_toolkit.studies.compare.resampling import CONFIDENCE, FEWEST, smallest_p
-from carosac_toolkit.studies.compare.results import WAYS
-from carosac_toolkit.studies.run.rows import LATENCIES
+from carosac_toolkit.studies.compare.paired import SIGNIFICANCE_LEVEL, Compared, PairedBlock
+from carosac_toolkit.studies.compare.pairs import IntervalEstimate, Pair
+from carosac_toolkit.studies.compare.resampling import (
+    CONFIDENCE_LEVEL,
+    INTERVAL_SEEDS_MIN,
+    smallest_p,
+)
+from carosac_toolkit.studies.compare.results import COMPARED_COLUMNS
+from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS
 
-TITLES = {
+QUANTITY_TITLES = {
     "tracking": "tracking",
     "tracking_centre": "centre",
     "tracking_boundary": "boundary",
     "residual_sway": "sway",
     "estimation": "estimation",
 }
-SHOWN = ("tracking", "estimation")  # in the terminal
-MM = 1e3
-MOST_DECIMALS = 2
-DIGITS = 3  # significant ones of the smallest number of a column, where it is not below them
-P_SHOWN = 1e-3
+TERMINAL_QUANTITIES = ("tracking", "estimation")  # in the terminal
+MM_PER_M = 1e3
+DECIMALS_MAX = 2
+SIGNIFICANT_DIGITS = (
+    3  # significant ones of the smallest number of a column, where it is not below them
+)
+P_VALUE_SHOWN_MIN = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +53,7 @@ class Sheet:
     bold: frozenset[tuple[int, int]] = frozenset()
 
 
-def sheets(blocks: Sequence[Block]) -> list[Sheet]:
+def sheets(blocks: Sequence[PairedBlock]) -> list[Sheet]:
     """All tables of a study: errors of each block, and its paired differences."""
     found = []
     for block in blocks:
@@ -57,9 +63,9 @@ def sheets(blocks: Sequence[Block]) -> list[Sheet]:
     return found
 
 
-def explanation(blocks: Sequence[Block]) -> str:
+def explanation(blocks: Sequence[PairedBlock]) -> str:
     """What the columns of all tables mean."""
-    percent = f"{100 * CONFIDENCE:.0f} %"
+    percent = f"{100 * CONFIDENCE_LEVEL:.0f} %"
     seeds = min(block.seeds for block in blocks)
     text = (
         "Errors are RMSEs of a case in norm. Typical: median over the seeds of each path, mean "
@@ -73,51 +79,51 @@ def explanation(blocks: Sequence[Block]) -> str:
         "of cases won against lost, labels exchanged seed by seed, adjusted by Holm for all "
         "comparisons of the same error in a table. Bold: smallest, and better than each of the "
         "others: all intervals of its paired differences exclude zero, and p after Holm is at "
-        f"most {LEVEL:g}."
+        f"most {SIGNIFICANCE_LEVEL:g}."
     )
-    if seeds < FEWEST:
-        text += f" Intervals need {FEWEST} seeds or more; here are {seeds}."
+    if seeds < INTERVAL_SEEDS_MIN:
+        text += f" Intervals need {INTERVAL_SEEDS_MIN} seeds or more; here are {seeds}."
     lowest, fewest, others = max(
         (_lowest_p(block), block.seeds, _others(block)) for block in blocks
     )
-    if lowest > LEVEL:
+    if lowest > SIGNIFICANCE_LEVEL:
         text += (
             f" With {counted(fewest, 'seed')} and {counted(others, 'comparison')} no p is below "
-            f"{lowest:.2g} after Holm: nothing can be shown at the level {LEVEL:g}."
+            f"{lowest:.2g} after Holm: nothing can be shown at the level {SIGNIFICANCE_LEVEL:g}."
         )
     return text
 
 
-def _others(block: Block) -> int:
+def _others(block: PairedBlock) -> int:
     """How many are compared with one."""
     return max(len(block.compared) - 1, 1)
 
 
-def _lowest_p(block: Block) -> float:
+def _lowest_p(block: PairedBlock) -> float:
     """The smallest p that a comparison can have, adjusted for the number of them."""
     return min(1.0, _others(block) * smallest_p(block.seeds))
 
 
-def text_tables(blocks: Sequence[Block], width: int) -> str:
+def text_tables(blocks: Sequence[PairedBlock], width: int) -> str:
     """The paired differences of tracking and estimation, within a width."""
     parts = []
     for block in blocks:
-        if any(name in differing(block) for name in SHOWN):
-            sheet = _differences(block, SHOWN)
+        if any(name in differing(block) for name in TERMINAL_QUANTITIES):
+            sheet = _differences(block, TERMINAL_QUANTITIES)
             parts.append(wrapped(f"Paired, {sheet.title}", width) + f"\n\n{_text(sheet, width)}")
     return "\n\n".join(parts)
 
 
-def text_errors(blocks: Sequence[Block], width: int) -> str:
+def text_errors(blocks: Sequence[PairedBlock], width: int) -> str:
     """The typical errors, within a width."""
     found = [_errors(block) for block in blocks]
     return "\n\n".join(f"{wrapped(one.title, width)}\n\n{_text(one, width)}" for one in found)
 
 
-def differing(block: Block) -> list[str]:
+def differing(block: PairedBlock) -> list[str]:
     """Errors in which anything differs from the baseline: estimates may move nothing, say."""
     return [
-        name for name in TITLES
+        name for name in QUANTITY_TITLES
         if any(
             (pair := one.pairs.get(name)) is not None and (pair.won or pair.lost)
             for one in block.compared
@@ -131,7 +137,7 @@ def _text(sheet: Sheet, width: int) -> str:
     return fit(sheet.header, list(sheet.rows), groups, width)
 
 
-def markdown(blocks: Sequence[Block], origin: str = "") -> str:
+def markdown(blocks: Sequence[PairedBlock], origin: str = "") -> str:
     """All tables as Markdown.
 
     Args:
@@ -142,7 +148,7 @@ def markdown(blocks: Sequence[Block], origin: str = "") -> str:
     return "\n\n".join(filter(None, [*parts, explanation(blocks), origin])) + "\n"
 
 
-def latex(blocks: Sequence[Block], origin: str = "") -> str:
+def latex(blocks: Sequence[PairedBlock], origin: str = "") -> str:
     r"""All tables as LaTeX, to be read with ``\input``; they need the package booktabs.
 
     Args:
@@ -154,19 +160,21 @@ def latex(blocks: Sequence[Block], origin: str = "") -> str:
     return "\n\n".join(["\n".join([*head, notes]), *map(_latex_table, sheets(blocks))]) + "\n"
 
 
-def _errors(block: Block) -> Sheet:
+def _errors(block: PairedBlock) -> Sheet:
     """Typical errors, and latencies."""
     names = _names(block)
-    errors = [name for name in TITLES if any(name in one.typical for one in block.compared)]
+    errors = [
+        name for name in QUANTITY_TITLES if any(name in one.typical for one in block.compared)
+    ]
     rows, bold = [], set()
     places = {name: _decimals([_value(one, name) for one in block.compared]) for name in errors}
     for k, one in enumerate(block.compared):
-        cells = [_estimate(one.typical.get(name), MM, places[name]) for name in errors]
-        latency = " / ".join(_milliseconds(one.latency[name]) for name in LATENCIES)
+        cells = [_estimate(one.typical.get(name), MM_PER_M, places[name]) for name in errors]
+        latency = " / ".join(_milliseconds(one.latency[name]) for name in LATENCY_COLUMNS)
         known = [one.names[name] for name in names]
         rows.append((*known, *cells, f"{one.failures}/{one.cases}", latency))
         bold |= {(k, len(names) + errors.index(name)) for name in one.best}
-    titles = [f"{TITLES[name]} [mm]" for name in errors]
+    titles = [f"{QUANTITY_TITLES[name]} [mm]" for name in errors]
     header = (*names, *titles, "failed", "latency 50/95/99 % [ms]")
     title = f"{_where(block)}: typical errors"
     return Sheet(
@@ -174,17 +182,21 @@ def _errors(block: Block) -> Sheet:
     )
 
 
-def _differences(block: Block, wanted: Sequence[str] = tuple(TITLES)) -> Sheet:
+def _differences(block: PairedBlock, wanted: Sequence[str] = tuple(QUANTITY_TITLES)) -> Sheet:
     """Paired differences with the baseline."""
     names, rows = _names(block), []
     errors = [name for name in wanted if name in differing(block)]
     for name in errors:
         pairs = [(one, one.pairs[name]) for one in block.compared if name in one.pairs]
         places = _decimals(
-            [abs(pair.difference.value) * MM for _, pair in pairs if pair.difference is not None]
+            [
+                abs(pair.difference.value) * MM_PER_M
+                for _, pair in pairs
+                if pair.difference is not None
+            ]
         )
         rows += [
-            (TITLES[name], *(one.names[x] for x in names), *_pair(pair, places))
+            (QUANTITY_TITLES[name], *(one.names[x] for x in names), *_pair(pair, places))
             for one, pair in pairs
         ]
     header = ("error", *names, "difference [mm]", "ratio [-]", "won", "p", "failed")
@@ -195,7 +207,7 @@ def _differences(block: Block, wanted: Sequence[str] = tuple(TITLES)) -> Sheet:
 def _pair(pair: Pair, places: int) -> tuple[str, ...]:
     """Cells of a comparison."""
     return (
-        _estimate(pair.difference, MM, places, signed=True),
+        _estimate(pair.difference, MM_PER_M, places, signed=True),
         _estimate(pair.ratio, 1.0, 2),
         f"{pair.won}/{pair.cases}",
         _p(pair.p_holm),
@@ -203,21 +215,21 @@ def _pair(pair: Pair, places: int) -> tuple[str, ...]:
     )
 
 
-def _where(block: Block) -> str:
+def _where(block: PairedBlock) -> str:
     """What a table is of."""
     draws = f"{counted(block.seeds, 'seed')} x {counted(block.trajectories, 'path')}"
     return f"{block.robot}, {block.perturbation}, {draws}"
 
 
-def _names(block: Block) -> list[str]:
+def _names(block: PairedBlock) -> list[str]:
     """What tells the groups of a block apart."""
-    varies = [n for n in WAYS if len({one.names[n] for one in block.compared}) > 1]
+    varies = [n for n in COMPARED_COLUMNS if len({one.names[n] for one in block.compared}) > 1]
     return varies or ["controller"]
 
 
 def _value(one: Compared, name: str) -> float:
     """A typical error in mm; not finite where there is none."""
-    return MM * one.typical[name].value if name in one.typical else float("nan")
+    return MM_PER_M * one.typical[name].value if name in one.typical else float("nan")
 
 
 def _decimals(values: Sequence[float]) -> int:
@@ -225,10 +237,12 @@ def _decimals(values: Sequence[float]) -> int:
     known = [abs(value) for value in values if isfinite(value) and value != 0.0]
     if not known:
         return 1
-    return min(MOST_DECIMALS, max(0, DIGITS - 1 - floor(log10(min(known)))))
+    return min(DECIMALS_MAX, max(0, SIGNIFICANT_DIGITS - 1 - floor(log10(min(known)))))
 
 
-def _estimate(one: Estimate | None, factor: float, places: int, *, signed: bool = False) -> str:
+def _estimate(
+    one: IntervalEstimate | None, factor: float, places: int, *, signed: bool = False
+) -> str:
     """A number with its interval."""
     if one is None:
         return "-"
@@ -244,7 +258,7 @@ def _p(value: float | None) -> str:
     """A p; small ones only as such."""
     if value is None:
         return "-"
-    return f"<{P_SHOWN:g}" if value < P_SHOWN else f"{value:.3f}"
+    return f"<{P_VALUE_SHOWN_MIN:g}" if value < P_VALUE_SHOWN_MIN else f"{value:.3f}"
 
 
 def _milliseconds(value: float | None) -> str:
@@ -277,18 +291,18 @@ def _latex_table(sheet: Sheet) -> str:
     ])  # fmt: skip
 
 
-_LATEX = {
+_LATEX_ESCAPES = {
     "\\": r"\textbackslash{}", "_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#", "$": r"\$",
     "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
     "<": "$<$", ">": "$>$", "\u00b1": r"$\pm$",
 }  # fmt: skip
 
 
-_SIGNED = re.compile(r"(?<![\w.])([+-]\d[\d.]*)")
+_SIGNED_NUMBER_PATTERN = re.compile(r"(?<![\w.])([+-]\d[\d.]*)")
 
 
 def _latex_cell(text: str, bold: bool = False) -> str:
     """Text for LaTeX: special characters, and numbers with a true minus sign."""
-    done = "".join(_LATEX.get(character, character) for character in text)
-    done = _SIGNED.sub(r"$\1$", done)
+    done = "".join(_LATEX_ESCAPES.get(character, character) for character in text)
+    done = _SIGNED_NUMBER_PATTERN.sub(r"$\1$", done)
     return rf"\textbf{{{done}}}" if bold else done

@@ -26,13 +26,16 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.loop.consistency import POSE_SIZE, STATE_SIZE, band
-from carosac_toolkit.studies.run.rows import LATENCIES, Row
+from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS, Row
 
-WAYS = ("controller", "estimator", "suite")  # what is compared
-GROUP = ("robot", "controller", "estimator", "suite", "perturbation")
-PAIR = ("trajectory", "seed")  # with robot and perturbation: the same plant on the same path
-NAMES = ("x", "y", "z", "norm")
-_NUMBER = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
+COMPARED_COLUMNS = ("controller", "estimator", "suite")  # what is compared
+GROUP_COLUMNS = ("robot", "controller", "estimator", "suite", "perturbation")
+PAIR_COLUMNS = (
+    "trajectory",
+    "seed",
+)  # with robot and perturbation: the same plant on the same path
+AXIS_NAMES = ("x", "y", "z", "norm")
+_NUMBER_PATTERN = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,7 +55,7 @@ class StudyResults:
         """Rows of each robot, controller, estimator, suite and perturbation, in order."""
         found: dict[tuple[Any, ...], list[Row]] = {}
         for row in self.rows:
-            found.setdefault(tuple(row[name] for name in GROUP), []).append(row)
+            found.setdefault(tuple(row[name] for name in GROUP_COLUMNS), []).append(row)
         return list(found.values())
 
     @cached_property
@@ -63,7 +66,7 @@ class StudyResults:
     @cached_property
     def labels(self) -> list[str]:
         """Short names of the groups, all different: what they do not share."""
-        return self.labels_of(GROUP)
+        return self.labels_of(GROUP_COLUMNS)
 
     def labels_of(self, names: Sequence[str]) -> list[str]:
         """Names of the groups by those of some fields that they do not share."""
@@ -123,7 +126,7 @@ def reasons(rows: Sequence[Row]) -> dict[str, int]:
         if row["status"] == "ok":
             continue
         text = f"{str(row['status']).replace('_', ' ')}: {row['reason']}"
-        kind = shown.setdefault(_NUMBER.sub("#", text), text)
+        kind = shown.setdefault(_NUMBER_PATTERN.sub("#", text), text)
         counts[kind] = counts.get(kind, 0) + 1
     return dict(sorted(counts.items(), key=lambda pair: -pair[1]))
 
@@ -135,7 +138,7 @@ def _line(rows: Sequence[Row]) -> dict[str, Any]:
     inside = [_number(row, "centre_steps") for row in moved]
     outside = [all_steps - k for all_steps, k in zip(steps(moved), inside, strict=True)]
     return {
-        **{name: rows[0][name] for name in GROUP},
+        **{name: rows[0][name] for name in GROUP_COLUMNS},
         "cases": len(rows),
         "failures": len(rows) - len(good),
         "incomplete": sum(row.get("completed") is False for row in good),
@@ -154,14 +157,14 @@ def _line(rows: Sequence[Row]) -> dict[str, Any]:
         "residual_sway_m": pooled(moved, "residual_sway_m", [1.0] * len(moved)),
         "command_rmse_m": pooled(good, "command_rmse_m", steps(good)),
         "limited": int(sum(_number(row, "limited") for row in good)),
-        **{name: _middle(good, name) for name in LATENCIES},
+        **{name: _middle(good, name) for name in LATENCY_COLUMNS},
         "reasons": reasons(rows),
     }
 
 
 def _per_axis(rows: Sequence[Row], what: str) -> dict[str, float | None]:
     """Pooled error per axis and in norm [m]."""
-    return {axis: pooled(rows, f"{what}_rmse_{axis}_m", steps(rows)) for axis in NAMES}
+    return {axis: pooled(rows, f"{what}_rmse_{axis}_m", steps(rows)) for axis in AXIS_NAMES}
 
 
 def _mean(rows: Sequence[Row], name: str) -> float | None:

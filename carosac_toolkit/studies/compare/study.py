@@ -9,24 +9,24 @@ from typing import Any
 
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.studies.compare.checks import RECORDED, check_study
+from carosac_toolkit.studies.compare.checks import RECORDED_TRAJECTORY, check_study
 from carosac_toolkit.studies.compare.results import StudyResults
 from carosac_toolkit.studies.run.batching import Batching
 from carosac_toolkit.studies.run.case import Case, product
 from carosac_toolkit.studies.run.cluster import remote_client, usable_cores
-from carosac_toolkit.studies.run.engine import TIMEOUT, run_cases
+from carosac_toolkit.studies.run.engine import DEFAULT_TIMEOUT_S, run_cases
 from carosac_toolkit.studies.run.folder import free_folder
-from carosac_toolkit.studies.run.run_case import DRIVER, robot_digest
+from carosac_toolkit.studies.run.run_case import DEFAULT_DRIVER, robot_digest
 
-FUNCTION = "carosac_toolkit.studies.run.run_case:run_case"
-GROUP = "carosac_toolkit.studies.run.run_together:group_of"
-TOGETHER = "carosac_toolkit.studies.run.run_together:run_together"
-FOLDER = Path("carosac-results") / "compare"
-SEEDS = 10
+CASE_FUNCTION = "carosac_toolkit.studies.run.run_case:run_case"
+GROUPING_FUNCTION = "carosac_toolkit.studies.run.run_together:group_of"
+BATCH_FUNCTION = "carosac_toolkit.studies.run.run_together:run_together"
+DEFAULT_STUDY_FOLDER = Path("carosac-results") / "compare"
+DEFAULT_SEEDS = 10
 QUICK_SEEDS = 2
-CONTROLLERS = ("straight_line", "kinematic_solver")
-ESTIMATORS = ("kinematic_solver",)
-TRAJECTORIES = ("minimum_snap", "cubic_spline", "waypoints", "circle", "spiral")
+DEFAULT_CONTROLLERS = ("straight_line", "kinematic_solver")
+DEFAULT_ESTIMATORS = ("kinematic_solver",)
+DEFAULT_TRAJECTORIES = ("minimum_snap", "cubic_spline", "waypoints", "circle", "spiral")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,13 +62,13 @@ class Study:
     """
 
     robots: Sequence[str] = ("carosac",)
-    controllers: Sequence[str] = CONTROLLERS
-    estimators: Sequence[str] = ESTIMATORS
+    controllers: Sequence[str] = DEFAULT_CONTROLLERS
+    estimators: Sequence[str] = DEFAULT_ESTIMATORS
     suites: Sequence[str] = ("lengths",)
-    trajectories: Sequence[str] = TRAJECTORIES
+    trajectories: Sequence[str] = DEFAULT_TRAJECTORIES
     perturbations: Sequence[str] = ("nominal-1",)
-    seeds: int | Sequence[int] = SEEDS
-    driver: str = DRIVER
+    seeds: int | Sequence[int] = DEFAULT_SEEDS
+    driver: str = DEFAULT_DRIVER
     speed_max: float = 1.0
     acceleration_max: float = 1.0
     controller_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -77,7 +77,7 @@ class Study:
     output: str | Path | None = None
     scheduler: str | None = None
     workers: int | None = None
-    timeout: float = TIMEOUT
+    timeout: float = DEFAULT_TIMEOUT_S
     retry: Sequence[str] = ()
     batch: int = 1
 
@@ -85,13 +85,13 @@ class Study:
         """Turn lists into tuples; a name alone would be taken letter by letter."""
         for item in fields(self):
             value = getattr(self, item.name)
-            if item.name in ("seeds", "retry", *AXES) and not isinstance(value, int):
+            if item.name in ("seeds", "retry", *STUDY_AXES) and not isinstance(value, int):
                 if isinstance(value, str) or not isinstance(value, Sequence):
                     raise InvalidField(item.name, repr(value), "a list")
                 object.__setattr__(self, item.name, tuple(value))
         known = self.trajectories and set(self.trajectories) <= set(trajectories.NAMES)
         if self.driver == "replay" and known:  # `check` refuses all others
-            object.__setattr__(self, "trajectories", (RECORDED,))
+            object.__setattr__(self, "trajectories", (RECORDED_TRAJECTORY,))
         if isinstance(self.seeds, int) and (isinstance(self.seeds, bool) or self.seeds < 1):
             raise InvalidField("seeds", repr(self.seeds), "1 or more, or a list of seeds")
 
@@ -111,7 +111,7 @@ class Study:
             InvalidField: An axis is empty or names a value twice, or a value is not allowed.
         """
         cases = product(
-            **{name: getattr(self, name) for name in AXES},
+            **{name: getattr(self, name) for name in STUDY_AXES},
             seeds=self.seed_list,
             settings=self._settings(),
         )
@@ -131,7 +131,11 @@ class Study:
 
     def folder(self) -> Path:
         """Where the results go."""
-        return Path(self.output) if self.output is not None else free_folder(FOLDER, self.cases())
+        return (
+            Path(self.output)
+            if self.output is not None
+            else free_folder(DEFAULT_STUDY_FOLDER, self.cases())
+        )
 
     def run(self, *, progress: bool = True) -> StudyResults:
         """Check everything, run what is missing in the folder, and score.
@@ -145,7 +149,7 @@ class Study:
         self.check()
         folder = self.folder()
         rows = run_cases(
-            self.cases(), FUNCTION, folder=folder, scheduler=self.scheduler,
+            self.cases(), CASE_FUNCTION, folder=folder, scheduler=self.scheduler,
             workers=self._worker_count(), timeout=self.timeout, retry=self.retry,
             batching=self._batching(),
             progress=progress,
@@ -156,7 +160,7 @@ class Study:
         """How cases run together."""
         if self.batch == 1:
             return None
-        return Batching(group=GROUP, function=TOGETHER, size=self.batch)
+        return Batching(group=GROUPING_FUNCTION, function=BATCH_FUNCTION, size=self.batch)
 
     def _worker_count(self) -> int | None:
         """Workers to ask for: code from outside never runs in this process unless asked to.
@@ -190,4 +194,4 @@ class Study:
         return settings
 
 
-AXES = ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations")
+STUDY_AXES = ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations")

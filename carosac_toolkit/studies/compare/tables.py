@@ -6,9 +6,9 @@ import textwrap
 from typing import Any
 
 from carosac_toolkit.base.tables import Rows, counted, fit
-from carosac_toolkit.studies.compare.results import NAMES, StudyResults
+from carosac_toolkit.studies.compare.results import AXIS_NAMES, StudyResults
 
-UNITS = (
+ERROR_TABLE_CAPTION = (
     "Errors in mm. x, y, z, norm: RMSE of the tracking error, all steps of all cases; std: "
     "standard deviation of the norm from case to case; centre: in the middle half of each side "
     "of the workspace box, boundary: the rest; estimate: RMSE of the estimation error in norm; "
@@ -16,30 +16,30 @@ UNITS = (
     "3 s after the end; failed: cases without a score; cycle: latency of estimator and "
     "controller, 95th percentile."
 )
-CONSISTENCY = (
+CONSISTENCY_CAPTION = (
     " NEES: normalised estimation error squared, of pose (6) and of pose and twist (12); NIS: "
     "normalised innovation squared; each over its degrees of freedom, mean over all cases: 1 is "
     "right. + is above the band that 95 % of the means of as many independent draws as there are "
     "seeds lie in: the estimator is too sure of itself; - is below. rejected: cycles in which a "
     "measurement was not believed."
 )
-COLUMNS = (
-    *NAMES, "std", "centre", "boundary", "estimate", "p95", "turn", "sway", "failed",
+ERROR_TABLE_COLUMNS = (
+    *AXIS_NAMES, "std", "centre", "boundary", "estimate", "p95", "turn", "sway", "failed",
     "cycle [ms]",
 )  # fmt: skip
-GROUPS = (3, 2, 2, 3, 2, 1)  # columns that stay together
-SQUARES = {"nees_pose": "NEES 6", "nees": "NEES 12", "nis": "NIS"}
+COLUMN_GROUPS = (3, 2, 2, 3, 2, 1)  # columns that stay together
+CONSISTENCY_TITLES = {"nees_pose": "NEES 6", "nees": "NEES 12", "nis": "NIS"}
 REASONS_SHOWN = 3  # of a group
 
 
 def header(results: StudyResults) -> tuple[str, ...]:
     """Titles of the columns."""
-    return (*_names(results), *COLUMNS, *_consistency_columns(results))
+    return (*_names(results), *ERROR_TABLE_COLUMNS, *_consistency_columns(results))
 
 
 def units(results: StudyResults) -> str:
     """What the columns mean."""
-    return UNITS + (CONSISTENCY if _consistency_columns(results) else "")
+    return ERROR_TABLE_CAPTION + (CONSISTENCY_CAPTION if _consistency_columns(results) else "")
 
 
 def rows(results: StudyResults) -> Rows:
@@ -61,7 +61,7 @@ def text_table(results: StudyResults, width: int) -> str:
     left = name_columns(results)
     widths = [max(len(line[i]) for line in [titles, *cells]) for i in range(len(titles))]
     more = len(_consistency_columns(results))
-    groups = (*GROUPS, more) if more else GROUPS
+    groups = (*COLUMN_GROUPS, more) if more else COLUMN_GROUPS
     ends = [left + sum(groups[: k + 1]) for k in range(len(groups))]
     starts = zip([left, *ends], ends, strict=False)
     numbers = max(sum(w + 2 for w in widths[first:end]) for first, end in starts)
@@ -113,7 +113,7 @@ def _cells(line: dict[str, Any]) -> list[str]:
     """Numbers of one group."""
     tracking, turn = line["tracking_rmse_m"], line["orientation_rmse_rad"]
     lengths = [
-        *(tracking[axis] for axis in NAMES), line["tracking_std_m"], line["tracking_centre_m"],
+        *(tracking[axis] for axis in AXIS_NAMES), line["tracking_std_m"], line["tracking_centre_m"],
         line["tracking_boundary_m"], line["estimation_rmse_m"]["norm"], line["estimation_p95_m"],
         turn, line["residual_sway_m"],
     ]  # fmt: skip
@@ -124,7 +124,9 @@ def _cells(line: dict[str, Any]) -> list[str]:
 
 def _consistency_columns(results: StudyResults) -> list[str]:
     """Titles of the columns on covariances, where any estimator has one."""
-    titles = [title for name, title in SQUARES.items() if any(x[name] for x in results.summary)]
+    titles = [
+        title for name, title in CONSISTENCY_TITLES.items() if any(x[name] for x in results.summary)
+    ]
     rejects = any(line["rejected_share"] is not None for line in results.summary)
     return titles + (["rejected"] if rejects else [])
 
@@ -134,7 +136,7 @@ def _consistency_cells(results: StudyResults) -> list[list[str]]:
     titles = _consistency_columns(results)
     cells = []
     for line in results.summary:
-        shown = {title: _square(line[name]) for name, title in SQUARES.items()}
+        shown = {title: _square(line[name]) for name, title in CONSISTENCY_TITLES.items()}
         share = line["rejected_share"]
         shown["rejected"] = "-" if share is None else f"{100.0 * share:.1f} %"
         cells.append([shown[title] for title in titles])

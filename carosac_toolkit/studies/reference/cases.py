@@ -16,14 +16,14 @@ from carosac_toolkit.studies.compare.study import Study
 from carosac_toolkit.studies.run.case import canonical
 from carosac_toolkit.studies.run.run_case import robot_digest
 
-LATEST = "reference-1"
-NEWEST = "reference"  # the name of whatever is the latest
-QUICK_SEEDS = 2
+LATEST_SUITE = "reference-1"
+LATEST_SUITE_ALIAS = "reference"  # the name of whatever is the latest
+REFERENCE_QUICK_SEEDS = 2
 TRACKING, ESTIMATION = "tracking", "estimation"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Task:
+class SuiteTask:
     """One study of a suite: a part of it on one robot.
 
     Attributes:
@@ -63,9 +63,9 @@ class ReferenceSuite:
         """
         from carosac_toolkit.base.yaml import load_yaml
 
-        name = LATEST if name == NEWEST else name
+        name = LATEST_SUITE if name == LATEST_SUITE_ALIAS else name
         if name not in suites():
-            allowed = f"one of {[NEWEST, *suites()]}; sensors are chosen with --suites"
+            allowed = f"one of {[LATEST_SUITE_ALIAS, *suites()]}; sensors are chosen with --suites"
             raise InvalidField("suite", repr(name), allowed)
         data = load_yaml(_file(name).read_text(encoding="utf-8"))
         return cls(name=name, definition=data)
@@ -84,14 +84,14 @@ class ReferenceSuite:
     def quick(self) -> ReferenceSuite:
         """Two seeds of one trajectory: another definition, to see that all runs."""
         fewer = {
-            "seeds": self.definition["seeds"][:QUICK_SEEDS],
+            "seeds": self.definition["seeds"][:REFERENCE_QUICK_SEEDS],
             "trajectories": self.definition["trajectories"][:1],
         }
         return replace(self, name=f"{self.name}-quick", definition={**self.definition, **fewer})
 
     def tasks(
         self, controllers: Sequence[str] = (), estimators: Sequence[str] = (), **more: Any
-    ) -> list[Task]:
+    ) -> list[SuiteTask]:
         """The studies of the suite, or those that some entries need.
 
         Args:
@@ -103,7 +103,7 @@ class ReferenceSuite:
         entries = {TRACKING: tuple(controllers), ESTIMATION: tuple(estimators)}
         everything = not any(entries.values())
         return [
-            Task(part=part, robot=robot, study=self._study(part, robot, entries[part], more))
+            SuiteTask(part=part, robot=robot, study=self._study(part, robot, entries[part], more))
             for part in self.definition["parts"]
             for robot in self.definition["robots"]
             if everything or any(self._may_run(name, robot) for name in entries[part])

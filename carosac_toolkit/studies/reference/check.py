@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from carosac_toolkit.studies.compare.paired import ERRORS
+from carosac_toolkit.studies.compare.paired import ERROR_COLUMNS
 from carosac_toolkit.studies.compare.pairs import typical_value
 from carosac_toolkit.studies.run.rows import Row
 
-SHARE = 0.05  # of a typical error, by which two machines may differ
-MISSING = "not there"  # instead of a status
-FLOOR = 1e-3  # [m]: smaller differences are none
+MACHINE_DIFFERENCE_RATIO = 0.05  # of a typical error, by which two machines may differ
+MISSING_STATUS = "not there"  # instead of a status
+DIFFERENCE_MIN_M = 1e-3  # [m]: smaller differences are none
 
 Way = tuple[str, str, str, str]  # part, robot, controller, estimator
 
@@ -34,10 +34,12 @@ class Difference:
 
     @property
     def agrees(self) -> bool:
-        """Whether they differ by no more than `SHARE`, or `FLOOR`."""
+        """Whether they differ by no more than `MACHINE_DIFFERENCE_RATIO`, or `DIFFERENCE_MIN_M`."""
         if self.here is None or self.there is None:
             return self.here is self.there
-        return abs(self.here - self.there) <= max(FLOOR, SHARE * abs(self.there))
+        return abs(self.here - self.there) <= max(
+            DIFFERENCE_MIN_M, MACHINE_DIFFERENCE_RATIO * abs(self.there)
+        )
 
     def sentence(self) -> str:
         """What differs."""
@@ -52,7 +54,7 @@ class Difference:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Agreement:
+class SuiteAgreement:
     """How far two runs agree.
 
     Attributes:
@@ -81,22 +83,22 @@ class Agreement:
         return max(shares, default=0.0)
 
 
-def agreement(rows: Sequence[Row], others: Sequence[Row]) -> Agreement:
+def agreement(rows: Sequence[Row], others: Sequence[Row]) -> SuiteAgreement:
     """Compare rows, each with its ``part``, of a new run with those of another one."""
     here, there = _by_way(rows), _by_way(others)
     shared = [way for way in there if way in here]
-    return Agreement(
+    return SuiteAgreement(
         differences=tuple(
             Difference(way=way, error=name, here=typical_value(here[way], column),
                        there=typical_value(there[way], column))
-            for way in shared for name, column in ERRORS.items()
+            for way in shared for name, column in ERROR_COLUMNS.items()
         ),
         failures=tuple(
             f"{way[0]}, {way[1]}, {way[2]} with {way[3]}: {path}, seed {seed}: {one}, published "
             f"{other}"
             for way in shared
             for (path, seed), one, other in _statuses(here[way], there[way])
-            if (one == "ok", one == MISSING) != (other == "ok", other == MISSING)
+            if (one == "ok", one == MISSING_STATUS) != (other == "ok", other == MISSING_STATUS)
         ),
         missing=tuple(way for way in there if way not in here),
     )  # fmt: skip
@@ -119,4 +121,7 @@ def _statuses(rows: Sequence[Row], others: Sequence[Row]) -> list[tuple[tuple[st
         {(str(r["trajectory"]), int(r["seed"] or 0)): str(r["status"]) for r in group}
         for group in (rows, others)
     )
-    return [(key, one.get(key, MISSING), other.get(key, MISSING)) for key in {**other, **one}]
+    return [
+        (key, one.get(key, MISSING_STATUS), other.get(key, MISSING_STATUS))
+        for key in {**other, **one}
+    ]

@@ -13,20 +13,20 @@ from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile, MissingFile
-from carosac_toolkit.studies.compare.paired import Block, paired_blocks
+from carosac_toolkit.studies.compare.paired import PairedBlock, paired_blocks
 from carosac_toolkit.studies.compare.paper_tables import explanation, markdown_table, sheets
-from carosac_toolkit.studies.compare.results import WAYS, StudyResults
-from carosac_toolkit.studies.reference.cases import TRACKING, ReferenceSuite, Task
-from carosac_toolkit.studies.run.rows import STATUSES, Row
+from carosac_toolkit.studies.compare.results import COMPARED_COLUMNS, StudyResults
+from carosac_toolkit.studies.reference.cases import TRACKING, ReferenceSuite, SuiteTask
+from carosac_toolkit.studies.run.rows import CASE_STATUSES, Row
 
 RESULTS, RECORD, TABLES = "results.csv", "reference.json", "tables.md"
-SCHEMA = "carosac-reference/1"
-PUBLISHED = "published"
-TEXT = (
+REFERENCE_SCHEMA = "carosac-reference/1"
+PUBLISHED_LABEL = "published"
+TEXT_COLUMNS = (
     "part", "robot", "controller", "estimator", "suite", "perturbation", "trajectory", "seed",
     "status", "reason",
 )  # fmt: skip
-NUMBERS = (
+NUMBER_COLUMNS = (
     "tracking_rmse_x_m", "tracking_rmse_y_m", "tracking_rmse_z_m", "tracking_rmse_norm_m",
     "tracking_centre_m", "tracking_boundary_m", "residual_sway_m", "estimation_rmse_x_m",
     "estimation_rmse_y_m", "estimation_rmse_z_m", "estimation_rmse_norm_m",
@@ -48,13 +48,13 @@ class PartResults:
         results: Its rows, with those of others where they were asked for.
     """
 
-    task: Task
+    task: SuiteTask
     results: StudyResults
 
     @cached_property
-    def blocks(self) -> list[Block]:
+    def blocks(self) -> list[PairedBlock]:
         """Its paired comparisons with its baseline."""
-        labels = zip(self.results.labels_of(WAYS), self.results.summary, strict=True)
+        labels = zip(self.results.labels_of(COMPARED_COLUMNS), self.results.summary, strict=True)
         wanted = self.task.baseline
         names = [x for x, line in labels if (line["controller"], line["estimator"]) == wanted]
         return paired_blocks(self.results, names[0])
@@ -69,12 +69,12 @@ def write_rows(parts: Sequence[PartResults]) -> str:
     """Rows of all parts as CSV: six digits of each number, one row per case."""
     stream = io.StringIO()
     writer: Any = csv.writer(stream, lineterminator="\n")
-    writer.writerow((*TEXT, *NUMBERS))
+    writer.writerow((*TEXT_COLUMNS, *NUMBER_COLUMNS))
     for part in parts:
         for row in part.rows:
             known = {**row, "reason": row["reason"] or ""}
-            cells = [str(known[name]).replace("\n", " ") for name in TEXT]
-            writer.writerow([*cells, *(_digits(row.get(name)) for name in NUMBERS)])
+            cells = [str(known[name]).replace("\n", " ") for name in TEXT_COLUMNS]
+            writer.writerow([*cells, *(_digits(row.get(name)) for name in NUMBER_COLUMNS)])
     return stream.getvalue()
 
 
@@ -87,7 +87,9 @@ def read_rows(folder: Path) -> list[Row]:
     """
     path = folder / RESULTS
     reader = csv.DictReader(io.StringIO(_text(path)))
-    missing = [name for name in (*TEXT, *NUMBERS) if name not in (reader.fieldnames or ())]
+    missing = [
+        name for name in (*TEXT_COLUMNS, *NUMBER_COLUMNS) if name not in (reader.fieldnames or ())
+    ]
     if missing:
         raise InvalidFile(path, [f"header: got no {', '.join(missing)}; allowed: all columns"])
     rows, faults = [], []
@@ -114,8 +116,8 @@ def read_record(folder: Path) -> dict[str, Any]:
     except ValueError as error:
         raise InvalidFile(path, [f"this is no JSON: {error}"]) from error
     schema = found.get("schema") if isinstance(found, dict) else None
-    if schema != SCHEMA:
-        raise InvalidFile(path, [f"schema: got {schema!r}; allowed: {SCHEMA!r}"])
+    if schema != REFERENCE_SCHEMA:
+        raise InvalidFile(path, [f"schema: got {schema!r}; allowed: {REFERENCE_SCHEMA!r}"])
     faults = [
         f"{name}: got {found.get(name)!r}; allowed: a text"
         for name in ("suite", "digest")
@@ -159,7 +161,7 @@ def with_published(part: PartResults, rows: Sequence[Row]) -> PartResults:
     """
     here = {_way(row) for row in part.results.rows}
     others = [
-        row | {_axis(part): f"{row[_axis(part)]} ({PUBLISHED})"}
+        row | {_axis(part): f"{row[_axis(part)]} ({PUBLISHED_LABEL})"}
         for row in rows
         if (row["part"], row["robot"]) == (part.task.part, part.task.robot)
         and _way(row) not in here
@@ -183,7 +185,7 @@ def record(
 ) -> dict[str, Any]:
     """What results are of, and their paired comparisons."""
     return {
-        "schema": SCHEMA,
+        "schema": REFERENCE_SCHEMA,
         "suite": suite.name,
         "digest": suite.digest,
         "command": command,
@@ -214,14 +216,17 @@ def _row(line: Mapping[str, str | None]) -> Row:
     Raises:
         InvalidField: A cell that is missing, or none of its kind.
     """
-    cells = {name: line[name] for name in (*TEXT, *NUMBERS)}
+    cells = {name: line[name] for name in (*TEXT_COLUMNS, *NUMBER_COLUMNS)}
     short = [name for name, cell in cells.items() if cell is None]
     if short:
         raise InvalidField(short[0], "nothing", "a cell in each column")
-    row: Row = {name: cells[name] for name in TEXT}
-    if row["status"] not in STATUSES:
-        raise InvalidField("status", repr(row["status"]), f"one of {list(STATUSES)}")
-    row |= {name: _number(name, cell, float) if (cell := cells[name]) else None for name in NUMBERS}
+    row: Row = {name: cells[name] for name in TEXT_COLUMNS}
+    if row["status"] not in CASE_STATUSES:
+        raise InvalidField("status", repr(row["status"]), f"one of {list(CASE_STATUSES)}")
+    row |= {
+        name: _number(name, cell, float) if (cell := cells[name]) else None
+        for name in NUMBER_COLUMNS
+    }
     seed = _number("seed", cells["seed"] or "", int)
     return row | {"seed": seed, "reason": cells["reason"] or None, "settings": "{}"}
 

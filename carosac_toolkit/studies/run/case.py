@@ -49,7 +49,7 @@ class Case:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in NAMES:
+        for name in CASE_COLUMNS:
             if not isinstance(getattr(self, name), str) or not getattr(self, name):
                 raise InvalidField(name, repr(getattr(self, name)), "a name")
         if not isinstance(self.seed, int) or isinstance(self.seed, bool) or self.seed < 0:
@@ -79,11 +79,11 @@ class Case:
     @cached_property
     def rng_seed(self) -> int:
         """Seed of all other draws, those of controller and estimator: depends on all names."""
-        return self._seed_from("case", *NAMES, "seed")
+        return self._seed_from("case", *CASE_COLUMNS, "seed")
 
     def to_dict(self) -> dict[str, Any]:
         """All fields, as JSON values."""
-        return {**{name: getattr(self, name) for name in (*NAMES, "seed")},
+        return {**{name: getattr(self, name) for name in (*CASE_COLUMNS, "seed")},
                 "settings": dict(self.settings)}  # fmt: skip
 
     @classmethod
@@ -105,7 +105,7 @@ class Case:
         return Case.from_dict, (self.to_dict(),)
 
 
-NAMES = tuple(item.name for item in fields(Case) if item.name not in ("seed", "settings"))
+CASE_COLUMNS = tuple(item.name for item in fields(Case) if item.name not in ("seed", "settings"))
 
 
 def product(
@@ -136,7 +136,7 @@ def product(
     for axis, values in axes.items():
         if isinstance(values, str) or not values or len(set(values)) < len(values):
             raise InvalidField(axis, repr(values), "a list of one or more different values")
-    names = (*NAMES, "seed")
+    names = (*CASE_COLUMNS, "seed")
     return [
         Case(**dict(zip(names, values, strict=True)), settings=settings or {})
         for values in combinations(*axes.values())

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-_START = re.compile(r"^start (\S+)\n", re.MULTILINE)
+_START_LINE_PATTERN = re.compile(r"^start (\S+)\n", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ def read_death(note: Path) -> Death | None:
         text, changed = note.read_text(encoding="utf-8", errors="replace"), note.stat().st_mtime
     except FileNotFoundError:
         return None
-    _, *parts = _START.split(text)  # time, message, time, message, ...
+    _, *parts = _START_LINE_PATTERN.split(text)  # time, message, time, message, ...
     if not parts:
         return None
     started, message = parts[-2:]

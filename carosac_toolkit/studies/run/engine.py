@@ -12,7 +12,7 @@ from carosac_toolkit.studies.run.batching import Batching
 from carosac_toolkit.studies.run.case import Case
 from carosac_toolkit.studies.run.cluster import local_client, remote_client, usable_cores
 from carosac_toolkit.studies.run.dispatch import Dispatcher
-from carosac_toolkit.studies.run.execution import Task, find_function, rows_of
+from carosac_toolkit.studies.run.execution import WorkerTask, find_function, rows_of
 from carosac_toolkit.studies.run.folder import (
     StudyFolder,
     check_statuses,
@@ -23,9 +23,9 @@ from carosac_toolkit.studies.run.folder import (
 from carosac_toolkit.studies.run.progress import Progress
 from carosac_toolkit.studies.run.rows import Row
 
-HANDFUL = 4  # cases that are not worth a process of their own
-FLUSH_INTERVAL = 1.0  # [s] between two files of rows
-TIMEOUT = 600.0  # [s]
+SERIAL_CASES_MAX = 4  # cases that are not worth a process of their own
+FLUSH_INTERVAL_S = 1.0  # [s] between two files of rows
+DEFAULT_TIMEOUT_S = 600.0  # [s]
 
 
 def run_cases(
@@ -35,7 +35,7 @@ def run_cases(
     folder: str | Path,
     scheduler: str | None = None,
     workers: int | None = None,
-    timeout: float = TIMEOUT,
+    timeout: float = DEFAULT_TIMEOUT_S,
     attempts: int = 3,
     retry: Collection[str] = (),
     again: Collection[str] = (),
@@ -122,12 +122,12 @@ def _tasks(
     notes: str,
     own_folder: str,
     batching: Batching | None,
-) -> list[Task]:
+) -> list[WorkerTask]:
     """What workers are sent."""
     parts = batching.parts([case for case, _ in todo]) if batching else [[x] for x, _ in todo]
     limits = {case.identity: limit for case, limit in todo}
     return [
-        Task(
+        WorkerTask(
             cases=tuple(case.to_dict() for case in part),
             identities=tuple(case.identity for case in part),
             function=function,
@@ -143,7 +143,7 @@ def _tasks(
 
 def _on_workers(
     stack: ExitStack,
-    tasks: Sequence[Task],
+    tasks: Sequence[WorkerTask],
     scheduler: str | None,
     count: int,
     say: Callable[[str], None],
@@ -161,7 +161,7 @@ def _keep(batches: Iterable[list[Row]], store: StudyFolder, bar: Progress) -> No
         for rows in batches:
             pending += rows
             bar.add(rows)
-            if time.monotonic() - flushed >= FLUSH_INTERVAL:
+            if time.monotonic() - flushed >= FLUSH_INTERVAL_S:
                 ready, pending = pending, []  # never twice: an interrupted write is not repeated
                 store.append(ready)
                 flushed = time.monotonic()
@@ -208,4 +208,4 @@ def _worker_count(workers: int | None, asked: int, left: int) -> int:
     """Number of local workers; the handful is counted over the study, not over what is left."""
     if workers is not None:
         return min(workers, left)
-    return 0 if asked <= HANDFUL else min(usable_cores(), left)
+    return 0 if asked <= SERIAL_CASES_MAX else min(usable_cores(), left)

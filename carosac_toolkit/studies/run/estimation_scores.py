@@ -17,8 +17,8 @@ from carosac_toolkit.loop.consistency import (
 from carosac_toolkit.loop.loop import Log
 from carosac_toolkit.loop.values import Belief, State
 
-QUANTILE = 0.95
-NAMES = (
+UPPER_QUANTILE = 0.95
+ESTIMATION_COLUMNS = (
     "orientation_rmse_rad", "estimation_p95_m", "orientation_p95_rad", "nees_pose", "nees",
     "nees_pose_p95", "covariance_faults", "nis", "nis_dof", "rejected_share",
 )  # fmt: skip
@@ -31,7 +31,7 @@ def estimation_scores(log: Log) -> dict[str, Any]:
         log: What happened.
 
     Returns:
-        All of `NAMES`, None where it is not known:
+        All of `ESTIMATION_COLUMNS`, None where it is not known:
 
         * root mean square of the angle between believed and true orientation [rad], and 95th
           percentiles of the error in position [m] and orientation [rad];
@@ -42,7 +42,7 @@ def estimation_scores(log: Log) -> dict[str, Any]:
         * normalised innovation squared over its degrees of freedom, the mean degrees of freedom of
           a cycle with measurements, and the share of cycles in which any was rejected.
     """
-    row: dict[str, Any] = dict.fromkeys(NAMES)
+    row: dict[str, Any] = dict.fromkeys(ESTIMATION_COLUMNS)
     if log.innovations is not None:
         row |= _innovation_scores(log.innovations)
     if log.position is None or log.rotation is None:
@@ -51,8 +51,8 @@ def estimation_scores(log: Log) -> dict[str, Any]:
     distance, angle = (np.linalg.norm(error[:, k : k + 3], axis=1) for k in (0, 3))
     row |= {
         "orientation_rmse_rad": float(np.sqrt((angle**2).mean())),
-        "estimation_p95_m": float(np.quantile(distance, QUANTILE)),
-        "orientation_p95_rad": float(np.quantile(angle, QUANTILE)),
+        "estimation_p95_m": float(np.quantile(distance, UPPER_QUANTILE)),
+        "orientation_p95_rad": float(np.quantile(angle, UPPER_QUANTILE)),
     }
     if log.belief_covariance is None:
         return row
@@ -93,7 +93,7 @@ def _consistency(error: Array, covariance: Array) -> dict[str, Any]:
         squares = normalised_square(error[usable, :size], block[usable])
         row[name] = float(squares.mean())
         if name == "nees_pose":
-            row["nees_pose_p95"] = float(np.quantile(squares, QUANTILE))
+            row["nees_pose_p95"] = float(np.quantile(squares, UPPER_QUANTILE))
     return row
 
 

@@ -17,7 +17,9 @@ from carosac_toolkit.studies.run.crash_notes import Death, noted, read_death
 from carosac_toolkit.studies.run.rows import Row, checked_values, make_row
 from carosac_toolkit.studies.run.time_limit import CaseTimeout, TimeLimit
 
-GRACE = 5.0  # [s] a case has to stop by itself when its time is up, if its limit is no shorter
+STOP_GRACE_S = (
+    5.0  # [s] a case has to stop by itself when its time is up, if its limit is no shorter
+)
 
 CaseFunction = Callable[..., Any]  # of a case, or of several at once
 
@@ -27,7 +29,7 @@ class UnfitWorker(CarosacError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Task:
+class WorkerTask:
     """What a worker is sent: a case, or several that run together.
 
     Attributes:
@@ -57,7 +59,7 @@ class Task:
         count = len(self.cases)
         return self.identities[0] + (f"-and-{count - 1}" if count > 1 else "")
 
-    def alone(self) -> list[Task]:
+    def alone(self) -> list[WorkerTask]:
         """A task for each case."""
         return [
             replace(self, cases=(case,), identities=(identity,))
@@ -66,7 +68,7 @@ class Task:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Done:
+class WorkerAnswer:
     """What a worker answers.
 
     Attributes:
@@ -100,7 +102,7 @@ def find_function(name: str) -> CaseFunction:
     return function  # type: ignore[no-any-return]
 
 
-def run_attempt(case: Case, task: Task) -> Row:
+def run_attempt(case: Case, task: WorkerTask) -> Row:
     """Run a case of a task in this thread.
 
     Returns:
@@ -147,7 +149,7 @@ def run_attempt_together(cases: Sequence[Case], function: str, timeout: float) -
         return []
 
 
-def rows_of(task: Task) -> list[Row]:
+def rows_of(task: WorkerTask) -> list[Row]:
     """Run a task in this process, which shares the fate of its cases."""
     cases = [Case.from_dict(fields) for fields in task.cases]
     rows = []
@@ -156,7 +158,7 @@ def rows_of(task: Task) -> list[Row]:
     return rows or [run_attempt(case, task) for case in cases]
 
 
-def run_task(task: Task) -> Done:
+def run_task(task: WorkerTask) -> WorkerAnswer:
     """Run a task in a worker process that it has for itself.
 
     Raises:
@@ -168,10 +170,10 @@ def run_task(task: Task) -> Done:
         rows = _batch_of_task(cases, task)
     else:
         rows = [_row_of_task(cases[0], task)]
-    return Done(identity=task.identity, rows=rows)
+    return WorkerAnswer(identity=task.identity, rows=rows)
 
 
-def _row_of_task(case: Case, task: Task) -> Row:
+def _row_of_task(case: Case, task: WorkerTask) -> Row:
     """Run a case, unless it has cost too many processes."""
     if not Path(task.notes).is_dir():  # a file system of its own: the scheduler counts deaths
         return run_attempt(case, task)
@@ -180,11 +182,11 @@ def _row_of_task(case: Case, task: Task) -> Row:
     if death is not None and (death.timed_out or death.attempts >= task.attempts):
         note.unlink(missing_ok=True)
         return _row_of_death(case, death, task.timeout)
-    with noted(note, task.timeout + min(GRACE, task.timeout)):
+    with noted(note, task.timeout + min(STOP_GRACE_S, task.timeout)):
         return run_attempt(case, task)
 
 
-def _batch_of_task(cases: Sequence[Case], task: Task) -> list[Row]:
+def _batch_of_task(cases: Sequence[Case], task: WorkerTask) -> list[Row]:
     """Run cases together, unless that has cost a process already."""
     timeout = task.timeout * len(cases)
     if not Path(task.notes).is_dir():
@@ -193,7 +195,7 @@ def _batch_of_task(cases: Sequence[Case], task: Task) -> list[Row]:
     if read_death(note) is not None:
         note.unlink(missing_ok=True)
         return []
-    with noted(note, timeout + min(GRACE, timeout)):
+    with noted(note, timeout + min(STOP_GRACE_S, timeout)):
         return run_attempt_together(cases, task.together, timeout)
 
 
@@ -205,7 +207,7 @@ def crashed_row(case: Case, deaths: int, cause: str = "", wall_time: float = 0.0
     return make_row(case, "crashed", reason=reason, wall_time=wall_time)
 
 
-def _own_folder(task: Task) -> tuple[Path, ...]:
+def _own_folder(task: WorkerTask) -> tuple[Path, ...]:
     """The folder that the function takes, if it does, as this machine has it."""
     if not task.own_folder:
         return ()
@@ -235,7 +237,7 @@ def _row_of_death(case: Case, death: Death, timeout: float) -> Row:
     return make_row(case, "timed_out", reason=reason, wall_time=death.wall_time)
 
 
-def _check_worker(cases: Sequence[Case], task: Task) -> None:
+def _check_worker(cases: Sequence[Case], task: WorkerTask) -> None:
     """Refuse a worker that is not like the sender."""
     from distributed import get_worker
 

@@ -7,10 +7,10 @@ import time
 from collections.abc import Callable, Iterable
 from typing import TextIO
 
-from carosac_toolkit.studies.run.rows import STATUSES, Row
+from carosac_toolkit.studies.run.rows import CASE_STATUSES, Row
 
-TERMINAL_INTERVAL = 0.5  # [s] between two updates of the line on a terminal
-PLAIN_INTERVAL = 10.0  # [s] between two lines elsewhere
+TERMINAL_INTERVAL_S = 0.5  # [s] between two updates of the line on a terminal
+PLAIN_INTERVAL_S = 10.0  # [s] between two lines elsewhere
 
 
 class Progress:
@@ -36,9 +36,9 @@ class Progress:
         self._stream = stream or sys.stderr
         self._quiet = quiet
         self._terminal = self._stream.isatty()
-        self._interval = TERMINAL_INTERVAL if self._terminal else PLAIN_INTERVAL
+        self._interval = TERMINAL_INTERVAL_S if self._terminal else PLAIN_INTERVAL_S
         self._total = total
-        self._counts = dict.fromkeys(STATUSES, 0)
+        self._counts = dict.fromkeys(CASE_STATUSES, 0)
         self._count(done)
         self._before = self._told = self.finished
         self._start = self._shown = time.monotonic()
@@ -82,7 +82,7 @@ class Progress:
             text += f", {100.0 * share:.0f} %"
         if self.finished < self._total and left > 0.0 and new > 0.0:
             text += f", {_clock(elapsed / new * left)} to go"
-        bad = [f"{self._counts[name]} {name.replace('_', ' ')}" for name in STATUSES[1:]
+        bad = [f"{self._counts[name]} {name.replace('_', ' ')}" for name in CASE_STATUSES[1:]
                if self._counts[name]]  # fmt: skip
         return ", ".join([text, *bad])
 

@@ -12,15 +12,17 @@ from carosac_toolkit.base.errors import InvalidFile
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.studies.run.rows import Row, column_kinds, in_common_columns
 
-PATTERN = "part-*.parquet"
-LARGE = 10_000  # rows of a part that is not merged any more
+PART_FILE_PATTERN = "part-*.parquet"
+LARGE_PART_ROWS_MIN = 10_000  # rows of a part that is not merged any more
 READ_ATTEMPTS = 5
-_JSON = {b"carosac": b"json"}  # marks a column of JSON texts: its values are of several types
+_JSON_METADATA = {
+    b"carosac": b"json"
+}  # marks a column of JSON texts: its values are of several types
 
 
 def part_files(folder: Path) -> list[Path]:
     """All parts, oldest first."""
-    return sorted(folder.glob(PATTERN))
+    return sorted(folder.glob(PART_FILE_PATTERN))
 
 
 def write_part(folder: Path, rows: Sequence[Row]) -> Path:
@@ -98,7 +100,7 @@ def merge_parts(folder: Path, known: Collection[str]) -> None:
     merged: list[Path] = []
     for path in part_files(folder):
         part = read_part(path)
-        if len(part) < LARGE and all(row["case"] in known for row in part):
+        if len(part) < LARGE_PART_ROWS_MIN and all(row["case"] in known for row in part):
             merged.append(path)
             for row in part:
                 rows.setdefault(str(row["case"]), row)
@@ -130,7 +132,7 @@ def _table(rows: Sequence[Row]) -> Any:
         metadata = None
         if len(column_kinds(rows, name)) > 1 or any(_is_huge(value) for value in values):
             values = [None if value is None else json.dumps(value) for value in values]
-            metadata = _JSON
+            metadata = _JSON_METADATA
         array = pa.array(values)
         arrays.append(array)
         fields.append(pa.field(name, array.type, metadata=metadata))

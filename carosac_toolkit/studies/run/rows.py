@@ -7,16 +7,20 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Literal, get_args
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.studies.run.case import NAMES, Case, canonical
+from carosac_toolkit.studies.run.case import CASE_COLUMNS, Case, canonical
 
 Value = bool | int | float | str | None
 Row = dict[str, Value]
 Status = Literal["ok", "failed", "crashed", "timed_out"]
 
-STATUSES: tuple[str, ...] = get_args(Status)
-OWN_COLUMNS = ("case", "status", "reason", *NAMES, "seed", "settings", "wall_time_s")
-LATENCIES = ("latency_median_s", "latency_p95_s", "latency_p99_s")  # of one run; none in a batch
-REASON_LENGTH = 1000  # characters kept of a message
+CASE_STATUSES: tuple[str, ...] = get_args(Status)
+OWN_COLUMNS = ("case", "status", "reason", *CASE_COLUMNS, "seed", "settings", "wall_time_s")
+LATENCY_COLUMNS = (
+    "latency_median_s",
+    "latency_p95_s",
+    "latency_p99_s",
+)  # of one run; none in a batch
+REASON_CHARACTERS_MAX = 1000  # characters kept of a message
 
 
 class BadRow(CarosacError):
@@ -42,7 +46,7 @@ def make_row(
         values: What the case function returned, as `checked_values` lets it through.
     """
     row: Row = {"case": case.identity, "status": status, "reason": _shortened(reason)}
-    row |= {name: getattr(case, name) for name in (*NAMES, "seed")}
+    row |= {name: getattr(case, name) for name in (*CASE_COLUMNS, "seed")}
     row |= {"settings": canonical(dict(case.settings)), "wall_time_s": wall_time}
     return row | dict(values or {})
 
@@ -107,6 +111,6 @@ def _checked_value(name: Any, value: Any) -> Value:
     )
 
 
-def _shortened(text: str | None, length: int = REASON_LENGTH) -> str | None:
+def _shortened(text: str | None, length: int = REASON_CHARACTERS_MAX) -> str | None:
     """Cut a long message."""
     return text if text is None or len(text) <= length else text[: length - 4] + " ..."

@@ -27,17 +27,19 @@ from carosac_toolkit.studies.run.case import Case
 from carosac_toolkit.studies.run.estimation_scores import estimation_scores
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
-DRIVER = "simulator"
-GIVEN = (  # what a case says itself
+DEFAULT_DRIVER = "simulator"
+CASE_DRIVER_SETTINGS = (  # what a case says itself
     "suite", "period", "start_position", "set_down", "wind_force", "wind_time",
 )  # fmt: skip
-REST = 3.0  # [s] after the end of the trajectory that counts as residual sway: over a period
-SERIES = 500  # samples kept of a case for pictures
-SETTINGS = (
+FINAL_REST_S = (
+    3.0  # [s] after the end of the trajectory that counts as residual sway: over a period
+)
+SERIES_SAMPLES_MAX = 500  # samples kept of a case for pictures
+CASE_SETTINGS = (
     "driver", "speed_max", "acceleration_max", "controller_settings", "estimator_settings",
     "driver_settings", "timeout", "example_seed", "robot_digest",
 )  # fmt: skip
-CENTRE = 0.5  # of each side of the workspace box: inside is the centre, outside the boundary
+CENTRE_SHARE = 0.5  # of each side of the workspace box: inside is the centre, outside the boundary
 
 
 class Truth:
@@ -69,7 +71,7 @@ class Truth:
 def run_case(case: Case) -> dict[str, Any]:
     """Run and score one case.
 
-    Settings that are read: ``driver`` (default `DRIVER`), ``speed_max`` [m/s],
+    Settings that are read: ``driver`` (default `DEFAULT_DRIVER`), ``speed_max`` [m/s],
     ``acceleration_max`` [m/s^2] of the trajectory, ``controller_settings``,
     ``estimator_settings`` and ``driver_settings`` (fields of the plug-in's own settings, a dict
     for each settings dataclass inside them; what stands under the name of a driver is for it
@@ -89,14 +91,16 @@ def run_case(case: Case) -> dict[str, Any]:
     condition = find_condition(case.perturbation)
     plant = draw_plant(robot, condition, np.random.default_rng(case.plant_seed))
     controller = build_part("controllers", case.controller, robot, case, "controller_settings")
-    name = str(settings.get("driver", DRIVER))
+    name = str(settings.get("driver", DEFAULT_DRIVER))
     recorded = replays(plugins.load("drivers", name))
     path = None if recorded else path_of(case, robot)
     start = robot.home_position if path is None else path.sample(np.zeros(1)).position[0]
     given = given_to_driver(case, condition, period_of(controller), tuple(float(x) for x in start))
     driver = build_part("drivers", name, plant, case, "driver_settings", given)
     estimator = estimator_of(case, robot, driver)
-    duration = REST + path.duration if path else controller.period * len(driver.recording.time)
+    duration = (
+        FINAL_REST_S + path.duration if path else controller.period * len(driver.recording.time)
+    )
     path = path or trajectories.from_recording(driver.recording, robot)
     if getattr(driver, "real_time", False):
         rehearse(robot, estimator, controller, path, suite=case.suite)
@@ -125,7 +129,7 @@ def given_to_driver(
 ) -> dict[str, Any]:
     """Settings of a driver that the case itself says; `start` in W [m], one or a row each."""
     said = (case.suite, period, start, True, condition.wind_force, condition.wind_time)
-    return dict(zip(GIVEN, said, strict=True))
+    return dict(zip(CASE_DRIVER_SETTINGS, said, strict=True))
 
 
 def period_of(controller: Any) -> float:
@@ -172,7 +176,7 @@ def _tracking(log: Log, position: Array, robot: Robot, duration: float) -> dict[
     error = position - log.reference
     distance = np.linalg.norm(error, axis=-1)
     middle = 0.5 * (robot.workspace_min + robot.workspace_max)
-    half = 0.5 * CENTRE * (robot.workspace_max - robot.workspace_min)
+    half = 0.5 * CENTRE_SHARE * (robot.workspace_max - robot.workspace_min)
     central = (np.abs(log.reference - middle) <= half).all(axis=-1)
     rest = position[log.time > duration]
     swing = rest - rest.mean(axis=0, keepdims=True) if len(rest) else rest
@@ -189,9 +193,9 @@ def _tracking(log: Log, position: Array, robot: Robot, duration: float) -> dict[
 
 def known_settings(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Refuse settings of a case that nobody reads."""
-    unknown = sorted(set(settings) - set(SETTINGS))
+    unknown = sorted(set(settings) - set(CASE_SETTINGS))
     if unknown:
-        raise InvalidField(f"settings.{unknown[0]}", "a name", f"one of {sorted(SETTINGS)}")
+        raise InvalidField(f"settings.{unknown[0]}", "a name", f"one of {sorted(CASE_SETTINGS)}")
     return settings
 
 
@@ -217,7 +221,7 @@ def example_series(case: Case, log: Log) -> str | None:
     """
     if case.seed != case.settings.get("example_seed", 0):
         return None
-    keep = evenly(len(log.time), SERIES)
+    keep = evenly(len(log.time), SERIES_SAMPLES_MAX)
     channels: dict[str, Any] = {
         "time_s": log.time[keep],
         "reference_m": log.reference[keep, 0],

@@ -18,10 +18,10 @@ from carosac_toolkit.loop.protocols import replays
 from carosac_toolkit.loop.values import Reference
 from carosac_toolkit.robot.perturbations import draw_plant, find_condition
 from carosac_toolkit.studies.run.case import Case, canonical
-from carosac_toolkit.studies.run.rows import LATENCIES
+from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS
 from carosac_toolkit.studies.run.run_case import (
-    DRIVER,
-    REST,
+    DEFAULT_DRIVER,
+    FINAL_REST_S,
     build_part,
     digest_of,
     estimator_of,
@@ -43,7 +43,7 @@ def group_of(case: Case) -> str | None:
     The driver has to have `build_batch`, controller and estimator have to be `batched`.
     """
     settings = known_settings(case.settings)
-    driver = registry.load("drivers", str(settings.get("driver", DRIVER)))
+    driver = registry.load("drivers", str(settings.get("driver", DEFAULT_DRIVER)))
     plugins = [registry.load("controllers", plugin_name(case.controller))]
     if case.estimator != "truth":
         plugins.append(registry.load("estimators", plugin_name(case.estimator)))
@@ -76,21 +76,21 @@ def run_together(cases: Sequence[Case]) -> list[dict[str, Any]]:
     paths = Paths(tuple(path_of(case, robot) for case in cases))
     controller = build_part("controllers", first.controller, robot, first, "controller_settings")
     driver = build_part(
-        "drivers", str(settings.get("driver", DRIVER)), plants, first, "driver_settings",
+        "drivers", str(settings.get("driver", DEFAULT_DRIVER)), plants, first, "driver_settings",
         given_to_driver(first, condition, period_of(controller), paths.starts),
         seeds=[case.sensor_seed for case in cases],
     )  # fmt: skip
     if getattr(driver, "real_time", False):
         raise CarosacError("a driver in real time runs one case at a time")
     estimator = estimator_of(first, robot, driver)
-    log = run(driver, estimator, controller, paths, duration=REST + paths.duration)
+    log = run(driver, estimator, controller, paths, duration=FINAL_REST_S + paths.duration)
     if not log.completed:
         raise CarosacError("the driver stopped before the end")
     rows = []
     for b, (case, path) in enumerate(zip(cases, paths.paths, strict=True)):
-        cycles = max(1, round((REST + path.duration) / controller.period))
+        cycles = max(1, round((FINAL_REST_S + path.duration) / controller.period))
         alone = log.world(b, cycles)
-        row = score(alone, robot, path.duration) | dict.fromkeys(LATENCIES)
+        row = score(alone, robot, path.duration) | dict.fromkeys(LATENCY_COLUMNS)
         rows.append(row | {"series": example_series(case, alone)})
     return rows
 

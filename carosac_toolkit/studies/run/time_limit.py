@@ -9,7 +9,7 @@ import time
 from types import FrameType, TracebackType
 from typing import Any
 
-ARRIVAL = 1.0  # [s] an exception sent to a thread is waited for
+EXCEPTION_WAIT_S = 1.0  # [s] an exception sent to a thread is waited for
 
 
 class CaseTimeout(BaseException):
@@ -83,7 +83,7 @@ class TimeLimit:
 
     def _await_exception(self) -> None:
         """Let the exception arrive here if it is still on its way."""
-        end = time.monotonic() + (0.0 if self._by_signal else ARRIVAL)
+        end = time.monotonic() + (0.0 if self._by_signal else EXCEPTION_WAIT_S)
         while time.monotonic() < end:
             time.sleep(0.001)
 

@@ -8,11 +8,11 @@ from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError
 
-LOST_AFTER = 30.0  # [s] without a connection to the scheduler
-PATIENCE = 120.0  # [s] without workers, or without an answer of the scheduler
-NOTICE = 10.0  # [s] of that before it is said
-INTERVAL = 2.0  # [s] between two questions to the scheduler
-ANSWER = 10.0  # [s] an answer is waited for
+LOST_AFTER_S = 30.0  # [s] without a connection to the scheduler
+CLUSTER_PATIENCE_S = 120.0  # [s] without workers, or without an answer of the scheduler
+NOTICE_AFTER_S = 10.0  # [s] of that before it is said
+QUERY_INTERVAL_S = 2.0  # [s] between two questions to the scheduler
+ANSWER_TIMEOUT_S = 10.0  # [s] an answer is waited for
 
 
 class LostScheduler(CarosacError):
@@ -49,11 +49,11 @@ class Presence:
         """
         now = time.monotonic()
         if self._client.status != "running":
-            if now - self._connected > LOST_AFTER:
+            if now - self._connected > LOST_AFTER_S:
                 raise LostScheduler(f"the connection to {self._name} is lost; run again to go on")
             return
         self._connected = now
-        if now - self._asked < INTERVAL:
+        if now - self._asked < QUERY_INTERVAL_S:
             return
         absence = self._absence()
         self._asked = time.monotonic()
@@ -68,21 +68,21 @@ class Presence:
     def _absence(self) -> str:
         """What is wrong; empty if the scheduler has workers."""
         try:
-            workers = self._client.nthreads(callback_timeout=ANSWER)
+            workers = self._client.nthreads(callback_timeout=ANSWER_TIMEOUT_S)
         except (OSError, TimeoutError):
             return "has not answered"
         return "" if workers else "has had no workers"
 
     def _wait(self, absence: str, duration: float) -> None:
         """Have patience, say so, and lose it."""
-        if duration > PATIENCE:
+        if duration > CLUSTER_PATIENCE_S:
             raise LostScheduler(
                 f"{self._name} {absence} for {duration:.0f} s; what is finished is kept: "
                 "run again to go on"
             )
-        if duration > NOTICE and not self._told:
+        if duration > NOTICE_AFTER_S and not self._told:
             self._told = True
             self._say(
                 f"study: {self._name} {absence} for {duration:.0f} s; "
-                f"the study ends if that lasts {PATIENCE:g} s"
+                f"the study ends if that lasts {CLUSTER_PATIENCE_S:g} s"
             )

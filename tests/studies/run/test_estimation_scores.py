@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from carosac_toolkit.loop.consistency import Innovations, band
 from carosac_toolkit.studies.compare.findings import conclusions
 from carosac_toolkit.studies.compare.tables import text_table, units
-from carosac_toolkit.studies.run.estimation_scores import NAMES, estimation_scores
+from carosac_toolkit.studies.run.estimation_scores import ESTIMATION_COLUMNS, estimation_scores
 from tests.studies.run.test_run_case import made_up
 from tests.studies.tables import case, good, study
 
@@ -79,7 +79,7 @@ def test_innovations_are_summed_before_they_are_divided():
 
 def test_nothing_is_known_without_a_truth():
     row = estimation_scores(replace(drawn(), position=None, rotation=None))
-    assert row == dict.fromkeys(NAMES)
+    assert row == dict.fromkeys(ESTIMATION_COLUMNS)
 
 
 def two_estimators(square=1.2, **more):

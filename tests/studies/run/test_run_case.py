@@ -13,7 +13,13 @@ from carosac_toolkit.loop.loop import Log
 from carosac_toolkit.robot.file import robot_text
 from carosac_toolkit.studies import Case
 from carosac_toolkit.studies.run.rows import checked_values
-from carosac_toolkit.studies.run.run_case import SERIES, Truth, robot_digest, run_case, score
+from carosac_toolkit.studies.run.run_case import (
+    SERIES_SAMPLES_MAX,
+    Truth,
+    robot_digest,
+    run_case,
+    score,
+)
 from tests.recordings.synthetic import full_recording
 from tests.robots import simple_robot
 
@@ -67,7 +73,7 @@ def test_a_row_is_flat_and_finite():
     assert 0.0 < row["latency_median_s"] <= row["latency_p95_s"]
     series = json.loads(row["series"])
     count = len(series["time_s"])
-    assert count <= SERIES and {len(series[name]) for name in series} == {count}
+    assert count <= SERIES_SAMPLES_MAX and {len(series[name]) for name in series} == {count}
     assert row_of(seed=1)["series"] is None
 
 

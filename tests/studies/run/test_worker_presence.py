@@ -87,8 +87,8 @@ def test_a_scheduler_that_is_stuck_ends_the_study(tmp_path, once_rows_are_kept, 
 
 
 def test_workers_that_come_back_in_time_are_said_to_be_there(monkeypatch):
-    monkeypatch.setattr(worker_presence, "NOTICE", 0.0)
-    monkeypatch.setattr(worker_presence, "INTERVAL", 0.0)
+    monkeypatch.setattr(worker_presence, "NOTICE_AFTER_S", 0.0)
+    monkeypatch.setattr(worker_presence, "QUERY_INTERVAL_S", 0.0)
     present: dict[str, int] = {}
     said: list[str] = []
     client = SimpleNamespace(
@@ -109,6 +109,6 @@ def test_a_connection_that_does_not_come_back_ends_the_study(monkeypatch):
     client = SimpleNamespace(status="connecting", scheduler=SimpleNamespace(address="x"))
     watch = Presence(client, print)
     watch.check()
-    monkeypatch.setattr(worker_presence, "LOST_AFTER", 0.0)
+    monkeypatch.setattr(worker_presence, "LOST_AFTER_S", 0.0)
     with pytest.raises(LostScheduler, match="the connection to the scheduler at x is lost"):
         watch.check()
