@@ -1,4 +1,4 @@
-"""What ``carosac check`` says of a calibration: every number with one standard deviation."""
+"""Calibration tables of ``carosac check``: every number with one standard deviation."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _EXACT_VALUE_DIGITS = 6  # of a number that is known exactly
 
 
 def describe_calibration(report: RobotReport) -> Iterator[str]:
-    """Describe what a robot file knows of sensors and of its own accuracy; nothing without.
+    """Describe the sensors and the accuracy of a robot file; empty if it has neither.
 
     Args:
         report: The robot.
@@ -55,7 +55,7 @@ def _fields(known: dict[str, CalibratedParameter]) -> set[str]:
 def _table(
     report: RobotReport, known: dict[str, CalibratedParameter], columns: dict[str, str], title: str
 ) -> Iterator[str]:
-    """A row for each cable; columns of which nothing is known are left out.
+    """Return a row per cable; columns without any known value are left out.
 
     Args:
         report: The robot.
@@ -77,7 +77,7 @@ def _table(
 
 
 def _sensors(report: RobotReport, *, with_table: bool) -> Iterator[str]:
-    """How lengths and poses are read."""
+    """Describe how sensors read lengths and poses."""
     sensors, robot = report.sensors, report.robot
     if sensors is None:
         return
@@ -97,7 +97,7 @@ def _sensors(report: RobotReport, *, with_table: bool) -> Iterator[str]:
 
 
 def _number(found: CalibratedParameter) -> str:
-    """A value with its sigma, to two digits of the sigma."""
+    """Format a value with its sigma, to two digits of the sigma."""
     factor = _DISPLAY_UNITS.get(found.unit, ("", 1.0))[1]
     value, sigma = found.value * factor, found.sigma * factor
     if not np.isfinite(value):

@@ -1,4 +1,4 @@
-"""What all commands share: their common options and results.
+"""Options and results that all commands share.
 
 A command is a module named in the entry-point group ``carosac.commands``. The first line of its
 docstring is its summary; it has a frozen dataclass ``Options`` that derives from `CommonOptions`
@@ -35,7 +35,7 @@ class CommonOptions:
 
 @dataclass(frozen=True)
 class CommandResult:
-    """What a command found.
+    """Result of a command.
 
     Attributes:
         data: The numbers it printed; what ``--json`` writes. numpy values are welcome.
@@ -47,7 +47,7 @@ class CommandResult:
 
 
 def period_of_rate(rate: float) -> float:
-    """Time between two commands as --rate has it [s].
+    """Return the time between two commands of --rate [s].
 
     Raises:
         InvalidField: A rate [Hz] that is none, or above that of any industrial PLC.

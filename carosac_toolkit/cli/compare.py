@@ -77,7 +77,7 @@ def run(options: Options) -> CommandResult:
 
 
 def _study(options: Options) -> Study:
-    """The study that was asked for."""
+    """Return the study that the options ask for."""
     count = (
         options.seeds
         if options.seeds is not None
@@ -113,7 +113,7 @@ def _study(options: Options) -> Study:
 
 
 def _words(options: Options, study: Study) -> list[str]:
-    """The command that repeats this."""
+    """Return the command line that repeats this study."""
     words = ["carosac", "compare"]
     for name in ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations"):
         words += [f"--{name}", *getattr(study, name)]
@@ -126,7 +126,7 @@ def _words(options: Options, study: Study) -> list[str]:
 
 
 def _what(study: Study) -> str:
-    """What is about to be run."""
+    """Describe the study that is about to run."""
     return (
         f"{', '.join(map(str, study.robots))} on driver {study.driver}, plants drawn from "
         f"{', '.join(study.perturbations)}: "
@@ -137,7 +137,7 @@ def _what(study: Study) -> str:
 
 
 def _print(results: StudyResults, said: list[str], blocks: list[PairedBlock], width: int) -> None:
-    """Print the tables, what failed, and what it all says."""
+    """Print the tables, the failures and the conclusions."""
     print(f"\n{text_table(results, width)}\n")
     print(wrapped(units(results), width))
     paired = text_tables(blocks, width)

@@ -45,7 +45,7 @@ DEFAULT_PARENT_FOLDER = Path("carosac-results")
 
 
 def run_suite(options: Options, name: str) -> CommandResult:
-    """Run a suite, or what an entry needs of it; print and write what was found."""
+    """Run a suite, or the part that an entry needs; print and write the results."""
     _check_fixed(options)
     suite = ReferenceSuite.load(name)
     suite = suite.quick() if options.quick else suite
@@ -66,7 +66,7 @@ def run_suite(options: Options, name: str) -> CommandResult:
 
 
 def _check_fixed(options: Options) -> None:
-    """Refuse options that a suite does not leave open."""
+    """Refuse options that the suite fixes."""
     for field in fields(options):
         if field.name not in ADJUSTABLE_OPTIONS and getattr(options, field.name) != field.default:
             value = repr(getattr(options, field.name))
@@ -75,7 +75,7 @@ def _check_fixed(options: Options) -> None:
 
 
 def _tasks(options: Options, suite: ReferenceSuite) -> list[SuiteTask]:
-    """The studies to run."""
+    """Return the studies to run."""
     known = suite.definition["parts"].values()
     names = {
         axis: [*getattr(options, axis), *(name for part in known for name in part[axis])]
@@ -89,14 +89,14 @@ def _tasks(options: Options, suite: ReferenceSuite) -> list[SuiteTask]:
 
 
 def _folder(options: Options, suite: ReferenceSuite) -> Path:
-    """Where results go that were not sent anywhere: entries apart from the whole suite."""
+    """Return the default results folder; entries are kept apart from the whole suite."""
     entries = (*options.controllers, *options.estimators, *options.settings)
     words = [re.sub(r"[^\w.=-]+", "_", name) for name in entries]
     return DEFAULT_PARENT_FOLDER / "-".join([suite.name, *words])
 
 
 def _what(suite: ReferenceSuite, tasks: Sequence[SuiteTask]) -> str:
-    """What is about to be run."""
+    """Describe the suite that is about to run."""
     cases = sum(len(task.study.cases()) for task in tasks)
     return (
         f"Suite {suite.name}, definition {suite.digest}: {counted(cases, 'case')} in "
@@ -151,7 +151,7 @@ def _finish(
 
 
 def _said(found: SuiteAgreement) -> list[str]:
-    """Whether what ran here and was published agrees, so that the rest can be compared."""
+    """Tell whether these results agree with the published ones, before comparing the rest."""
     if not found.differences:
         return ["Nothing that was published ran here: nothing tells whether both agree."]
     if found.faults:
@@ -160,7 +160,7 @@ def _said(found: SuiteAgreement) -> list[str]:
 
 
 def _words(options: Options, suite: ReferenceSuite) -> list[str]:
-    """The command that repeats this."""
+    """Return the command line that repeats this run."""
     words = ["carosac", "compare", "--suite", suite.name.removesuffix("-quick")]
     words += ["--quick"] if options.quick else []
     for name in ("controllers", "estimators"):

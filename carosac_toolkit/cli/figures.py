@@ -48,7 +48,7 @@ class Options(CommonOptions):
 
 
 def run(options: Options) -> CommandResult:
-    """Draw what can be drawn, and say what cannot."""
+    """Draw the figures whose data is there, and name the missing ones."""
     from carosac_toolkit.pictures.paper_figure import find_sources
 
     for name in options.formats:
@@ -71,7 +71,7 @@ def run(options: Options) -> CommandResult:
 
 
 def all_figures() -> list[PaperFigure]:
-    """The figures of all installed packages, in the order of the paper."""
+    """Return the figures of all installed packages, in the order of the paper."""
     found = [
         figure
         for name in plugins.names("figures")
@@ -93,7 +93,7 @@ def _write(
 
 
 def _rendered(figure: Figure, suffix: str) -> bytes:
-    """A figure as a file; vector files hold no date, so that equal figures are equal files."""
+    """Render a figure; vector files hold no date, so that equal figures give equal files."""
     stream = io.BytesIO()
     more: dict[str, Any] = {"dpi": FIGURE_DPI}
     if suffix != "png":
@@ -103,7 +103,7 @@ def _rendered(figure: Figure, suffix: str) -> bytes:
 
 
 def _print(done: Sequence[dict[str, Any]], skipped: Sequence[dict[str, str]], folder: Path) -> None:
-    """Say what was drawn from what, and what is missing."""
+    """Print the source of each figure, and what is missing."""
     width = terminal_width()
     for one in done:
         origin = f", from {one['source']}" if one["source"] is not None else ""
@@ -114,6 +114,6 @@ def _print(done: Sequence[dict[str, Any]], skipped: Sequence[dict[str, str]], fo
 
 
 def _missing(skipped: Sequence[dict[str, str]]) -> Iterator[str]:
-    """What is missing, and what makes it."""
+    """Return what is missing, and the command that makes it."""
     for one in skipped:
         yield f"skipped {one['name']} ({one['what']}): its data is made by {one['command']}"

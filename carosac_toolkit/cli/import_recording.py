@@ -94,7 +94,7 @@ def run(options: Options) -> CommandResult:
 
 
 def _topics(options: Options) -> Topics:
-    """What the options ask for."""
+    """Return the topics that the options name."""
     if options.frames and len(options.frames) != 2:
         raise InvalidField("--frames", " ".join(options.frames), "two: PARENT CHILD")
     if options.frames and options.pose is None:
@@ -121,7 +121,7 @@ def _topics(options: Options) -> Topics:
 
 
 def _list(bag: Bag) -> CommandResult:
-    """All topics, and what they may be."""
+    """List all topics and their possible uses."""
     rows = [
         (topic.name, topic.kind, topic.count, "" if topic.rate is None else f"{topic.rate:.1f}",
          _use(bag, topic))
@@ -139,7 +139,7 @@ def _list(bag: Bag) -> CommandResult:
 
 
 def _use(bag: Bag, topic: Topic) -> str:
-    """Which option a message type fits; of unknown ones the fields with numbers."""
+    """Name the option that fits a message type; for unknown types the numeric fields."""
     kind = topic.kind
     if kind == IMU_TYPE:
         return "--imu"
@@ -154,7 +154,7 @@ def _use(bag: Bag, topic: Topic) -> str:
 
 
 def _say(imported: Imported) -> None:
-    """Channels, clocks and what was left out."""
+    """Print channels, clocks and omissions."""
     rates = imported.recording.rates
     rows = [
         (
@@ -190,7 +190,7 @@ def _say(imported: Imported) -> None:
 
 
 def _data(imported: Imported) -> dict[str, Any]:
-    """What ``--json`` writes."""
+    """Return the numbers that ``--json`` writes."""
     recording = imported.recording
     return {
         "duration_s": recording.duration,

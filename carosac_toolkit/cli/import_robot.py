@@ -108,7 +108,7 @@ def _incomplete(completed: Completed, options: Options) -> CommandResult:
 
 
 def _say(completed: Completed) -> None:
-    """What was taken, replaced and dropped, and what looks wrong."""
+    """Print what was taken, replaced and dropped, and any warnings."""
     draft = completed.draft
     print(f"{draft.source}: {len(draft.data['chains'])} cables\n")
     ours = f"{draft.source}: "
@@ -124,7 +124,7 @@ def _say(completed: Completed) -> None:
 
 
 def _straight_lengths(robot: Robot) -> list[float]:
-    """Lengths at home of straight cables, with the arcs on pulleys [m]."""
+    """Return the lengths of straight cables at home, with the arcs on pulleys [m]."""
     from carosac_toolkit.physics.cable import straight_line
 
     found = straight_line.inverse_kinematics(robot, robot.home_position[None])
@@ -132,7 +132,7 @@ def _straight_lengths(robot: Robot) -> list[float]:
 
 
 def _data(completed: Completed, lengths: list[float] | None) -> dict[str, object]:
-    """What ``--json`` writes."""
+    """Return the numbers that ``--json`` writes."""
     draft = completed.draft
     return {
         "source": draft.source,

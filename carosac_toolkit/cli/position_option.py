@@ -1,4 +1,4 @@
-"""A place as an option of a command: ``--home 0.4 -1.8 3.0``."""
+"""Position as an option of a command: ``--home 0.4 -1.8 3.0``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Point = tuple[float, float, float]
 
 
 def _point(words: list[str]) -> Point:
-    """Read a place."""
+    """Parse a position."""
     try:
         x, y, z = (float(word) for word in words)
     except ValueError as error:

@@ -89,7 +89,7 @@ def run(options: Options) -> CommandResult:
 
 
 def _status(result: ValidationResult) -> int:
-    """Exit status; failed models are named on standard error."""
+    """Return the exit status; failed models are named on standard error."""
     failed = [model for model in result.models.values() if model.scores is None]
     for model in failed:
         print(f"carosac: {model.name} failed: {model.reason}", file=sys.stderr)
@@ -97,7 +97,7 @@ def _status(result: ValidationResult) -> int:
 
 
 def _guess(found: FoundRobot) -> str:
-    """How the robot was guessed, or nothing where it was not."""
+    """Explain how the robot was guessed; empty if it was not."""
     if found.source != "exit points":
         return ""
     others = f", and those of {', '.join(found.others)}" if found.others else ""
@@ -105,7 +105,7 @@ def _guess(found: FoundRobot) -> str:
 
 
 def _default_folder(options: Options, path: Path, found: FoundRobot) -> Path:
-    """Where a report goes that was not sent anywhere."""
+    """Return the default folder of the report."""
     parts = [path.stem]
     if path.suffix and options.recording not in list_recordings():
         parts.append(path.suffix[1:])
@@ -117,7 +117,7 @@ def _default_folder(options: Options, path: Path, found: FoundRobot) -> Path:
 
 
 def _words(options: Options, robot: str) -> list[str]:
-    """The command that repeats this."""
+    """Return the command line that repeats this validation."""
     words = ["carosac", "validate", options.recording, "--robot", robot]
     words += ["--models", *options.models, "--start", str(options.start)]
     words += ["--stop", str(options.stop)] if options.stop is not None else []
@@ -127,7 +127,7 @@ def _words(options: Options, robot: str) -> list[str]:
 def _print(
     context: Context, recording: Recording, result: ValidationResult, said: list[str]
 ) -> None:
-    """Print warnings, tables and what they say, within the width of the terminal."""
+    """Print warnings, tables and conclusions within the width of the terminal."""
     width = terminal_width()
     rate = recording.rates["unstrained_length"]
     at = f" at {rate:.3g} Hz" if rate else ""

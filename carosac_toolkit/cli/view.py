@@ -1,4 +1,4 @@
-"""See a robot in the browser: at rest, in a live simulation, or in a recorded run.
+"""View a robot in the browser: at rest, in a live simulation, or in a recorded run.
 
 At rest, to drag the target or move cable lengths: carosac view scampi
 
@@ -120,7 +120,7 @@ def run(options: Options) -> CommandResult:
 
 
 def _check(options: Options) -> None:
-    """Refuse numbers that are none, and combinations that mean nothing."""
+    """Refuse invalid numbers, and combinations that make no sense."""
     if len(options.what) not in (1, 2):
         raise InvalidField("WHAT [GHOST]", f"{len(options.what)} names", "one or two")
     if not 1.0 <= options.sag <= SAG_FACTOR_MAX:
@@ -143,12 +143,12 @@ def _check(options: Options) -> None:
 
 
 def _is_robot(what: str) -> bool:
-    """Whether a name is that of a robot."""
+    """Return whether a name is that of a robot."""
     return what in list_robots() or Path(what).suffix.lower() in ROBOT_FILE_SUFFIXES
 
 
 def _statics(options: Options, robot: Robot) -> CommandResult:
-    """A robot at rest."""
+    """Serve a robot at rest."""
     from carosac_toolkit.viewer.resting import RestingRobot
     from carosac_toolkit.viewer.statics_page import StaticsPage
 
@@ -164,7 +164,7 @@ def _statics(options: Options, robot: Robot) -> CommandResult:
 
 
 def _still(options: Options, page: Page) -> CommandResult:
-    """A file with the robot at rest."""
+    """Write a file with the robot at rest."""
     from carosac_toolkit.viewer.export import still_html, write_html
     from carosac_toolkit.viewer.resting import RestingRobot
 
@@ -182,12 +182,12 @@ def _still(options: Options, page: Page) -> CommandResult:
 
 
 def _enlarged(options: Options) -> str:
-    """What to say of sag that is not drawn to scale."""
+    """Return a note on sag that is not drawn to scale."""
     return "" if options.sag == 1.0 else f", drawn {options.sag:g} times larger"
 
 
 def _replay(options: Options) -> CommandResult:
-    """Recorded runs."""
+    """Play or write recorded runs."""
     from carosac_toolkit.viewer.export import replay_html, write_html
     from carosac_toolkit.viewer.replay import Replay
     from carosac_toolkit.viewer.runs import load_runs, same_robot
@@ -222,7 +222,7 @@ def _replay(options: Options) -> CommandResult:
 
 
 def _live(options: Options, robot: Robot) -> CommandResult:
-    """A live simulation."""
+    """Run a live simulation."""
     chosen = chosen_settings(
         options.settings, controllers=[options.controller], estimators=[options.estimator]
     )
@@ -258,7 +258,7 @@ def _live(options: Options, robot: Robot) -> CommandResult:
 def _ended(
     page: PageProcess, driver: SimulatedDriver, watch: LiveWatch, error: CarosacError | None
 ) -> CommandResult:
-    """Say how a live simulation went."""
+    """Report how a live simulation ended."""
     data = {
         "url": page.url, "cycles": watch.cycles, "overruns": driver.overruns,
         "latency_p99_s": float(np.quantile(watch.latencies, 0.99)) if watch.latencies else None,
@@ -274,7 +274,7 @@ def _ended(
 
 
 def _driver(options: Options, robot: Robot, asked: Any, period: float) -> SimulatedDriver:
-    """The simulated driver, in real time."""
+    """Make the simulated driver, in real time."""
     plugin = plugins.load("drivers", options.driver)
     if not (isinstance(plugin, type) and issubclass(plugin, SimulatedDriver)):
         allowed = (
@@ -293,19 +293,19 @@ def _driver(options: Options, robot: Robot, asked: Any, period: float) -> Simula
 
 
 def _page(options: Options, robot: Robot, title: str) -> closing[Page]:
-    """A page for as long as the block lasts."""
+    """Serve a page until the block ends."""
     page = Page(robot, title, host=options.host, port=options.port, plain=options.plain)
     page.enlarged.value = options.sag
     return closing(page)
 
 
 def _announce(url: str, words: str) -> None:
-    """Say where the page is."""
+    """Print the address of the page."""
     print(f"open {url} in a browser: {words}; Ctrl-C ends", flush=True)
 
 
 def _serve(options: Options) -> None:
-    """Wait for Ctrl-C, or so long."""
+    """Wait for Ctrl-C, or until the time is up."""
     end = None if options.duration is None else time.monotonic() + options.duration
     try:
         while end is None or time.monotonic() < end:
@@ -315,5 +315,5 @@ def _serve(options: Options) -> None:
 
 
 def _drawn(page: Page) -> dict[str, int]:
-    """How many pictures were drawn."""
+    """Print how many pictures were drawn."""
     return {"pictures": page.publisher.drawn}

@@ -118,14 +118,14 @@ def run(options: Options) -> CommandResult:
 
 
 def _count(option: str, value: int) -> int:
-    """A number of positions that makes sense."""
+    """Refuse a number of positions outside its range."""
     if not 1 <= value <= 10_000_000:
         raise InvalidField(option, value, "1 to 10000000")
     return value
 
 
 def _box(options: Options, robot: Robot) -> tuple[Array, Array]:
-    """The box to look at."""
+    """Return the box to search."""
     if options.lower is None and options.upper is None:
         return box_of(robot, options.box)
     if options.lower is None or options.upper is None:
@@ -138,7 +138,7 @@ def _box(options: Options, robot: Robot) -> tuple[Array, Array]:
 
 
 def _settings(options: Options) -> WorkspaceSettings:
-    """What is asked of a pose."""
+    """Return the demands on a pose."""
     tilt = options.tilt_max_deg
     if tilt is not None and not 0.0 <= tilt <= 180.0:
         raise InvalidField("--tilt-max-deg", f"{tilt} deg", "0 to 180 deg")
@@ -151,7 +151,7 @@ def _settings(options: Options) -> WorkspaceSettings:
 
 
 def _orientations(options: Options, robot: Robot) -> list[Array] | None:
-    """Rotations from roll, pitch and yaw."""
+    """Return the rotations of roll, pitch and yaw."""
     from scipy.spatial.transform import Rotation
 
     if not options.rpy_deg:
@@ -171,7 +171,7 @@ def _orientations(options: Options, robot: Robot) -> list[Array] | None:
 
 
 def _planes(options: Options, lower: Array, upper: Array) -> list[Grid]:
-    """The slices."""
+    """Return the grids of the slices."""
     count = _count("--slice-points", options.slice_points)
     if not options.slice:
         middle = 0.5 * (lower + upper)
@@ -192,13 +192,13 @@ def _planes(options: Options, lower: Array, upper: Array) -> list[Grid]:
 
 
 def _name(grid: Grid) -> str:
-    """The plane of a slice."""
+    """Return the name of a slice's plane."""
     across = int(np.argmin(grid.shape))
     return f"{GRID_AXES[across]}={grid.axes[across][0]:.6g}"
 
 
 def _print(found: dict[str, tuple[Region, list[Region]]], lower: Array, upper: Array) -> None:
-    """Print what was found."""
+    """Print volumes, limits and the effect of sag."""
     for model, (region, slices) in found.items():
         title = "with sag" if model == "sag" else "straight cables"
         print(f"{title}: {region.sentence()}.\n")
@@ -250,12 +250,12 @@ def _print(found: dict[str, tuple[Region, list[Region]]], lower: Array, upper: A
 
 
 def _vector(values: Array) -> str:
-    """Write a vector."""
+    """Format a vector."""
     return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"
 
 
 def _changes(found: dict[str, tuple[Region, list[Region]]]) -> dict[str, Any]:
-    """How sag changes the workspace."""
+    """Compare the workspaces with and without sag."""
     sag, straight = found["sag"][0], found["straight"][0]
     one, other = sag.verdicts.inside, straight.verdicts.inside
     lost, gained, both = int((other & ~one).sum()), int((one & ~other).sum()), one & other
@@ -294,7 +294,7 @@ def _write(
 
 
 def _figures(options: Options, whole: Region, slices: list[Region]) -> Iterator[tuple[str, Any]]:
-    """The pictures of one model, by name."""
+    """Return the pictures of one model by name."""
     from carosac_toolkit.pictures.workspace import draw_maps, draw_slices, draw_space
 
     yield "slices", draw_slices(slices)
@@ -305,5 +305,5 @@ def _figures(options: Options, whole: Region, slices: list[Region]) -> Iterator[
 
 
 def _maps(options: Options, region: Region) -> Maps:
-    """The maps of one region."""
+    """Compute the maps of one region."""
     return maps(region.robot, region.verdicts, settings=region.settings, tensions=options.tensions)

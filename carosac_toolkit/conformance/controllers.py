@@ -1,4 +1,4 @@
-"""What every controller must do."""
+"""Checks that every controller must pass."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from carosac_toolkit.robot.robot import Robot
 
 
 def period_and_horizon(factory: Factory, robot: Robot) -> None:
-    """`period` is positive and finite, `horizon` finite and not negative."""
+    """Require a positive, finite `period` and a finite `horizon` >= 0."""
     controller = factory(robot, seed=CHECK_SEED)
     for name, allowed in (("period", "> 0"), ("horizon", ">= 0")):
         value: Any = getattr(controller, name, None)
@@ -44,7 +44,7 @@ def period_and_horizon(factory: Factory, robot: Robot) -> None:
 
 
 def command_fits(factory: Factory, robot: Robot) -> None:
-    """It returns a `Command` of its belief's time, with one positive length per cable."""
+    """Require a `Command` of the belief's time, with one positive length per cable."""
     scene = make_scene(robot)
     controller = factory(robot, seed=CHECK_SEED)
     controller.reset(scene.beliefs[0])
@@ -63,7 +63,7 @@ def command_fits(factory: Factory, robot: Robot) -> None:
 
 
 def reset_forgets(factory: Factory, robot: Robot) -> None:
-    """After `reset` the same inputs give the same commands, bit by bit."""
+    """Require the same commands, bit by bit, for the same inputs after `reset`."""
     controller = factory(robot, seed=CHECK_SEED)
     first = _commands(controller, robot)
     again = _commands(controller, robot)
@@ -71,7 +71,7 @@ def reset_forgets(factory: Factory, robot: Robot) -> None:
 
 
 def same_seed_same_commands(factory: Factory, robot: Robot) -> None:
-    """Two made with the same seed agree, whatever else draws random numbers."""
+    """Require equal seeds to give equal commands, whatever else draws random numbers."""
     one = _commands(factory(robot, seed=CHECK_SEED), robot)
     np.random.random(7)  # noqa: NPY002 - somebody else's draw
     other = _commands(factory(robot, seed=CHECK_SEED), robot)
@@ -79,7 +79,7 @@ def same_seed_same_commands(factory: Factory, robot: Robot) -> None:
 
 
 def extremes_stay_finite(factory: Factory, robot: Robot) -> None:
-    """Far, fast and turned inputs give finite lengths or a clear error."""
+    """Require finite lengths or a clear error for far, fast and rotated inputs."""
     scene = make_scene(robot)
     controller = factory(robot, seed=CHECK_SEED)
     calm = scene.references(controller.period, controller.horizon)[0]
@@ -104,7 +104,7 @@ def extremes_stay_finite(factory: Factory, robot: Robot) -> None:
 
 
 def bare_belief_is_enough(factory: Factory, robot: Robot) -> None:
-    """A belief of a pose alone works, or what is missing is said."""
+    """Require a belief of a pose alone to suffice, or an error that says what is missing."""
     scene = make_scene(robot)
     controller = factory(robot, seed=CHECK_SEED)
     reference = scene.references(controller.period, controller.horizon)[0]
@@ -113,7 +113,7 @@ def bare_belief_is_enough(factory: Factory, robot: Robot) -> None:
 
 
 def other_robot_refused(factory: Factory, robot: Robot) -> None:
-    """One made for another number of cables ends in a clear error, in the loop at the latest."""
+    """Require a clear error for another number of cables, in the loop at the latest."""
     scene = make_scene(robot)
 
     def misuse() -> None:
@@ -126,7 +126,7 @@ def other_robot_refused(factory: Factory, robot: Robot) -> None:
 
 
 def batch_equals_loop(factory: Factory, robot: Robot) -> None:
-    """A batch of two gives what two batches of one give, or is refused."""
+    """Require a batch of two to equal two batches of one, or to be refused."""
     scene = make_scene(robot)
     period, horizon = (getattr(factory(robot, seed=CHECK_SEED), x) for x in ("period", "horizon"))
     references = scene.references(period, horizon)
@@ -166,7 +166,7 @@ CONTROLLER_CHECKS: dict[str, Check] = {
 
 
 class _Fixed:
-    """An estimator that always believes the same."""
+    """Estimator that always returns the same belief."""
 
     def __init__(self, belief: Belief) -> None:
         self._belief = belief
@@ -179,14 +179,14 @@ class _Fixed:
 
 
 def _once(controller: Any, belief: Belief, reference: Reference) -> Command:
-    """One command after a reset."""
+    """Return one command after a reset."""
     controller.reset(belief)
     command: Command = controller.command(belief, reference)
     return command
 
 
 def _commands(controller: Any, robot: Robot) -> list[Array]:
-    """Lengths along a scene, after a reset."""
+    """Return the lengths along a scene, after a reset."""
     scene = make_scene(robot)
     controller.reset(scene.beliefs[0])
     references = scene.references(controller.period, controller.horizon)
@@ -195,5 +195,5 @@ def _commands(controller: Any, robot: Robot) -> list[Array]:
 
 
 def _kind(value: object) -> str:
-    """Name of a value's type."""
+    """Return the name of a value's type."""
     return type(value).__name__

@@ -1,4 +1,4 @@
-"""What every estimator must do."""
+"""Checks that every estimator must pass."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from carosac_toolkit.robot.robot import Robot
 
 
 def belief_fits(factory: Factory, robot: Robot) -> None:
-    """It returns a `Belief` of the measurement's time and batch, all finite."""
+    """Require a finite `Belief` of the measurement's time and batch."""
     estimator = factory(robot, seed=CHECK_SEED)
     for belief, measurement in _beliefs(estimator, make_scene(robot).measurements):
         kind = type(belief).__name__
@@ -43,7 +43,7 @@ def belief_fits(factory: Factory, robot: Robot) -> None:
 
 
 def reset_forgets(factory: Factory, robot: Robot) -> None:
-    """After `reset` the same measurements give the same beliefs, bit by bit."""
+    """Require the same beliefs, bit by bit, for the same measurements after `reset`."""
     estimator = factory(robot, seed=CHECK_SEED)
     measurements = make_scene(robot).measurements
     first = _poses(estimator, measurements)
@@ -52,7 +52,7 @@ def reset_forgets(factory: Factory, robot: Robot) -> None:
 
 
 def same_seed_same_beliefs(factory: Factory, robot: Robot) -> None:
-    """Two made with the same seed agree, whatever else draws random numbers."""
+    """Require equal seeds to give equal beliefs, whatever else draws random numbers."""
     measurements = make_scene(robot).measurements
     one = _poses(factory(robot, seed=CHECK_SEED), measurements)
     np.random.random(7)  # noqa: NPY002 - somebody else's draw
@@ -61,7 +61,7 @@ def same_seed_same_beliefs(factory: Factory, robot: Robot) -> None:
 
 
 def extremes_stay_finite(factory: Factory, robot: Robot) -> None:
-    """Impossible lengths, repeated and late measurements give finite beliefs or a clear error."""
+    """Require finite beliefs or a clear error for impossible, repeated and late measurements."""
     first = make_scene(robot).measurements[0]
     lengths = first.unstrained_length
     strange = (
@@ -80,7 +80,7 @@ def extremes_stay_finite(factory: Factory, robot: Robot) -> None:
 
 
 def other_robot_refused(factory: Factory, robot: Robot) -> None:
-    """A measurement of another number of cables ends in a clear error."""
+    """Require a clear error for a measurement of another number of cables."""
     lengths = make_scene(robot).measurements[0].unstrained_length
     measurement = Measurement(time=np.zeros(1), unstrained_length=np.c_[lengths, lengths[:, -1:]])
 
@@ -92,7 +92,7 @@ def other_robot_refused(factory: Factory, robot: Robot) -> None:
 
 
 def lengths_are_enough(factory: Factory, robot: Robot) -> None:
-    """It runs on a driver that measures lengths alone and knows no truth, or says what it lacks."""
+    """Require a driver of lengths alone, without truth, to suffice, or a clear error."""
     scene = make_scene(robot)
 
     hold = _Hold(scene.measurements[0].unstrained_length)
@@ -104,7 +104,7 @@ def lengths_are_enough(factory: Factory, robot: Robot) -> None:
 
 
 def batch_equals_loop(factory: Factory, robot: Robot) -> None:
-    """A batch of two gives what two batches of one give, or is refused."""
+    """Require a batch of two to equal two batches of one, or to be refused."""
     measurements = make_scene(robot).measurements
     series = (measurements[:3], measurements[1:4])
     both = tuple(
@@ -143,7 +143,7 @@ ESTIMATOR_CHECKS: dict[str, Check] = {
 
 
 class _Hold:
-    """A controller that holds still."""
+    """Controller that holds still."""
 
     period = 0.02
     horizon = 0.0
@@ -161,7 +161,7 @@ class _Hold:
 def _beliefs(
     estimator: Any, measurements: tuple[Measurement, ...]
 ) -> list[tuple[Belief, Measurement]]:
-    """Beliefs after a reset, with what they were made from; commands are the lengths measured."""
+    """Return beliefs after a reset with their measurements; commands are the measured lengths."""
     found: list[tuple[Belief, Measurement]] = []
     with only_clear_errors("reset() and update()"):
         for measurement in measurements:
@@ -177,7 +177,7 @@ def _beliefs(
 
 
 def _poses(estimator: Any, measurements: tuple[Measurement, ...]) -> list[Array]:
-    """Position and rotation at each step, shape (B, 12)."""
+    """Return position and rotation at each step, shape (B, 12)."""
     return [
         np.concatenate([belief.position, belief.rotation.reshape(-1, 9)], axis=1)
         for belief, _ in _beliefs(estimator, measurements)
@@ -185,7 +185,7 @@ def _poses(estimator: Any, measurements: tuple[Measurement, ...]) -> list[Array]
 
 
 def _run(estimator: Any, measurements: tuple[Measurement, ...]) -> None:
-    """Look at what `Belief` itself does not check."""
+    """Check what `Belief` itself does not check."""
     for belief, _ in _beliefs(estimator, measurements):
         finite = belief.tension is None or bool(np.isfinite(belief.tension).all())
         require(finite, "extreme but valid measurement: tension: got a number that is not finite")

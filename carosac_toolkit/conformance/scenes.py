@@ -1,4 +1,4 @@
-"""Small worlds that checks happen in: made of statics and a line, without any driver."""
+"""Small test worlds for the checks, made of statics and a line, without any driver."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PER_CABLE_FIELDS = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ConformanceScene:
-    """A platform that follows a slow line, seen at `SCENE_STEPS` times.
+    """Platform that follows a slow line, observed at `SCENE_STEPS` times.
 
     Attributes:
         path: From home a little into the workspace.
@@ -42,7 +42,7 @@ class ConformanceScene:
     measurements: tuple[Measurement, ...]
 
     def references(self, period: float, horizon: float) -> list[Reference]:
-        """What a controller sees ahead at each step."""
+        """Return the reference window of each step."""
         return [self.path.window(float(b.time[0]), horizon, period) for b in self.beliefs]
 
 
@@ -78,7 +78,7 @@ def make_scene(robot: Robot, *, offset: float = 0.003) -> ConformanceScene:
 
 
 def other_robot(robot: Robot) -> Robot:
-    """The same robot with one cable more, beside the last one."""
+    """Return the same robot with one more cable, beside the last one."""
     changed: dict[str, Any] = {
         name: np.concatenate([value, value[-1:]])
         for name in PER_CABLE_FIELDS
@@ -90,7 +90,7 @@ def other_robot(robot: Robot) -> Robot:
 
 
 def stacked(one: Reference, other: Reference) -> Reference:
-    """Two references as a batch of two."""
+    """Return two references as a batch of two."""
     names = ("time", "position", "velocity", "acceleration")
     return Reference(
         **{name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in names}
@@ -99,13 +99,13 @@ def stacked(one: Reference, other: Reference) -> Reference:
 
 @contextmanager
 def wide_numbers() -> Iterator[None]:
-    """Let numpy overflow or divide in silence; what comes out is looked at instead."""
+    """Let numpy overflow or divide silently; the result is checked instead."""
     with np.errstate(all="ignore"):
         yield
 
 
 class LengthPlayback:
-    """A driver that measures given lengths, obeys nothing and knows no truth."""
+    """Driver that measures given lengths, ignores commands and knows no truth."""
 
     def __init__(self, measurements: tuple[Measurement, ...]) -> None:
         self._measurements = measurements
@@ -113,11 +113,11 @@ class LengthPlayback:
         self.sent: list[Array] = []
 
     def connect(self) -> None:
-        """Go to the first one."""
+        """Go to the first measurement."""
         self._index = 0
 
     def measure(self) -> Measurement:
-        """The one of this cycle."""
+        """Return the measurement of this cycle."""
         return self._measurements[self._index]
 
     def command(self, command: Command) -> Command:
@@ -126,12 +126,12 @@ class LengthPlayback:
         return command
 
     def wait(self, duration: float) -> bool:
-        """Go to the next one."""
+        """Go to the next measurement."""
         self._index += 1
         return self._index < len(self._measurements)
 
     def stop(self, reason: str) -> None:
-        """Nothing moves."""
+        """Do nothing: nothing moves."""
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: nothing is held."""

@@ -1,4 +1,4 @@
-"""How a check says no, and what all checks share."""
+"""Failure of a check, and helpers that all checks share."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ BATCH_TOLERANCE_M = 1e-9  # [m], between rows computed together and alone
 
 
 class NotConforming(CarosacError, AssertionError):
-    """A plug-in that breaks its contract."""
+    """Error of a plug-in that breaks its contract."""
 
 
 def run_all(
     kind: str, checks: Mapping[str, Check], factory: Factory, robot: Robot, skip: tuple[str, ...]
 ) -> None:
-    """Run all checks, and tell of all that failed at once.
+    """Run all checks and report all failures at once.
 
     Raises:
         NotConforming: One line per failed check.
@@ -72,7 +72,7 @@ def only_clear_errors(doing: str) -> Iterator[None]:
 
 
 def refuses(doing: str, action: Callable[[], object]) -> bool:
-    """Whether an action ends in a clear error; an unclear one breaks the contract."""
+    """Return whether an action ends in a clear error; an unclear one breaks the contract."""
     try:
         with only_clear_errors(doing):
             action()

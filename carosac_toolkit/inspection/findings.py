@@ -1,4 +1,4 @@
-"""Why a robot cannot work at home, and what in its file looks like a mistake, in words."""
+"""Reasons why a robot cannot work at home, and likely mistakes in its file, in words."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def problems(report: RobotReport) -> list[str]:
 
 
 def warnings(report: RobotReport) -> list[str]:
-    """Say what looks like a mistake, though the robot may work.
+    """List likely mistakes, even if the robot may work.
 
     Args:
         report: The robot and how it hangs at home.
@@ -58,7 +58,7 @@ def warnings(report: RobotReport) -> list[str]:
 
 
 def _unstable(report: RobotReport) -> str:
-    """What it means that an equilibrium is not stable."""
+    """Explain why the equilibrium is unstable."""
     growing = [
         f"{value:.3g} Hz" for value in report.frequencies if value < -OSCILLATION_FREQUENCY_MIN_HZ
     ]
@@ -71,7 +71,7 @@ def _unstable(report: RobotReport) -> str:
 
 
 def _inside_pulley(report: RobotReport) -> Iterator[str]:
-    """Anchor points where no cable can go."""
+    """Yield anchor points inside their pulley."""
     for i in np.flatnonzero(~report.straight.valid[0]):
         radius = report.robot.pulley_radius[i]
         name = report.robot.cable_names[i]
@@ -79,7 +79,7 @@ def _inside_pulley(report: RobotReport) -> Iterator[str]:
 
 
 def _no_equilibrium(report: RobotReport) -> Iterator[str]:
-    """Why nothing balances at home."""
+    """Explain why nothing balances at home."""
     from carosac_toolkit.physics.rest.statics import REASONS
 
     yield REASONS[report.equilibrium.status[0]]
@@ -92,7 +92,7 @@ def _no_equilibrium(report: RobotReport) -> Iterator[str]:
 
 
 def _without_limits(report: RobotReport) -> Equilibrium | None:
-    """Equilibrium at home with as few tension limits lifted as possible, upper ones first."""
+    """Return an equilibrium at home with the fewest tension limits lifted, upper ones first."""
     from carosac_toolkit.physics.rest import statics
 
     robot = report.robot
@@ -112,7 +112,7 @@ def _without_limits(report: RobotReport) -> Equilibrium | None:
 
 
 def _tension_limits(report: RobotReport, home: Equilibrium) -> Iterator[str]:
-    """Tensions that the robot does not allow."""
+    """Yield tensions outside their limits."""
     if not home.converged[0]:
         return
     robot = report.robot
@@ -125,7 +125,7 @@ def _tension_limits(report: RobotReport, home: Equilibrium) -> Iterator[str]:
 
 
 def _winch_range(report: RobotReport) -> Iterator[str]:
-    """Lengths at home that the winches cannot wind."""
+    """Yield lengths at home that the winches cannot wind."""
     robot, known = report.robot, report.equilibrium.converged[0]
     lengths = report.equilibrium.unstrained_length[0] if known else report.straight.length[0]
     for i in np.flatnonzero((lengths < robot.length_min) | (lengths > robot.length_max)):
@@ -138,7 +138,7 @@ def _winch_range(report: RobotReport) -> Iterator[str]:
 
 
 def _outside(report: RobotReport) -> Iterator[str]:
-    """Homes that no cable pulls to."""
+    """Yield home positions that no cable pulls towards."""
     from scipy.spatial import ConvexHull, QhullError
 
     robot = report.robot
@@ -159,7 +159,7 @@ def _outside(report: RobotReport) -> Iterator[str]:
 
 
 def _far_points(report: RobotReport) -> Iterator[str]:
-    """Points in another unit than the rest."""
+    """Yield points in another unit than the rest."""
     robot = report.robot
     for kind, points, middle in (
         ("exit point", robot.exit_points, robot.home_position),
@@ -176,7 +176,7 @@ def _far_points(report: RobotReport) -> Iterator[str]:
 
 
 def _low_rank(report: RobotReport) -> Iterator[str]:
-    """Cables that leave the platform free to move although there are enough of them."""
+    """Yield a note on cables that leave the platform free to move although there are enough."""
     from carosac_toolkit.physics.rest.structure import structure_matrix
 
     robot = report.robot
@@ -195,7 +195,7 @@ def _low_rank(report: RobotReport) -> Iterator[str]:
 
 
 def _cause(anchors: Array) -> str:
-    """What makes cables dependent."""
+    """Return why the cables are dependent."""
     spread = np.linalg.svd(anchors - anchors.mean(axis=0), compute_uv=False)
     if spread[0] < 1e-9:
         return "anchor points coincide"
@@ -205,7 +205,7 @@ def _cause(anchors: Array) -> str:
 
 
 def _deep_sag(report: RobotReport) -> Iterator[str]:
-    """Cables that hang through."""
+    """Yield cables with implausible sag."""
     lengths = report.equilibrium.unstrained_length[0]
     for i in np.flatnonzero(report.sag > DEEP_SAG_RATIO * lengths):
         yield (
@@ -215,7 +215,7 @@ def _deep_sag(report: RobotReport) -> Iterator[str]:
 
 
 def _long_wrap(report: RobotReport) -> Iterator[str]:
-    """Cables that go round their pulley the wrong way."""
+    """Yield cables that wrap their pulley the wrong way."""
     robot = report.robot
     for i in np.flatnonzero(report.wrap > np.pi):
         yield (

@@ -1,4 +1,4 @@
-"""What a robot is and how it hangs at home, as numbers."""
+"""Report of a robot and its equilibrium at home, as numbers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CABLE_SHAPE_POINTS = 101
 
 
 class CalibratedParameter(NamedTuple):
-    """A parameter that a calibration estimated.
+    """Parameter that a calibration estimated.
 
     Attributes:
         name: As in `carosac_toolkit.robot.parameters`.
@@ -39,7 +39,7 @@ class CalibratedParameter(NamedTuple):
 
 
 class SensorReport(NamedTuple):
-    """What the robot file says of its sensors.
+    """Sensor data of the robot file.
 
     Attributes:
         offset: What length sensors read at unstrained length 0 [m], (n,); None: not calibrated.
@@ -58,7 +58,7 @@ class SensorReport(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotReport:
-    """A robot at its home position.
+    """Robot at its home position.
 
     Attributes:
         robot: The robot.
@@ -99,22 +99,22 @@ class RobotReport:
 
     @property
     def suspended(self) -> bool:
-        """Whether every cable pulls up at home, so that only gravity keeps the cables taut."""
+        """True if every cable pulls up at home, so that only gravity keeps the cables taut."""
         return is_suspended(self.robot, self.equilibrium.position, self.equilibrium.rotation)
 
     @cached_property
     def problems(self) -> tuple[str, ...]:
-        """Why the robot cannot stay at home, in words; empty where it can."""
+        """Reasons why the robot cannot stay at home, in words; empty where it can."""
         return tuple(findings.problems(self))
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """What looks like a mistake though the robot may work, in words."""
+        """Likely mistakes in the robot file, in words."""
         return tuple(findings.warnings(self))
 
     @property
     def feasible(self) -> bool:
-        """Whether the robot can stay at home: stable, within the limits of tension and length."""
+        """True if the robot can stay at home: stable, within the limits of tension and length."""
         return not self.problems
 
     @property
@@ -136,7 +136,7 @@ class RobotReport:
 
     @property
     def sensors(self) -> SensorReport | None:
-        """What the robot file says of its sensors; None where it says nothing."""
+        """Sensor data of the robot file; None if there is none."""
         robot = self.robot
         known = (robot.length_offset, robot.length_scale, robot.length_delay, robot.pose_rotation)
         if all(value is None for value in known):
@@ -150,7 +150,7 @@ class RobotReport:
         return SensorReport(robot.length_offset, robot.length_scale, robot.length_delay, tilt, turn)
 
     def data(self) -> dict[str, Any]:
-        """All numbers under names with units, ready for JSON; NaN is unknown."""
+        """Return all numbers under names with units, ready for JSON; NaN is unknown."""
         robot = self.robot
         return {
             "name": robot.name,
@@ -214,7 +214,7 @@ class RobotReport:
         ]
 
     def _sensor_data(self) -> dict[str, Any] | None:
-        """What the robot file says of its sensors."""
+        """Return the sensor data of the robot file."""
         sensors = self.sensors
         if sensors is None:
             return None
@@ -227,7 +227,7 @@ class RobotReport:
         }
 
     def _home_data(self) -> dict[str, Any]:
-        """How it hangs at home; null where there is no equilibrium to speak of."""
+        """Return the equilibrium at home; null where there is none."""
         home = self.equilibrium
         converged = bool(home.converged[0])
         known = 1.0 if converged else np.nan
@@ -244,7 +244,7 @@ class RobotReport:
 
 
 def report_robot(robot: Robot, file: RobotFile | None = None) -> RobotReport:
-    """Work out how a robot hangs at home.
+    """Compute the equilibrium of a robot at home, and its report.
 
     Args:
         robot: The robot, n cables.

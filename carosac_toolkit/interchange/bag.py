@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and 2 and MCAP files: their topics, and the messages of one of them."""
+"""Bags of ROS 1 and 2 and MCAP files: their topics and messages."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _BAG_KINDS = "a .bag of ROS 1, the folder of a ROS 2 bag, or a single .mcap or .
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of a bag.
+    """Topic of a bag.
 
     Attributes:
         name: Such as ``/joint_states``.
@@ -40,7 +40,7 @@ class Topic:
 
 
 class Bag:
-    """An open bag; see `open_bag`.
+    """Open bag; see `open_bag`.
 
     Attributes:
         paths: Its files.
@@ -61,11 +61,11 @@ class Bag:
 
     @property
     def name(self) -> str:
-        """Its files, for people."""
+        """Names of its files, for messages."""
         return ", ".join(path.name for path in self.paths)
 
     def topic(self, name: str, option: str) -> Topic:
-        """The topic of a name.
+        """Return the topic of a name.
 
         Raises:
             InvalidField: There is none, or it has no messages.
@@ -80,11 +80,11 @@ class Bag:
         return found
 
     def first(self, topic: str) -> Any:
-        """Content of the first message of a topic, or None."""
+        """Return the content of the first message of a topic, or None."""
         return next((message for _, message in self.messages(topic)), None)
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
-        """Time of receipt [ns] and content of each message of a topic, in order of receipt."""
+        """Yield time of receipt [ns] and content of a topic's messages, in order of receipt."""
         chosen = [c for c in self._reader.connections if c.topic == topic]
         with _our_errors(self.paths):
             for connection, time, raw in self._reader.messages(connections=chosen):
@@ -126,7 +126,7 @@ def open_bag(paths: Sequence[Path], *, definitions: Path | None = None) -> Itera
 
 
 def _check(paths: Sequence[Path]) -> None:
-    """Refuse what is no bag, before a library is asked."""
+    """Refuse a path that is no bag, before a library opens it."""
     if find_spec("rosbags") is None:
         raise CarosacError(
             "reading bags needs the package rosbags: pip install carosac-toolkit[ros]"
@@ -143,7 +143,7 @@ def _check(paths: Sequence[Path]) -> None:
 
 
 def _known_types(definitions: Path | None) -> Any:
-    """Message types of ROS 2, and those of a folder."""
+    """Return the message types of ROS 2, and those of a folder."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.LATEST)
@@ -163,7 +163,7 @@ def _known_types(definitions: Path | None) -> Any:
 
 @contextmanager
 def _our_errors(paths: Sequence[Path]) -> Iterator[None]:
-    """Turn what libraries say of damaged files into one message."""
+    """Turn library errors on damaged files into one message."""
     import apsw
     from rosbags.highlevel import AnyReaderError
     from rosbags.rosbag1 import ReaderError as Error1

@@ -1,4 +1,4 @@
-"""From the messages of a topic to numbers with time stamps."""
+"""Conversion of a topic's messages to numbers with time stamps."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class TopicSamples:
 def numbers(
     bag: Bag, spec: str, option: str, *, stamps: str, names: Sequence[str] = ()
 ) -> TopicSamples:
-    """Numbers of a topic.
+    """Return the numbers of a topic.
 
     Args:
         bag: Where the topic is.
@@ -99,7 +99,7 @@ def numbers(
 
 
 def poses(bag: Bag, spec: str, *, stamps: str, frames: Sequence[str] = ()) -> TopicSamples:
-    """Positions and quaternions w x y z of a topic, shape (K, 7); in ROS the order is x y z w.
+    """Return positions and quaternions w x y z of a topic, shape (K, 7); ROS orders them x y z w.
 
     Args:
         bag: Where the topic is.
@@ -145,7 +145,7 @@ def poses(bag: Bag, spec: str, *, stamps: str, frames: Sequence[str] = ()) -> To
 
 
 def inertial(bag: Bag, spec: str, *, stamps: str) -> TopicSamples:
-    """Angular rates [rad/s] and specific forces [m/s^2] of ``sensor_msgs/Imu``, shape (K, 6).
+    """Return angular rate [rad/s] and specific force [m/s^2] of ``sensor_msgs/Imu``, shape (K, 6).
 
     Its `linear_acceleration` is what an accelerometer reads: +g upwards at rest.
     """
@@ -163,7 +163,7 @@ def inertial(bag: Bag, spec: str, *, stamps: str) -> TopicSamples:
 
 
 def split_spec(spec: str, option: str) -> tuple[str, str | None]:
-    """Topic and field of ``/topic.field``."""
+    """Split ``/topic.field`` into topic and field."""
     match = _CHANNEL_PATTERN.fullmatch(spec)
     if match is None:
         raise InvalidField(option, repr(spec), "/topic or /topic.field")
@@ -171,7 +171,7 @@ def split_spec(spec: str, option: str) -> tuple[str, str | None]:
 
 
 def _at(message: Any, path: str, spec: str, option: str) -> Any:
-    """What is at a field; of a list of messages, what is there in each."""
+    """Return the content of a field; of a list of messages, that of each."""
     found = message
     for part in filter(None, path.split(".")):
         if isinstance(found, list | tuple):
@@ -184,7 +184,7 @@ def _at(message: Any, path: str, spec: str, option: str) -> Any:
 
 
 def _row(value: Any, spec: str, option: str) -> Array:
-    """Numbers as a row."""
+    """Return numbers as a row."""
     try:
         return np.atleast_1d(np.asarray(value, dtype=np.float64)).ravel()
     except (TypeError, ValueError) as error:
@@ -198,7 +198,7 @@ def _fields(message: Any) -> str:
 
 
 def numeric(message: Any, start: str = "") -> str:
-    """Fields of a message that hold numbers, for people."""
+    """List the fields of a message that hold numbers."""
     found = []
     for name in [field.name for field in fields(message)] if is_dataclass(message) else []:
         value = getattr(message, name)
@@ -220,7 +220,7 @@ def _named(
     spec: str,
     option: str,
 ) -> tuple[Array, tuple[str, ...]]:
-    """Columns by name, where the message has one for each; every message has the same."""
+    """Return columns by name, where the message has one for each; every message has the same."""
     own = getattr(message, "name", None)
     if not isinstance(own, list) or len(own) != len(row):
         return row, ()
@@ -233,7 +233,7 @@ def _named(
 
 
 def _pose(pose: Any, spec: str) -> list[float]:
-    """Position and quaternion w x y z of a Pose or Transform."""
+    """Return position and quaternion w x y z of a Pose or Transform."""
     place = getattr(pose, "position", None) or getattr(pose, "translation", None)
     turn = getattr(pose, "orientation", None) or getattr(pose, "rotation", None)
     if place is None or turn is None:
@@ -243,7 +243,7 @@ def _pose(pose: Any, spec: str) -> list[float]:
 
 
 def _stamp(message: Any) -> int | None:
-    """Stamp of the header [ns], or None where there is none or it was never set."""
+    """Return the header's stamp [ns], or None if there is none or it was never set."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     if stamp is None or (stamp.sec == 0 and stamp.nanosec == 0):
         return None
@@ -258,7 +258,7 @@ def _ordered(
     stamps: str,
     labels: tuple[str, ...] = (),
 ) -> TopicSamples:
-    """Samples in order of one clock, a stamp once."""
+    """Return samples in the order of one clock, each stamp once."""
     known = [time for time in times if time is not None]
     complete = len(known) == len(times)
     clock = "header" if stamps == "header" and complete else "receive"

@@ -1,4 +1,4 @@
-"""A recording out of the topics of a bag: each channel keeps its stamps, none is interpolated."""
+"""Recordings from the topics of a bag: each channel keeps its stamps, none is interpolated."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _DELAY_DIFFERENCE_MAX_S = 1.0  # [s] by which delays of two channels may differ 
 
 @dataclass(frozen=True, kw_only=True)
 class Topics:
-    """Which topics hold what; see `read_bag`.
+    """Topics by content; see `read_bag`.
 
     Attributes:
         lengths: One topic with a number for each cable, or one topic for each cable.
@@ -63,7 +63,7 @@ class Topics:
     robot: str | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what no bag can answer."""
+        """Refuse settings that no bag can satisfy."""
         if self.stamps not in STAMP_SOURCES:
             raise InvalidField("--stamps", repr(self.stamps), f"one of {', '.join(STAMP_SOURCES)}")
         if not self.lengths:
@@ -75,7 +75,7 @@ class Topics:
 
 @dataclass(frozen=True)
 class Imported:
-    """A recording and what happened on the way.
+    """Recording, and notes on its import.
 
     Attributes:
         recording: Time 0 is the first stamp of all.
@@ -91,7 +91,7 @@ class Imported:
 
 
 def read_bag(bag: Bag, topics: Topics) -> Imported:
-    """Read a recording out of a bag.
+    """Read a recording from a bag.
 
     Raises:
         InvalidField: Topics that are not there, or that do not make a recording.
@@ -126,7 +126,7 @@ def read_bag(bag: Bag, topics: Topics) -> Imported:
 def _cables(
     bag: Bag, specs: Sequence[str], option: str, topics: Topics, notes: list[str]
 ) -> TopicSamples:
-    """A number for each cable: of one topic, or of one topic for each."""
+    """Return a number per cable: from one topic, or from one topic per cable."""
     each = [numbers(bag, spec, option, stamps=topics.stamps, names=topics.names) for spec in specs]
     if len(each) == 1:
         return each[0]
@@ -154,7 +154,7 @@ def _cables(
 
 
 def _in_order_of(lengths: TopicSamples, samples: TopicSamples) -> TopicSamples:
-    """The columns in the order of the lengths, where they have the same names in another one."""
+    """Return the columns in the order of the lengths, if their names are the same."""
     names = list(samples.labels)
     if samples.labels == lengths.labels or set(names) != set(lengths.labels):
         return samples
@@ -165,7 +165,7 @@ def _in_order_of(lengths: TopicSamples, samples: TopicSamples) -> TopicSamples:
 def _matched(
     each: Sequence[TopicSamples], together: float | None, option: str
 ) -> list[np.ndarray[tuple[int], np.dtype[np.int64]]]:
-    """For each sample of the first topic, the row of each topic that belongs to it, or -1."""
+    """Return the row of each topic that belongs to a sample of the first topic, or -1."""
     first = each[0].time
     rows = []
     worst = 0
@@ -186,7 +186,7 @@ def _matched(
 
 
 def _nearest(time: Nanoseconds, when: Nanoseconds) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Index of the stamp nearest to each of others."""
+    """Return the index of the nearest stamp for each of others."""
     right = np.clip(np.searchsorted(time, when), 0, len(time) - 1)
     left = np.maximum(right - 1, 0)
     closer = np.abs(time[left] - when) < np.abs(time[right] - when)
@@ -196,7 +196,7 @@ def _nearest(time: Nanoseconds, when: Nanoseconds) -> np.ndarray[tuple[int], np.
 def _recording(
     found: dict[str, TopicSamples], start: int, scale: float, topics: Topics, bag: Bag
 ) -> Recording:
-    """All channels by one clock that begins with the first sample."""
+    """Return all channels on one clock that begins with the first sample."""
     lengths = found["unstrained_length"]
     stamped = {
         name: Stamped(time=_seconds(samples, start), value=factor * samples.value)
@@ -235,12 +235,12 @@ def _recording(
 
 
 def _seconds(samples: TopicSamples, start: int) -> Array:
-    """Stamps as seconds since the first one."""
+    """Convert stamps to seconds since the first one."""
     return np.asarray((samples.time - start) / 1e9, dtype=np.float64)
 
 
 def _clock_warnings(found: dict[str, TopicSamples]) -> list[str]:
-    """Channels whose clocks can hardly be one."""
+    """Return warnings of channels that can hardly share one clock."""
     warnings = []
     clocks = {samples.clock for samples in found.values()}
     if len(clocks) > 1:

@@ -62,7 +62,7 @@ def read_caspr(
 
 
 def _chosen_set(file: SourceFile, asked: str | None) -> Element:
-    """The cable set that is asked for, or the default one."""
+    """Return the requested cable set, or the default one."""
     root = file.xml()
     sets = {found.get("id", ""): found for found in root.findall("cable_set")}
     if not sets:
@@ -76,7 +76,7 @@ def _chosen_set(file: SourceFile, asked: str | None) -> Element:
 
 
 def _platform(file: SourceFile, draft: Draft) -> Array:
-    """Mass, centre and inertia of the link, and its joint; returns the centre of mass in P."""
+    """Put mass, centre and inertia of the link, and its joint; return the centre of mass in P."""
     root = file.xml()
     links = root if root.tag == "links" else root.find("links")
     found = [] if links is None else list(links)
@@ -99,7 +99,7 @@ def _platform(file: SourceFile, draft: Draft) -> Array:
 
 
 def _body(file: SourceFile, physical: Element, draft: Draft) -> Array:
-    """Mass, centre of mass and inertia."""
+    """Put mass, centre of mass and inertia."""
     mass = file.child_number(physical, "mass", "physical", "kg")
     centre = file.numbers(physical.findtext("com_location"), "physical/com_location", 3, "m")
     draft.put(("platform", "mass"), mass, "mass of the link")
@@ -131,7 +131,7 @@ def _body(file: SourceFile, physical: Element, draft: Draft) -> Array:
 
 
 def _joint(file: SourceFile, link: Element, joint: Element, draft: Draft) -> None:
-    """Home and workspace, where the joint has them."""
+    """Put home and workspace, where the joint has them."""
     origin = file.numbers(link.findtext("parent/location"), "parent/location", 3, "m")
     start = joint.get("q_initial")
     if start is not None:
@@ -150,7 +150,7 @@ def _joint(file: SourceFile, link: Element, joint: Element, draft: Draft) -> Non
 
 
 def _euler_xyz(angles: Array) -> Array:
-    """Quaternion w x y z of R = Rx Ry Rz [rad]; NaN where an angle is."""
+    """Return the quaternion w x y z of R = Rx Ry Rz [rad]; NaN where an angle is."""
     if not np.isfinite(angles).all():
         return np.full(4, np.nan)
     from scipy.spatial.transform import Rotation
@@ -161,7 +161,7 @@ def _euler_xyz(angles: Array) -> Array:
 
 
 def _cables(file: SourceFile, chosen: Element, centre: Array, draft: Draft, pulleys: bool) -> None:
-    """Chains, tension limits and stiffness of one cable set."""
+    """Put chains, tension limits and stiffness of one cable set."""
     names: list[str] = []
     ends, limits, stiffness = [], [], []
     for i, cable in enumerate(chosen):
@@ -190,7 +190,7 @@ def _cables(file: SourceFile, chosen: Element, centre: Array, draft: Draft, pull
 
 
 def _cable_types(draft: Draft, names: list[str], stiffness: list[float | None]) -> list[str]:
-    """One cable type for each stiffness; returns the name of each cable's."""
+    """Put one cable type for each stiffness; return the name of each cable's."""
     kinds: dict[float | None, str] = {}
     for name, value in zip(names, stiffness, strict=True):
         if value not in kinds:
@@ -204,7 +204,7 @@ def _cable_types(draft: Draft, names: list[str], stiffness: list[float | None]) 
 
 
 def _stiffness(file: SourceFile, cable: Element, where: str, draft: Draft) -> float | None:
-    """Axial stiffness [N] of a linear spring; other springs are no elastic cables."""
+    """Return the axial stiffness [N] of a linear spring; other springs are not elastic cables."""
     if cable.tag == "cable_linear_spring":
         value = _optional(file, cable, "K_cable", where)
         if value is not None:
@@ -215,7 +215,7 @@ def _stiffness(file: SourceFile, cable: Element, where: str, draft: Draft) -> fl
 
 
 def _optional(file: SourceFile, cable: Element, tag: str, where: str) -> float | None:
-    """A number of a cable's properties, or None where there is none."""
+    """Return a number of a cable's properties, or None if absent."""
     text = cable.findtext(f"properties/{tag}")
     return None if text is None else file.number(text, f"{where}/{tag}", "N")
 
@@ -223,7 +223,7 @@ def _optional(file: SourceFile, cable: Element, tag: str, where: str) -> float |
 def _ends(
     file: SourceFile, cable: Element, where: str, centre: Array, pulleys: bool
 ) -> tuple[tuple[Array, float, Array], Array]:
-    """Exit point and anchor point of a cable."""
+    """Return exit point and anchor point of a cable."""
     points = list(cable.find("attachments") or ())
     nothing = np.full(3, np.nan)
     if len(points) != 2:
@@ -237,7 +237,7 @@ def _ends(
 
 
 def _exit(file: SourceFile, base: Element, where: str, pulleys: bool) -> tuple[Array, float, Array]:
-    """Position, pulley radius and swivel axis at the base."""
+    """Return position, pulley radius and swivel axis at the base."""
     if base.tag == "base_rotating_pulley":
         position = file.numbers(base.findtext("fixed_location"), f"{where}/fixed_location", 3, "m")
         radius = file.child_number(base, "pulley_radius", where, "m")
@@ -258,7 +258,7 @@ def _exit(file: SourceFile, base: Element, where: str, pulleys: bool) -> tuple[A
 
 
 def _anchor(file: SourceFile, cable: Element, end: Element, where: str, centre: Array) -> Array:
-    """Anchor point in P."""
+    """Return the anchor point in P."""
     link = (end.findtext("link") or "").strip()
     if end.tag != "attachment" or link != "1":
         got = f"<{end.tag}> at link {link or 'nothing'}"

@@ -1,4 +1,4 @@
-"""From a draft to a robot file: what the user adds, what is still missing, the text of the file."""
+"""Completion of a draft to a robot file: additions of the user, missing fields, the file's text."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _MODULUS_HINT = (
 
 @dataclass(frozen=True)
 class Completed:
-    """A draft with what was added to it.
+    """Draft with the additions of the user.
 
     Attributes:
         draft: With the additions in it.
@@ -86,7 +86,7 @@ def complete(
 
 
 def robot_and_text(completed: Completed) -> tuple[Robot, str]:
-    """The robot and the text of its file.
+    """Return the robot and the text of its file.
 
     Raises:
         CarosacError: Something is missing.
@@ -101,13 +101,13 @@ def robot_and_text(completed: Completed) -> tuple[Robot, str]:
 
 
 def missing_lines(completed: Completed) -> Iterator[str]:
-    """One line for each field that is missing."""
+    """Return one line for each missing field."""
     for path, allowed in completed.missing:
         yield f"{format_path(path)}: {allowed}"
 
 
 def form(completed: Completed) -> str:
-    """A YAML fragment with the missing fields, to be filled in."""
+    """Return a YAML fragment with the missing fields, to be filled in."""
     lines = ["# What the file does not hold, to be filled in. Units may be written: 4 mm, 10 g/m."]
     tree: dict[str | int, Any] = {}
     for path, allowed in completed.missing:
@@ -121,7 +121,7 @@ def form(completed: Completed) -> str:
 
 
 def _form_lines(tree: dict[str | int, Any], depth: int) -> Iterator[str]:
-    """Keys, indented; those without keys of their own with what they allow."""
+    """Return indented keys; leaves with what they allow."""
     for key, value in tree.items():
         start = f"{'  ' * depth}{_key(key)}:"
         if isinstance(value, dict):
@@ -132,13 +132,13 @@ def _form_lines(tree: dict[str | int, Any], depth: int) -> Iterator[str]:
 
 
 def _key(part: str | int) -> str:
-    """A key of YAML."""
+    """Return a key of YAML."""
     text = str(part)
     return text if text.replace("_", "a").isalnum() and not text.isdigit() else f'"{text}"'
 
 
 def _nested(pair: str) -> dict[str, Any]:
-    """``a.b=1 mm`` as nested mappings."""
+    """Parse ``a.b=1 mm`` to nested mappings."""
     path, equals, value = pair.partition("=")
     parts = [part.strip() for part in path.split(".")]
     if not equals or not value.strip() or not all(parts):
@@ -178,7 +178,7 @@ def _merge(
 
 
 def _instead(place: dict[str, Any], path: FieldPath) -> None:
-    """Take away what a new value excludes."""
+    """Remove values that a new value excludes."""
     if path[0] == "cable_types" and path[-1] == "axial_stiffness":
         for other in ("youngs_modulus", "area", "material_density"):
             place.pop(other, None)
@@ -194,7 +194,7 @@ def _instead(place: dict[str, Any], path: FieldPath) -> None:
 
 
 def _leaves(path: FieldPath, value: Any) -> Iterator[tuple[FieldPath, Any]]:
-    """Fields below a path; a list is one."""
+    """Yield the fields below a path; a list is one field."""
     if isinstance(value, dict) and value:
         for key, entry in value.items():
             yield from _leaves((*path, key), entry)
@@ -203,14 +203,14 @@ def _leaves(path: FieldPath, value: Any) -> Iterator[tuple[FieldPath, Any]]:
 
 
 def _covers(path: str, other: str) -> bool:
-    """Whether one path is another, or the start of it."""
+    """Return whether a path is another path, or its start."""
     return other == path or other.startswith((f"{path}.", f"{path}["))
 
 
 def _sorted_faults(
     draft: Draft,
 ) -> tuple[list[tuple[FieldPath, str]], list[tuple[FieldPath, str]]]:
-    """Fields that are missing, one by one, and other faults."""
+    """Return missing fields one by one, and other faults."""
     data = {**draft.data, "provenance": _needed(draft)}
     missing: list[tuple[FieldPath, str]] = []
     faults: list[tuple[FieldPath, str]] = []
@@ -233,13 +233,13 @@ def _sorted_faults(
 
 
 def _needed(draft: Draft) -> dict[str, str]:
-    """Provenance of what is there."""
+    """Return the provenance of the fields present."""
     paths = {format_path(path) for path, _ in _walk((), draft.data)}
     return {path: source for path, source in draft.provenance.items() if path in paths}
 
 
 def _walk(path: FieldPath, value: Any) -> Iterator[tuple[FieldPath, Any]]:
-    """All paths below a value."""
+    """Yield all paths below a value."""
     entries: list[tuple[str | int, Any]] = []
     if isinstance(value, dict):
         entries = list(value.items())
@@ -251,14 +251,14 @@ def _walk(path: FieldPath, value: Any) -> Iterator[tuple[FieldPath, Any]]:
 
 
 def _located(fault: tuple[FieldPath, str], document: Document) -> str:
-    """A fault with the line of the fragment, where it is in there."""
+    """Return a fault with the line of the fragment, if it is in there."""
     path, what = fault
     line = f"line {document.lines[path]}: " if path in document.lines else ""
     return f"{line}{format_path(path)}: {what}"
 
 
 def _styled(value: Any, inside: bool = False) -> Any:
-    """Vectors, matrices and chains on one line."""
+    """Set vectors, matrices and chains on one line each."""
     from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""A robot file in the making: what another program's files say, and what they do not."""
+"""Draft of a robot file: known values of another program's files, and their omissions."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Draft:
         self.data["chains"] = chains
 
     def limits(self, low: Sequence[float | None], high: Sequence[float | None], what: str) -> None:
-        """Put tension limits [N]: once where all cables share them, else at each chain.
+        """Put tension limits [N]: once if all cables share them, else at each chain.
 
         Args:
             low: Of each cable; None where the file has none.

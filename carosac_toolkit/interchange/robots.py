@@ -1,4 +1,4 @@
-"""Which program wrote a robot's files, and reading them."""
+"""Detection of the program that wrote a robot's files, and reading them."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def read_robot(
 
 
 def kind_of(path: Path) -> str:
-    """Which program wrote a file, and of CASPR's files which one it is."""
+    """Tell which program wrote a file, and which of CASPR's files it is."""
     suffix = path.suffix.lower()
     if suffix in (".json", ".yaml", ".yml"):
         return "cdpyr"
@@ -75,7 +75,7 @@ def kind_of(path: Path) -> str:
 
 
 def _partner(known: tuple[str, Path]) -> Path:
-    """The other file of a CASPR robot, beside the known one."""
+    """Return the other file of a CASPR robot, beside the known one."""
     kind, path = known
     own, other = _PARTNER_SUFFIXES[kind]
     partner = path.with_name(path.name.replace(own, other))

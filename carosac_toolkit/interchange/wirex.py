@@ -77,7 +77,7 @@ def read_wirex(path: Path, *, pulleys: bool = True) -> Draft:
 def _geometry(
     file: SourceFile, robot: Element, draft: Draft, winches: list[str], pulleys: bool
 ) -> None:
-    """Chains with their ends."""
+    """Put chains with their ends."""
     chains = robot.findall("geometry/chain")
     if not chains:
         raise file.refuse("no <chain> in <geometry>")
@@ -111,7 +111,7 @@ def _geometry(
 def _exit(
     file: SourceFile, base: Element | None, where: str, pulleys: bool
 ) -> tuple[Array, float, Array]:
-    """Position, pulley radius and swivel axis of a base point."""
+    """Return position, pulley radius and swivel axis of a base point."""
     position = _point(file, base, f"{where}/base")
     down = np.array([0.0, 0.0, -1.0])
     if base is None or base.get("radius") is None or not pulleys:
@@ -126,14 +126,14 @@ def _exit(
 
 
 def _point(file: SourceFile, element: Element | None, where: str) -> Array:
-    """x, y, z of a point."""
+    """Return x, y, z of a point."""
     if element is None:
         return np.full(3, np.nan)
     return np.array([file.attribute(element, axis, where, "m") for axis in "xyz"])
 
 
 def _platform(file: SourceFile, robot: Element, draft: Draft) -> None:
-    """Mass, centre of mass and inertia, where the file has all of each."""
+    """Put mass, centre of mass and inertia, where the file has all of each."""
     platform = robot.find("platform")
     if platform is None:
         return
@@ -156,7 +156,7 @@ def _platform(file: SourceFile, robot: Element, draft: Draft) -> None:
 
 
 def _inertia(file: SourceFile, element: Element, draft: Draft) -> None:
-    """The inertia, if the file has more than a part of it."""
+    """Put the inertia, if the file has all of it."""
     known = {key: file.attribute(element, key, "inertiatensor") for key in element.keys()}
     if not {"Ixx", "Iyy", "Izz"} <= set(known):
         draft.dropped.append(f"inertiatensor with {', '.join(known) or 'nothing'} alone")
@@ -170,14 +170,14 @@ def _inertia(file: SourceFile, element: Element, draft: Draft) -> None:
 
 
 def _value(file: SourceFile, element: Element | None, name: str, where: str) -> float | None:
-    """A number that counts as unset where it is 0 or missing."""
+    """Return a number; one that is 0 or missing counts as unset."""
     if element is None or element.get(name) is None:
         return None
     return file.attribute(element, name, where) or None
 
 
 def _cable(file: SourceFile, root: Element, draft: Draft) -> None:
-    """The cable type; chains do not say which, so that there may be one."""
+    """Put the cable type; chains do not name theirs, so that there may be only one."""
     cables = root.findall("cable")
     if len(cables) > 1:
         names = ", ".join(repr(cable.get("name")) for cable in cables)
@@ -203,7 +203,7 @@ def _cable(file: SourceFile, root: Element, draft: Draft) -> None:
 
 
 def _winches(file: SourceFile, root: Element, draft: Draft) -> list[str]:
-    """Winches by name, with what is known of each."""
+    """Return winches by name, with their known values."""
     names: list[str] = []
     draft.data["winches"] = {}
     for i, winch in enumerate(root.findall("winch")):
@@ -223,7 +223,7 @@ def _winches(file: SourceFile, root: Element, draft: Draft) -> list[str]:
 
 
 def _limits(file: SourceFile, root: Element, robot: Element, draft: Draft) -> None:
-    """Tension limits: those of the application, else of the winch."""
+    """Put the tension limits of the application, else of the winch."""
     needs = robot.find("application")
     low = _value(file, needs, "min_cable_load", "application")
     high = _value(file, needs, "max_cable_load", "application")

@@ -67,7 +67,7 @@ def draw_violins(results: StudyResults) -> Figure:
 
 
 def draw_gaussians(results: StudyResults) -> Figure:
-    """Draw how the RMSE of a case scatters: a normal distribution over the cases themselves."""
+    """Draw the scatter of the RMSE over cases: a normal distribution over the cases themselves."""
     figure = new_figure(12.0, 7.0)
     groups = _groups(results)
     panels = figure.subplots(2, 2).ravel()
@@ -144,7 +144,7 @@ def draw_paths(results: StudyResults) -> Figure:
 
 
 def draw_bars(results: StudyResults) -> Figure:
-    """Draw where the tracking error is large, and how far estimates are off."""
+    """Draw the regions of large tracking error, and the estimation error."""
     figure = new_figure(12.0, 4.6)
     groups = _groups(results)
     lines = dict(zip(results.labels, results.summary, strict=True))
@@ -174,7 +174,7 @@ def draw_bars(results: StudyResults) -> Figure:
 
 
 def draw_beliefs(results: StudyResults) -> Figure:
-    """Draw estimation errors, and how far estimators are right about them."""
+    """Draw estimation errors, and the consistency of the estimators' covariances."""
     return draw_estimates(_groups(results), _of_estimator(results) + _left_out(results))
 
 
@@ -189,7 +189,7 @@ COMPARISON_PICTURES: Mapping[str, Callable[[StudyResults], Figure]] = {
 
 
 def _groups(results: StudyResults) -> dict[str, tuple[list[Row], str]]:
-    """Rows and colour of the first groups, by label."""
+    """Return rows and colour of the first groups, by label."""
     pairs = zip(
         results.labels[:GROUPS_MAX], results.groups[:GROUPS_MAX], SERIES_COLORS, strict=False
     )
@@ -197,13 +197,13 @@ def _groups(results: StudyResults) -> dict[str, tuple[list[Row], str]]:
 
 
 def _of_estimator(results: StudyResults) -> str:
-    """Which estimator it is, where there is one alone: rows then differ in something else."""
+    """Name the estimator if all rows share it; rows then differ in something else."""
     names = {str(line["estimator"]) for line in results.summary}
     return f" (of the estimator {names.pop()})" if len(names) == 1 else ""
 
 
 def _left_out(results: StudyResults) -> str:
-    """Say that not all groups are there."""
+    """Note that some groups are not shown."""
     count = len(results.labels)
     return f" (the first {GROUPS_MAX} of {count} rows of the table)" if count > GROUPS_MAX else ""
 
@@ -213,7 +213,7 @@ def _colors(groups: Mapping[str, tuple[list[Row], str]]) -> dict[str, str]:
 
 
 def _same_example(results: StudyResults, wanted: tuple[str, ...]) -> dict[str, tuple[Example, str]]:
-    """One case of every group on the same plant and path, by label, with its colour."""
+    """Return one case of every group on the same plant and path, by label, with its colour."""
     groups = _groups(results)
     first = results.summary[0]
     block = {
@@ -231,7 +231,7 @@ def _same_example(results: StudyResults, wanted: tuple[str, ...]) -> dict[str, t
 
 
 def _title_of(examples: Mapping[str, tuple[Example, str]]) -> str:
-    """What is shown."""
+    """Return the title of an example."""
     titles = [example.title for example, _ in examples.values()]
     return f": {titles[0]}" if titles else ": no case to show"
 

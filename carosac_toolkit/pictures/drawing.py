@@ -1,4 +1,4 @@
-"""What pictures share: colours, figures, views, violins and legends."""
+"""Shared drawing code: colours, figures, views, violins and legends."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def views(robot: Robot) -> list[tuple[tuple[int, int], str]]:
-    """Axes to the right and up, and a title: the same for all recordings of a robot."""
+    """Return axes to the right and up, and a title: the same for all recordings of a robot."""
     span = robot.workspace_max - robot.workspace_min
     if span[1] > TURNED_VIEW_ASPECT_MIN * span[0]:
         turned = "from above, turned: y to the right, x up"
@@ -51,7 +51,7 @@ def views(robot: Robot) -> list[tuple[tuple[int, int], str]]:
 
 
 def limits_of(paths: list[Array]) -> Array:
-    """Lower and upper end of the drawn range of each axis [m], shape (3, 2)."""
+    """Return lower and upper end of the drawn range of each axis [m], shape (3, 2)."""
     points = np.vstack(paths)
     lower, upper = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     longest = max(float((upper - lower).max()), 1e-3)
@@ -75,7 +75,7 @@ def set_space(axes: Any, limits: Array) -> None:
 
 
 def draw_bell(axes: Any, values: Array, low: float, color: str) -> None:
-    """Draw values as ticks at a height below zero, and above the normal distribution of enough."""
+    """Draw values as ticks below zero and, if there are enough, their normal distribution above."""
     axes.plot(values, np.full(len(values), low), "|", color=color, ms=7, alpha=0.7)
     mean, deviation = float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
     text = f"{mean:.1f}"
@@ -135,7 +135,7 @@ def put_patches(figure: Figure, colors: Mapping[str, str]) -> None:
 
 
 def _columns(figure: Figure, labels: Sequence[str]) -> int:
-    """How many columns of a legend fit below a figure."""
+    """Return how many columns of a legend fit below a figure."""
     longest = max((len(label) for label in labels), default=1)
     fit = int(figure.get_size_inches()[0] * LEGEND_CHARACTERS_PER_INCH / (longest + 6))
     return max(1, min(len(labels), fit, 6))

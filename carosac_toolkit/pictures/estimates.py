@@ -1,4 +1,4 @@
-"""Picture of estimates: their errors, and whether estimators are right about them."""
+"""Picture of estimates: their errors, and the consistency of their covariances."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _draw_squares(axes: Any, groups: Groups, squares: Mapping[str, dict[int, lis
 
 
 def _squares(rows: Sequence[Row]) -> dict[int, list[float]]:
-    """NEES of the cases that have one, by seed."""
+    """Return the NEES of the cases that have one, by seed."""
     found: dict[int, list[float]] = {}
     for row in scored(rows):
         if row.get("nees_pose") is not None:

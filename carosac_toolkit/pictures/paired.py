@@ -19,7 +19,7 @@ HEADER_HEIGHT_INCH = 1.6  # [inch] for title, axis and legend
 
 
 def comparable(blocks: Sequence[PairedBlock]) -> bool:
-    """Whether there is any ratio to draw."""
+    """Return whether there is any ratio to draw."""
     return any(_rows(block) for block in blocks)
 
 
@@ -87,7 +87,7 @@ def _draw_block(axes: Any, block: PairedBlock, colors: dict[str, str]) -> None:
 
 
 def _rows(block: PairedBlock) -> list[tuple[str, str, Pair]]:
-    """Error, label and comparison, of each that has a ratio above zero."""
+    """Return error, label and comparison, of each that has a ratio above zero."""
     return [
         (name, one.label, one.pairs[name])
         for name in differing(block)

@@ -37,7 +37,7 @@ LENGTH_AXIS_PERCENTILE = 99.0  # percent of the values that the axis of lengths 
 
 
 def studies_of(sources: Sequence[FigureSource]) -> Iterator[tuple[Path, StudyResults]]:
-    """Studies with at least one case that followed its path."""
+    """Return the studies with at least one case that followed its path."""
     for folder in of_kind(sources, "study"):
         rows = tuple(read_rows(folder))
         if tracked(rows):
@@ -45,7 +45,7 @@ def studies_of(sources: Sequence[FigureSource]) -> Iterator[tuple[Path, StudyRes
 
 
 def draw_commanded(results: StudyResults) -> Figure:
-    """Draw how far unstrained lengths are from the commanded ones: each cable, and all together."""
+    """Draw the difference of unstrained from commanded lengths: per cable, and all together."""
     errors = length_errors(results)
     colors = dict(zip(errors, SERIES_COLORS, strict=False))
     figure = new_figure(12.0, 4.8)
@@ -76,7 +76,7 @@ def draw_commanded(results: StudyResults) -> Figure:
 
 
 def length_errors(results: StudyResults) -> dict[str, Array]:
-    """Measured minus commanded lengths of example cases [mm], shape (S, n), by label."""
+    """Return measured minus commanded lengths of example cases [mm], shape (S, n), by label."""
     found = {}
     for label, rows in list(zip(results.labels, results.groups, strict=True))[:GROUPS_MAX]:
         series = [json.loads(str(row["series"])) for row in scored(rows) if row.get("series")]
@@ -89,7 +89,7 @@ def length_errors(results: StudyResults) -> dict[str, Array]:
 
 
 def _validated(draw: Callable[[ValidationResult], Figure]) -> Callable[..., list[Drawn]]:
-    """A figure of the first validation that has a score."""
+    """Return a figure of the first validation that has a score."""
 
     def drawn(sources: Sequence[FigureSource]) -> list[Drawn]:
         for folder in of_kind(sources, "validation"):
@@ -102,7 +102,7 @@ def _validated(draw: Callable[[ValidationResult], Figure]) -> Callable[..., list
 
 
 def _commanded(sources: Sequence[FigureSource]) -> list[Drawn]:
-    """Lengths of the winches, in the first study that kept them."""
+    """Draw the winches' lengths of the first study that kept them."""
     for folder, results in studies_of(sources):
         if length_errors(results):
             return [Drawn(figure=draw_commanded(results), source=folder)]
@@ -110,7 +110,7 @@ def _commanded(sources: Sequence[FigureSource]) -> list[Drawn]:
 
 
 def _scatter(sources: Sequence[FigureSource]) -> list[Drawn]:
-    """How the RMSE scatters, of the policy and the kinematic solver, in the first such study."""
+    """Draw the scatter of the RMSE of policy and kinematic solver, in the first such study."""
     for folder, results in studies_of(sources):
         rows = tuple(
             row for row in results.rows
@@ -124,7 +124,7 @@ def _scatter(sources: Sequence[FigureSource]) -> list[Drawn]:
 
 
 def _over_time(sources: Sequence[FigureSource]) -> list[Drawn]:
-    """Errors over time, in the first study that kept the course of a case."""
+    """Draw errors over time of the first study that kept the time series of a case."""
     for folder, results in studies_of(sources):
         if any(row.get("series") for row in tracked(results.rows)):
             return [Drawn(figure=draw_time(results), source=folder)]

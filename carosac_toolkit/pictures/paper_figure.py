@@ -1,4 +1,4 @@
-"""Figures for a paper: what each is, what it is drawn from, and the command that makes that."""
+"""Figures for a paper: content, source, and the command that makes the data."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SEARCH_DEPTH_MAX = 6  # folders below one that was named
 
 @dataclass(frozen=True, kw_only=True)
 class FigureSource:
-    """A folder that one of our commands wrote.
+    """Folder that one of our commands wrote.
 
     Attributes:
         kind: Which of them.
@@ -37,7 +37,7 @@ class FigureSource:
 
 @dataclass(frozen=True, kw_only=True)
 class Drawn:
-    """A figure, and what it was drawn from.
+    """Figure, and the source of its numbers.
 
     Attributes:
         figure: It.
@@ -52,7 +52,7 @@ class Drawn:
 
 @dataclass(frozen=True, kw_only=True)
 class PaperFigure:
-    """One of the figures.
+    """One figure of the paper.
 
     Attributes:
         place: Its place among all figures.
@@ -70,7 +70,7 @@ class PaperFigure:
 
 
 def find_sources(folders: Sequence[str]) -> list[FigureSource]:
-    """All that our commands wrote to some folders, and to folders inside them.
+    """Find all folders that our commands wrote, in some folders and below them.
 
     Raises:
         InvalidField: A folder is not there, or holds nothing of ours.
@@ -94,5 +94,5 @@ def find_sources(folders: Sequence[str]) -> list[FigureSource]:
 
 
 def of_kind(sources: Sequence[FigureSource], kind: SourceKind) -> list[Path]:
-    """Folders of a kind, in their order."""
+    """Return the folders of a kind, in their order."""
     return [source.folder for source in sources if source.kind == kind]

@@ -18,7 +18,7 @@ STUB_LENGTH_RADII = 3.0  # radii of cable drawn before the pulley
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CableDrawing:
-    """One cable and its pulley.
+    """Cable and its pulley, as curves.
 
     Attributes:
         wheel: The pulley's circle in W [m], shape (points, 3); empty with a fixed eyelet.
@@ -33,7 +33,7 @@ class CableDrawing:
 
 
 def draw_cables(report: RobotReport, smallest: float) -> list[CableDrawing]:
-    """Work out what to draw of each cable.
+    """Compute the curves of each cable and its pulley.
 
     Args:
         report: The robot at home.

@@ -65,7 +65,7 @@ def draw_robot(report: RobotReport) -> Figure:
 
 
 def _limits(report: RobotReport, drawn: list[Array]) -> Array:
-    """Lower and upper end of the drawn range of each axis [m], shape (3, 2)."""
+    """Return lower and upper end of the drawn range of each axis [m], shape (3, 2)."""
     robot = report.robot
     points = np.vstack(
         [robot.exit_points, robot.workspace_min, robot.workspace_max, _anchors(report), *drawn]
@@ -145,7 +145,7 @@ def _draw_pulleys(
 
 
 def exit_labels(robot: Robot, near: float) -> list[tuple[str, Array]]:
-    """Cable names and where to write them [m]; exit points nearer than `near` share a label."""
+    """Return cable names and their positions [m]; exit points nearer than `near` share a label."""
     groups: list[list[int]] = []
     for i, point in enumerate(robot.exit_points):
         for group in groups:
@@ -211,7 +211,7 @@ def _draw_plane(
 
 
 def _anchors(report: RobotReport) -> Array:
-    """Anchor points at home in W [m], shape (n, 3)."""
+    """Return the anchor points at home in W [m], shape (n, 3)."""
     home = report.equilibrium
     place = home.position[0] if home.converged[0] else report.robot.home_position
     points: Array = place + report.robot.anchor_points @ report.rotation.T
@@ -219,7 +219,7 @@ def _anchors(report: RobotReport) -> Array:
 
 
 def box_edges(robot: Robot) -> list[Array]:
-    """The twelve edges of the workspace box [m], each of shape (2, 3)."""
+    """Return the twelve edges of the workspace box [m], each of shape (2, 3)."""
     corners = np.stack([robot.workspace_min, robot.workspace_max])
     edges = []
     for axis in range(3):
@@ -233,7 +233,7 @@ def box_edges(robot: Robot) -> list[Array]:
 
 
 def _hull(points: Array) -> Array:
-    """Convex hull of points in a plane, in order, (m, 2); all points if they are on a line."""
+    """Return the convex hull of points in a plane, in order, (m, 2); all points if collinear."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -244,7 +244,7 @@ def _hull(points: Array) -> Array:
 
 
 def _faces(points: Array) -> list[Array]:
-    """Faces of the convex hull of points; one polygon where they are in a plane."""
+    """Return the faces of the convex hull of points; one polygon if they are coplanar."""
     from scipy.spatial import ConvexHull, QhullError
 
     centered = points - points.mean(axis=0)

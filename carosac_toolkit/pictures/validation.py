@@ -155,7 +155,7 @@ VALIDATION_PICTURES: Mapping[str, Callable[[ValidationResult], Figure]] = {
 
 
 def _scored(result: ValidationResult) -> dict[str, tuple[ModelResult, str]]:
-    """Models with scores, each with its colour, which does not depend on the others' success."""
+    """Yield models with scores, each with a colour that does not depend on the others' success."""
     return {
         name: (model, SERIES_COLORS[k % len(SERIES_COLORS)])
         for k, (name, model) in enumerate(result.models.items())
@@ -164,30 +164,30 @@ def _scored(result: ValidationResult) -> dict[str, tuple[ModelResult, str]]:
 
 
 def _positions(model: ModelResult) -> Array:
-    """Positions [m], (S, 3), NaN where the model found none: a gap in the line."""
+    """Return positions [m], (S, 3), NaN where the model failed: a gap in the line."""
     assert model.pose is not None and model.converged is not None
     return np.asarray(np.where(model.converged[:, None], model.pose.position, np.nan))
 
 
 def _error(result: ValidationResult, model: ModelResult) -> Array:
-    """Model minus measured position [m], shape (S, 3), NaN where the model found none."""
+    """Return model minus measured position [m], shape (S, 3), NaN where the model failed."""
     return _positions(model) - result.measured.position
 
 
 def _length_error(model: ModelResult) -> Array:
-    """Measured minus predicted lengths [m], shape (S, n)."""
+    """Return measured minus predicted lengths [m], shape (S, n)."""
     assert model.length_error is not None
     return model.length_error
 
 
 def _unit(errors: list[Array]) -> tuple[str, float]:
-    """Unit that suits the largest of some errors [m], and how many of it make a metre."""
+    """Return the unit for the largest of some errors [m], and its number per metre."""
     known = [np.abs(error[np.isfinite(error)]) for error in errors]
     return unit_for(max((float(error.max()) for error in known if error.size), default=0.0))
 
 
 def _dots(result: ValidationResult) -> dict[str, Any]:
-    """Markers, where there are so few samples that a line alone would hide or lose them."""
+    """Return markers, if so few samples would leave a line alone invisible."""
     return {"marker": "o", "ms": 4} if result.samples <= DOTTED_SAMPLES_MAX else {}
 
 

@@ -1,4 +1,4 @@
-"""A workspace, drawn: slices with margin and limits, maps, and the boundary in space."""
+"""Pictures of a workspace: slices with margin and limits, maps, and the boundary in space."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def draw_slices(regions: Sequence[Region]) -> Figure:
 
 
 def _title(region: Region) -> str:
-    """Robot and model."""
+    """Return robot and model."""
     return f"{region.robot.name}, {'with sag' if region.settings.sag else 'straight cables'}"
 
 
@@ -97,7 +97,7 @@ def draw_maps(region: Region, found: Maps) -> Figure:
 
 
 def _norm(name: str, values: Array) -> Any:
-    """Colour scale of a map: logarithmic for stiffness, never finer than rounding."""
+    """Return the colour scale of a map: logarithmic for stiffness, never finer than rounding."""
     from matplotlib.colors import LogNorm, Normalize
 
     finite = values[np.isfinite(values)]
@@ -110,7 +110,7 @@ def _norm(name: str, values: Array) -> Any:
 
 
 def draw_space(region: Region) -> Figure:
-    """Draw the boundary of a workspace in space, coloured by what is beyond it.
+    """Draw the boundary of a workspace in space, coloured by the limit beyond it.
 
     Args:
         region: Verdicts on a grid in a box.
@@ -145,7 +145,7 @@ BOX_FACE_COLOR = "#dfe5ea"
 
 
 class _Plane:
-    """A slice: the axes it spans and its picture coordinates."""
+    """Slice: the axes it spans and its picture coordinates."""
 
     def __init__(self, region: Region) -> None:
         """Find the axis across."""
@@ -159,7 +159,7 @@ class _Plane:
         self.title = f"{'xyz'[across]} = {value:.4g} m"
 
     def image(self, values: Array) -> Array:
-        """Values of all positions as an image."""
+        """Return values of all positions as an image."""
         return values.reshape(self.size).T
 
     def fill(self, axes: Any, values: Array, **options: Any) -> Any:
@@ -168,7 +168,7 @@ class _Plane:
 
 
 def _margin_scale(regions: Sequence[Region]) -> Any:
-    """Colours of margins: zero in the middle, as far down as up."""
+    """Return the colours of margins: zero in the middle, symmetric."""
     from matplotlib.colors import TwoSlopeNorm
 
     values = np.concatenate([r.verdicts.margin[r.verdicts.margin > 0.0] for r in regions])
@@ -177,7 +177,7 @@ def _margin_scale(regions: Sequence[Region]) -> Any:
 
 
 def _draw_margin(axes: Any, region: Region, plane: _Plane, scale: Any) -> Any:
-    """Draw the margin and where the workspace ends."""
+    """Draw the margin and the workspace's boundary."""
     margin = np.where(np.isneginf(region.verdicts.margin), scale.vmin, region.verdicts.margin)
     image = plane.fill(axes, margin, cmap="RdYlBu", norm=scale)
     inside = region.verdicts.inside
@@ -189,7 +189,7 @@ def _draw_margin(axes: Any, region: Region, plane: _Plane, scale: Any) -> Any:
 
 
 def _draw_limits(axes: Any, region: Region, plane: _Plane, shown: dict[Any, Any]) -> None:
-    """Draw which limit keeps each position out."""
+    """Draw the limit that excludes each position."""
     from matplotlib.colors import to_rgb
 
     out = region.verdicts
@@ -202,13 +202,13 @@ def _draw_limits(axes: Any, region: Region, plane: _Plane, shown: dict[Any, Any]
 
 
 def _matches(out: Any, key: tuple[int, int]) -> NDArray[np.bool_]:
-    """Positions that a limit, and a cable where it is about one, keeps out."""
+    """Return positions that a limit, and its cable if it has one, excludes."""
     found: NDArray[np.bool_] = out.limit == key[0]
     return found & (out.cable == key[1]) if key[0] in CABLE_LIMITS else found
 
 
 def _set_plane(axes: Any, region: Region, plane: _Plane) -> None:
-    """Limits, labels, exit points and the workspace box of a plane."""
+    """Set limits, labels, exit points and the workspace box of a plane."""
     robot = region.robot
     axes.set(xlabel=f"{'xyz'[plane.right]} [m]", ylabel=f"{'xyz'[plane.up]} [m]", aspect="equal")
     low, high = robot.workspace_min, robot.workspace_max
@@ -222,7 +222,7 @@ def _set_plane(axes: Any, region: Region, plane: _Plane) -> None:
 
 
 def _shown_limits(regions: Sequence[Region]) -> dict[tuple[int, int], Any]:
-    """A colour for each limit, and cable, that keeps positions out."""
+    """Return a colour for each limit, and cable, that excludes positions."""
     from matplotlib import colormaps
 
     keys = {(limit, cable if limit in CABLE_LIMITS else -1)
@@ -259,7 +259,7 @@ def _limit_legend(
 
 
 def _boundary(region: Region) -> tuple[list[Array], list[tuple[int, int]]]:
-    """Faces between cells inside and outside, with the limit beyond; (0, -1) at the box."""
+    """Return faces between cells inside and outside, with the limit beyond; (0, -1) at the box."""
     shape = region.grid.shape
     inside = region.verdicts.inside.reshape(shape)
     limit, cable = (x.reshape(shape) for x in (region.verdicts.limit, region.verdicts.cable))
@@ -284,13 +284,13 @@ def _boundary(region: Region) -> tuple[list[Array], list[tuple[int, int]]]:
 
 
 def _edges(axis: Array) -> Array:
-    """Edges of the cells around coordinates."""
+    """Return the edges of the cells around coordinates."""
     step = axis[1] - axis[0] if len(axis) > 1 else 0.1
     return np.append(axis - 0.5 * step, axis[-1] + 0.5 * step)
 
 
 def _face(edges: list[Array], cell: NDArray[np.intp], axis: int, way: int) -> Array:
-    """Corners of one face of a cell, (4, 3)."""
+    """Return the corners of one face of a cell, (4, 3)."""
     a, b = (k for k in range(3) if k != axis)
     corners = np.empty((4, 3))
     corners[:, axis] = edges[axis][cell[axis] + (way > 0)]

@@ -57,7 +57,7 @@ def check_folder(option: str, folder: Path) -> None:
 
 
 def existing(folder: Path) -> Path:
-    """The folder itself or the nearest one above it that exists."""
+    """Return the folder itself or its nearest existing parent."""
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
     return folder
@@ -99,7 +99,7 @@ def png(figure: Figure) -> bytes:
 
 
 def page(title: str, parts: Sequence[str]) -> str:
-    """The whole document."""
+    """Return the whole document."""
     head = [
         '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">',
         f"<title>{escape(title)}</title><style>{_STYLE_SHEET}</style></head><body>",
@@ -109,19 +109,19 @@ def page(title: str, parts: Sequence[str]) -> str:
 
 
 def warnings(lines: Iterable[str]) -> list[str]:
-    """Lines that must not be overlooked."""
+    """Return a list of prominent warnings."""
     return [f'<p class="warning">{escape(line)}</p>' for line in lines]
 
 
 def bullets(lines: Iterable[str]) -> str:
-    """A list of sentences."""
+    """Return a list of sentences."""
     return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
 
 def table(
     header: tuple[str, ...], rows: Rows, *, left: int, bold: Collection[tuple[int, int]] = ()
 ) -> str:
-    """An HTML table; the first columns hold text, and some cells by row and column stand out."""
+    """Return an HTML table; the first columns hold text, and the cells in `bold` stand out."""
 
     def line(cells: tuple[str, ...], tag: str, row: int = -1) -> str:
         kinds = [' class="t"' if i < left else "" for i in range(len(cells))]
@@ -136,7 +136,7 @@ def table(
 
 
 def picture(image: bytes, caption: str) -> str:
-    """One embedded picture."""
+    """Return one embedded picture."""
     text, caption = base64.b64encode(image).decode(), escape(caption)
     source = f"data:image/png;base64,{text}"
     return (
@@ -145,18 +145,18 @@ def picture(image: bytes, caption: str) -> str:
 
 
 def definitions(terms: Mapping[str, str]) -> str:
-    """Settings and origins as a list of terms; those without a value are left out."""
+    """Return settings and origins as a list of terms; those without a value are left out."""
     pairs = [f"<dt>{k}</dt><dd>{escape(v)}</dd>" for k, v in terms.items() if v]
     return f"<dl>{''.join(pairs)}</dl>"
 
 
 def repeat(words: Sequence[str]) -> str:
-    """The command that gives this report again."""
+    """Return the command that repeats this report."""
     return f"<h2>How to repeat</h2><pre>{escape(shlex.join(words))}</pre>"
 
 
 def made_with() -> dict[str, str]:
-    """Version, commit and date, as terms of `definitions`."""
+    """Return version, commit and date, as terms of `definitions`."""
     return {
         "toolkit": f"carosac-toolkit {__version__}",
         "git commit": commit_of_code() or "",
@@ -166,7 +166,7 @@ def made_with() -> dict[str, str]:
 
 
 def _versions() -> list[str]:
-    """Python, and the libraries that the numbers depend on."""
+    """Return Python and the libraries that the numbers depend on."""
     found = [f"Python {platform.python_version()}"]
     for name in REPORTED_LIBRARIES:
         try:
@@ -177,7 +177,7 @@ def _versions() -> list[str]:
 
 
 def commit_of_code() -> str | None:
-    """Git commit of the toolkit's own sources, or None where they are not under git."""
+    """Return the Git commit of the toolkit's own sources, or None outside Git."""
     here = Path(__file__)
 
     def git(*words: str) -> str | None:

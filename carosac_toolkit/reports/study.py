@@ -1,4 +1,4 @@
-"""A study as a page: table, failures, pictures and settings, in its folder."""
+"""Report of a study: table, failures, pictures and settings, in its folder."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def write_report(
 
 
 def _origin(results: StudyResults, words: Sequence[str]) -> str:
-    """How the numbers were made, in lines of text."""
+    """Return how the numbers were made, in lines of text."""
     digests = dict.fromkeys(
         f"robot {row['robot']}: sha256 {digest}"
         for row in results.rows
@@ -100,7 +100,7 @@ def _html(
     images: Mapping[str, bytes],
     blocks: Sequence[PairedBlock],
 ) -> str:
-    """The whole document."""
+    """Return the whole document."""
     names = list(dict.fromkeys(str(row["controller"]) for row in results.rows))
     lost = "\n".join(failures(results))
     parts = [
@@ -125,7 +125,7 @@ def _html(
 
 
 def _settings(results: StudyResults) -> dict[str, str]:
-    """What the cases were."""
+    """Return the settings of the cases."""
     terms = {"cases": str(len(results.rows))}
     for name in ("robot", "controller", "estimator", "suite", "trajectory", "perturbation", "seed"):
         values = dict.fromkeys(str(row[name]) for row in results.rows)

@@ -1,4 +1,4 @@
-"""A validation as a folder: pictures, and one report.html that needs nothing else."""
+"""Report of a validation: a folder of pictures, and one self-contained report.html."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ VALIDATION_CAPTIONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Context:
-    """Where a result comes from.
+    """Origin of a result.
 
     Attributes:
         recording: Name or path of the recording, as it was given.
@@ -62,7 +62,7 @@ class Context:
 
     @property
     def settings(self) -> dict[str, object]:
-        """What a report is of; written beside it."""
+        """Return the settings that identify a report, written beside it."""
         return {"file": str(self.file.resolve()), "command": shlex.join(self.words)}
 
 
@@ -81,7 +81,7 @@ def free_folder(base: Path, context: Context) -> Path:
 
 
 def _settings(folder: Path) -> object:
-    """What the report in a folder is of, or None."""
+    """Return the settings of the report in a folder, or None."""
     try:
         return json.loads((folder / SETTINGS_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -123,7 +123,7 @@ def _any_scored(result: ValidationResult) -> bool:
 def _html(
     result: ValidationResult, said: list[str], context: Context, images: dict[str, bytes]
 ) -> str:
-    """The whole document."""
+    """Return the whole document."""
     name = f"Validation of {', '.join(result.models)} on {Path(context.recording).name}"
     parts = [
         *warnings(result.warnings),
@@ -145,7 +145,7 @@ def _html(
 
 
 def _provenance(result: ValidationResult, context: Context) -> dict[str, str]:
-    """What went in."""
+    """Return the inputs of the validation."""
     metadata, robot = context.metadata, result.robot
     return {
         "recording": context.recording,
