@@ -1,4 +1,4 @@
-"""What explains an error: a delay, sway after the moves, or sag."""
+"""Diagnosis of an error: a delay, sway after the moves, or sag."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ EXPLAINED_SHARE_MIN = 0.6  # share of the swing at rest that one frequency must 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Delay:
-    """Least squares of the position error on the measured velocity, per axis x, y, z.
+    """Least-squares fit of the position error to the measured velocity, per axis x, y, z.
 
     A model that runs ahead of the measured poses by a time tau errs by tau times the velocity:
     positive means that poses are late, or lengths early. NaN where an axis hardly moves.
@@ -35,7 +35,7 @@ class Delay:
     explained: Array
 
     def data(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return the numbers, ready for JSON."""
         return {
             "delay_s": by_axis(self.seconds),
             "delay_deviation_s": by_axis(self.deviation),
@@ -45,7 +45,7 @@ class Delay:
 
 @dataclass(frozen=True, kw_only=True)
 class RestSway:
-    """The swing of the error while the winches rest.
+    """Sway of the error while the winches rest.
 
     Attributes:
         axis: The axis of W that swings most, ``x``, ``y`` or ``z``.
@@ -62,11 +62,11 @@ class RestSway:
 
     @property
     def clear(self) -> bool:
-        """Whether one frequency explains most of it."""
+        """True if one frequency explains most of it."""
         return self.explained >= EXPLAINED_SHARE_MIN
 
     def data(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return the numbers, ready for JSON."""
         return {
             "axis": self.axis,
             "frequency_Hz": self.frequency,
@@ -137,7 +137,7 @@ def find_sway(time: Array, error: Array, rests: Sequence[tuple[int, int]]) -> Re
 def _swing(
     time: Array, error: Array, parts: Sequence[tuple[int, int]], frequency: float
 ) -> tuple[Array, Array]:
-    """Sum of squares left [m^2] and root mean square amplitude [m] per axis, each (3,)."""
+    """Return the residual sum of squares [m^2] and the RMS amplitude [m] per axis, each (3,)."""
     left, square = np.zeros(3), np.zeros(3)
     for first, end in parts:
         phase = 2.0 * np.pi * frequency * (time[first:end] - time[first])
@@ -149,7 +149,7 @@ def _swing(
 
 
 def rest_frequencies(robot: Robot, length: Array, rests: Sequence[tuple[int, int]]) -> Array | None:
-    """Natural frequencies [Hz] that statics predicts at the rests, medians, slowest first, (6,).
+    """Return natural frequencies [Hz] by statics at the rests, medians, slowest first, (6,).
 
     Args:
         robot: Robot description, n cables.

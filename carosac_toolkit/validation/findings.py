@@ -1,4 +1,4 @@
-"""What the numbers of a validation say, in sentences computed from them."""
+"""Conclusions of a validation, in sentences computed from its numbers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CAUSE_SHARE_MIN = 0.3  # of the length error
 
 
 def conclusions(result: ValidationResult) -> list[str]:
-    """Say what a validation shows; the causes are those of the best model's error.
+    """State the conclusions; the causes are those of the best model's error.
 
     Causes are left out where the numbers do not support any: an implausible recording, an error as
     large as the workspace or next to none, and few samples.
@@ -48,7 +48,7 @@ def conclusions(result: ValidationResult) -> list[str]:
 
 
 def _no_causes(result: ValidationResult, best: ModelResult) -> str | None:
-    """Why no cause of the error is named, or None where causes may be."""
+    """Return why no cause of the error is named, or None if causes may be."""
     if result.warnings:
         return "Causes of the error are not looked into until lengths and poses fit together."
     if result.samples < CAUSE_SAMPLES_MIN:
@@ -70,7 +70,7 @@ def _norm(model: ModelResult) -> float:
 
 
 def _doubts(result: ValidationResult) -> Iterator[str]:
-    """What makes the numbers doubtful."""
+    """List reasons to doubt the numbers."""
     yield from doubt_exit_points(result.exit_point_distance)
     for model in result.models.values():
         if model.reason is not None:
@@ -86,7 +86,7 @@ def _doubts(result: ValidationResult) -> Iterator[str]:
 
 
 def _ranking(best: ModelResult, scored: list[ModelResult]) -> Iterator[str]:
-    """Which model is nearest."""
+    """Name the most accurate model."""
     others = ", ".join(f"{m.name} {say_length(_norm(m))}" for m in scored if m is not best)
     if others:
         others = f" (others: {others})"
@@ -96,7 +96,7 @@ def _ranking(best: ModelResult, scored: list[ModelResult]) -> Iterator[str]:
 
 
 def _rest_and_motion(result: ValidationResult, best: ModelResult) -> Iterator[str]:
-    """Whether standing still helps."""
+    """Compare the errors at rest and in motion."""
     if best.moving is None or best.resting is None:
         return
     if min(best.moving.samples, best.resting.samples) < CAUSE_SAMPLES_MIN:
@@ -116,7 +116,7 @@ def _rest_and_motion(result: ValidationResult, best: ModelResult) -> Iterator[st
 
 
 def _sway(result: ValidationResult, best: ModelResult) -> Iterator[str]:
-    """Whether the platform swings while the winches rest."""
+    """Tell whether the platform sways while the winches rest."""
     sway = best.sway
     if sway is None or not sway.clear or sway.amplitude < SWAY_MIN_M:
         return
@@ -141,7 +141,7 @@ def _sway(result: ValidationResult, best: ModelResult) -> Iterator[str]:
 
 
 def _delay(best: ModelResult) -> Iterator[str]:
-    """Whether the error goes with the velocity."""
+    """Tell whether the error grows with the velocity."""
     delay, moving = best.delay, best.moving
     if delay is None or moving is None:
         return
@@ -163,7 +163,7 @@ def _delay(best: ModelResult) -> Iterator[str]:
 
 
 def _offset(best: ModelResult) -> Iterator[str]:
-    """Whether a constant error remains at rest."""
+    """Tell whether a constant error remains at rest."""
     resting = best.resting
     if resting is None or not resting.samples:
         return
@@ -182,7 +182,7 @@ def _offset(best: ModelResult) -> Iterator[str]:
 
 
 def _sag(best: ModelResult) -> Iterator[str]:
-    """What sag and stretch contribute to the predicted lengths, against the error that is left."""
+    """Compare the effect of sag and stretch on the predicted lengths with the remaining error."""
     if best.sag is None or best.stretch is None or best.length_scores is None:
         return
     left = best.length_scores.rmse

@@ -1,4 +1,4 @@
-"""When the winches rest, and how fast things change, from samples at any times."""
+"""Rests of the winches, and rates of change, from samples at arbitrary times."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def find_phases(time: Array, length: Array) -> Phases:
 
 
 def slope(time: Array, value: Array, window: float = SLOPE_WINDOW_S) -> Array:
-    """Rate of change at each sample, exact for straight lines and little moved by noise.
+    """Return the rate of change at each sample, exact for straight lines and robust to noise.
 
     The mean of the samples up to `window` later less the mean of those up to `window` earlier,
     at least one each, over the distance of their mean times; one-sided at the ends.

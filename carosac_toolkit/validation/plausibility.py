@@ -1,4 +1,4 @@
-"""Whether lengths and poses of a recording can belong together, and what mix-up explains it if not.
+"""Checks that lengths and poses of a recording belong together, and the likely mix-up if not.
 
 The straight distances from exit to anchor points at the measured poses are compared with the
 measured lengths. They differ by sag, stretch and calibration, that is by a few per cent at most;
@@ -44,7 +44,7 @@ QUATERNION_ORDER_HINT = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _MixUpTrial:
-    """Lengths (S, n) [m] and poses, as measured or with a mix-up put right."""
+    """Lengths (S, n) [m] and poses, as measured or with a mix-up corrected."""
 
     robot: Robot
     length: Array
@@ -53,7 +53,7 @@ class _MixUpTrial:
 
     @property
     def distance(self) -> Array:
-        """Straight cables at the poses [m], shape (S, n), NaN where there is none."""
+        """Straight-cable lengths at the poses [m], shape (S, n), NaN where there is none."""
         found = straight_length(self.robot, self.position, self.rotation)
         return np.where(found.valid, found.length, np.nan)
 
@@ -61,7 +61,7 @@ class _MixUpTrial:
 def find_mix_ups(
     robot: Robot, length: Array, pose: Pose, *, zeros_known: bool = True
 ) -> tuple[str, ...]:
-    """Say what shows that lengths and poses do not belong together as they are.
+    """List evidence that lengths and poses do not belong together as they are.
 
     Args:
         robot: Robot description, n cables.
@@ -90,7 +90,7 @@ def find_mix_ups(
 
 
 def find_misfits(recording: Recording, robot: Robot) -> tuple[str, ...]:
-    """Say what shows that a robot does not belong to a recording; all its samples are compared.
+    """List evidence that a robot does not match a recording; all samples are compared.
 
     Args:
         recording: N length samples, as calibrated.
@@ -112,14 +112,14 @@ def find_misfits(recording: Recording, robot: Robot) -> tuple[str, ...]:
 
 
 def exit_point_distance(recording: Recording, robot: Robot) -> float | None:
-    """Largest distance of a measured exit point from the robot's [m]; None: none was measured."""
+    """Return the largest distance of a measured exit point from the robot's [m], or None."""
     if recording.exit_points is None:
         return None
     return float(np.linalg.norm(recording.exit_points - robot.exit_points, axis=1).max())
 
 
 def doubt_exit_points(distance: float | None) -> Iterator[str]:
-    """Say that exit points are not those of the robot."""
+    """Warn that exit points differ from those of the robot."""
     if distance is not None and distance > EXIT_POINT_DISTANCE_MAX_M:
         yield (
             f"Check the robot: its exit points lie up to {distance * 1e3:.0f} mm from those "
@@ -128,7 +128,7 @@ def doubt_exit_points(distance: float | None) -> Iterator[str]:
 
 
 def _units(trial: _MixUpTrial) -> tuple[list[str], _MixUpTrial]:
-    """Lengths or positions in other units than metres."""
+    """Return findings on lengths or positions in other units than metres."""
     ratio = _median(trial.length / trial.distance)
     if not abs(ratio - 1.0) > DISTANCE_MISFIT_MAX:
         return [], trial
@@ -149,14 +149,14 @@ def _units(trial: _MixUpTrial) -> tuple[list[str], _MixUpTrial]:
 
 
 def _outside(trial: _MixUpTrial) -> bool:
-    """Whether the platform is so far from the frame that no robot could hold it."""
+    """Tell whether the platform is farther from the frame than any robot could hold it."""
     points = trial.robot.exit_points
     away = np.linalg.norm(trial.position - points.mean(axis=0), axis=1)
     return bool(np.median(away) > FRAME_DISTANCE_RATIO_MAX * np.ptp(points, axis=0).max())
 
 
 def _orders(trial: _MixUpTrial) -> tuple[list[str], _MixUpTrial]:
-    """Cables or quaternions in another order: one of the two explains more than half, or both."""
+    """Return findings on cables or quaternions in another order, if that explains over half."""
     trials = {False: trial, True: _turned(trial)}
     orders = {turn: _assignment(_pairs(each)) for turn, each in trials.items()}
     same = np.arange(trial.robot.n)
@@ -183,26 +183,26 @@ def _orders(trial: _MixUpTrial) -> tuple[list[str], _MixUpTrial]:
 
 
 def _turned(trial: _MixUpTrial) -> _MixUpTrial:
-    """The orientations that were meant if the quaternions were written x y z w."""
+    """Return the orientations that were meant if the quaternions were written x y z w."""
     swapped = rotations.from_matrix(trial.rotation)[:, [3, 0, 1, 2]]
     return replace(trial, rotation=rotations.to_matrix(swapped))
 
 
 def _nearer_home(measured: Array, other: Array, robot: Robot) -> bool:
-    """Whether other orientations are those of a platform that hangs as at home, and these not."""
+    """Return whether only the other orientations resemble a platform that hangs as at home."""
     home = robot.home_rotation[None]
     angles = [float(np.median(rotation_angle(home, each))) for each in (measured, other)]
     return angles[1] < REMAINING_MISFIT_MAX * angles[0]
 
 
 def _misfit(trial: _MixUpTrial, order: Order) -> float:
-    """Mean over the cables of the median difference to the distance, as a share of it."""
+    """Return the mean over the cables of the median relative difference to the distance."""
     difference = np.abs(trial.length - trial.distance[:, order])
     return float(np.mean([_median(column) for column in difference.T])) / _median(trial.distance)
 
 
 def _tells_order(trial: _MixUpTrial, order: Order) -> bool:
-    """Whether lengths also change as in this order, or are too far off for wrong zeros."""
+    """Return whether lengths also change in this order, or are too far off for wrong zeros."""
     same = np.arange(trial.robot.n)
     if (order == same).all() or _misfit(trial, same) >= STATIC_MISFIT_MIN:
         return True
@@ -216,7 +216,7 @@ def _tells_order(trial: _MixUpTrial, order: Order) -> bool:
 
 
 def _pairs(trial: _MixUpTrial) -> Array:
-    """Median difference of each measured length to the distance of each cable [m], (n, n)."""
+    """Return the median difference of each length to the distance of each cable [m], (n, n)."""
     distance = trial.distance
     distance = distance[np.isfinite(distance).all(axis=1)]
     if not len(distance):
@@ -226,7 +226,7 @@ def _pairs(trial: _MixUpTrial) -> Array:
 
 
 def _assignment(pairs: Array) -> Order:
-    """Cable for each measured length that makes the differences least in sum, shape (n,)."""
+    """Return the cable of each length that minimises the sum of differences, shape (n,)."""
     from scipy.optimize import linear_sum_assignment
 
     if not np.isfinite(pairs).all():
@@ -235,7 +235,7 @@ def _assignment(pairs: Array) -> Order:
 
 
 def _differences(trial: _MixUpTrial) -> Iterator[str]:
-    """Lengths that are far from the distance for no reason that was found."""
+    """Return findings on lengths that are far from the distance for no known reason."""
     ratio = trial.length / trial.distance
     each = np.array([_median(column) for column in ratio.T])
     far = np.abs(each - 1.0) > DISTANCE_MISFIT_MAX
@@ -254,7 +254,7 @@ def _differences(trial: _MixUpTrial) -> Iterator[str]:
 
 
 def _winch_range(trial: _MixUpTrial) -> Iterator[str]:
-    """Lengths that the winches of this robot cannot wind."""
+    """Return findings on lengths that the winches of this robot cannot wind."""
     robot, typical = trial.robot, np.median(trial.length, axis=0)
     for i in np.flatnonzero((typical < robot.length_min) | (typical > robot.length_max)):
         yield (
@@ -265,6 +265,6 @@ def _winch_range(trial: _MixUpTrial) -> Iterator[str]:
 
 
 def _median(values: Array) -> float:
-    """Median of what is finite, NaN where nothing is."""
+    """Return the median of finite values, NaN if there are none."""
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else np.nan

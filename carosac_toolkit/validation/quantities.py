@@ -1,4 +1,4 @@
-"""Lengths for people: in the unit that fits their size."""
+"""Lengths in the unit that fits their size."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def unit_for(size: float) -> tuple[str, float]:
 
 
 def say_length(metres: float) -> str:
-    """Write a length with its unit: ``13.6 mm``, ``0.25 mm``, ``4.0 um``, ``< 0.1 um``."""
+    """Format a length with its unit: ``13.6 mm``, ``0.25 mm``, ``4.0 um``, ``< 0.1 um``."""
     size = abs(metres)
     if size < LENGTH_RESOLUTION_M:
         return "0" if size == 0.0 else "< 0.1 um"

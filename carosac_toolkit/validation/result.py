@@ -1,4 +1,4 @@
-"""What `validate` found, as values."""
+"""Results of `validate`, as values."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from carosac_toolkit.validation.scores import LengthScores, PoseScores
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelResult:
-    """How one model did; S samples had a measured pose, n cables.
+    """Result of one model; S samples had a measured pose, n cables.
 
     Scores are over the samples that the model solved. A model that raised has `reason` and every
     other field None.
@@ -68,11 +68,11 @@ class ModelResult:
 
     @property
     def failures(self) -> int:
-        """Samples without a pose of this model's own."""
+        """Number of samples without a pose of this model's own."""
         return 0 if self.converged is None else int((~self.converged).sum())
 
     def data(self, cables: tuple[str, ...]) -> dict[str, Any]:
-        """All numbers under names with units, ready for JSON; a model that raised has nulls."""
+        """Return all numbers under names with units, for JSON; a model that raised has nulls."""
         if self.scores is None or self.length_scores is None or self.delay is None:
             axes = dict.fromkeys(("x", "y", "z", "norm"))
             empty: dict[str, Any] = {key: axes for key in ("rmse_m", "mae_m", "max_m")}
@@ -141,16 +141,16 @@ class ValidationResult:
 
     @property
     def samples(self) -> int:
-        """Samples that were scored, for a model without failures."""
+        """Number of samples that were scored, for a model without failures."""
         return len(self.index)
 
     @property
     def unscored(self) -> int:
-        """Samples of the range without a measured pose nearby."""
+        """Number of samples of the range without a measured pose nearby."""
         return self.stop - self.start - self.samples
 
     def data(self) -> dict[str, Any]:
-        """All numbers under names with units, ready for JSON."""
+        """Return all numbers under names with units, for JSON; a model that raised has nulls."""
         names = self.robot.cable_names
         return {
             "samples": self.samples,

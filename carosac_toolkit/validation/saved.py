@@ -1,4 +1,4 @@
-"""Samples of a validation as one file beside its report, so that figures can be drawn from it."""
+"""Samples of a validation as one file beside its report, for later figures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROBOT_KEY_PREFIX = "robot."
 
 
 def samples_bytes(result: ValidationResult) -> bytes:
-    """The content of the file: poses measured and modelled, length errors, the robot."""
+    """Return the file's content: poses measured and modelled, length errors, the robot."""
     record = asdict(result.robot)
     arrays = {f"{ROBOT_KEY_PREFIX}{k}": v for k, v in record.items() if isinstance(v, np.ndarray)}
     robot = {k: v for k, v in record.items() if not isinstance(v, np.ndarray)}
@@ -49,7 +49,7 @@ def samples_bytes(result: ValidationResult) -> bytes:
 
 
 def read_samples(folder: Path) -> ValidationResult:
-    """What was found, with the scores of all samples; diagnostics are not kept.
+    """Read the result, with the scores of all samples; diagnostics are not kept.
 
     Raises:
         MissingFile: There is no such file.
@@ -79,7 +79,7 @@ def read_samples(folder: Path) -> ValidationResult:
 
 
 def _model(name: str, known: dict[str, Any], arrays: dict[str, Any], measured: Pose) -> ModelResult:
-    """One model."""
+    """Read one model."""
     number = known["number"]
     if f"{number}.position" not in arrays:
         return ModelResult(name=name, reason=known["reason"])

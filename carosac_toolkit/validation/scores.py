@@ -1,4 +1,4 @@
-"""Errors of poses and lengths in a few numbers."""
+"""Scores of pose and length errors."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class PoseScores:
     orientation_max: float
 
     def data(self) -> dict[str, Any]:
-        """All numbers under names with units, ready for JSON."""
+        """Return the numbers under names with units, ready for JSON."""
         return {
             "samples": self.samples,
             "bias_m": by_axis(self.bias),
@@ -64,7 +64,7 @@ class LengthScores:
     samples: Array
 
     def data(self, names: tuple[str, ...]) -> dict[str, Any]:
-        """Per cable, under names with units."""
+        """Return the numbers under names with units, ready for JSON."""
         return {
             name: {"bias_m": self.bias[i], "std_m": self.std[i], "samples": int(self.samples[i])}
             for i, name in enumerate(names)
@@ -112,6 +112,6 @@ def score_lengths(error: Array) -> LengthScores:
 
 
 def rotation_angle(measured: Array, model: Array) -> Array:
-    """Angle of R_measured^T R_model [rad], shape (S,), exact for small angles too."""
+    """Return the angle of R_measured^T R_model [rad], shape (S,), exact for small angles too."""
     chordal = np.linalg.norm(measured - model, axis=(1, 2))  # 2 sqrt(2) sin(angle / 2)
     return np.asarray(2.0 * np.arcsin(np.clip(chordal / np.sqrt(8.0), 0.0, 1.0)))

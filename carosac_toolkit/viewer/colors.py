@@ -23,7 +23,7 @@ CABLE_COLORS: tuple[Rgb, ...] = (
 
 
 def share_of_range(robot: Robot, tension: Array) -> Array:
-    """Where tensions lie between ``tension_min`` (0) and ``tension_max`` (1), shape (n,).
+    """Return tensions on a scale from ``tension_min`` (0) to ``tension_max`` (1), shape (n,).
 
     The scale is logarithmic where every least tension is above zero, as sagging robots work near
     it; else it is linear.
@@ -36,7 +36,7 @@ def share_of_range(robot: Robot, tension: Array) -> Array:
 
 
 def tension_colors(robot: Robot, tension: Array) -> NDArray[np.uint8]:
-    """Colour of each cable, shape (n, 3); slack, overloaded and unknown have their own."""
+    """Return the colour of each cable, shape (n, 3); slack, overload, unknown have their own."""
     share = share_of_range(robot, np.nan_to_num(tension))
     place = np.clip(share, 0.0, 1.0) * (len(TENSION_COLOR_SCALE) - 1)
     colors = np.stack(
@@ -53,19 +53,19 @@ def tension_colors(robot: Robot, tension: Array) -> NDArray[np.uint8]:
 
 
 def vertex_colors(colors: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Colours as three.js wants those of vertices: intensities of light, not sRGB."""
+    """Return colours as three.js expects at vertices: light intensities, not sRGB."""
     share = colors / 255.0
     light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
     return np.asarray((255.0 * light).round(), dtype=np.uint8)
 
 
 def hex_of(color: Rgb) -> str:
-    """A colour as web pages write it."""
+    """Return a colour as a hexadecimal web colour."""
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 
 def legend_html(robot: Robot) -> str:
-    """The scale of tensions with its limits, as a piece of a web page."""
+    """Return the tension scale with its limits, as HTML."""
     low, high = robot.tension_min, robot.tension_max
     stops = ",".join(hex_of((int(r), int(g), int(b))) for r, g, b in TENSION_COLOR_SCALE)
     if np.ptp(low) == 0.0 and np.ptp(high) == 0.0:

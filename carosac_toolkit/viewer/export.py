@@ -1,4 +1,4 @@
-"""One HTML file that shows a robot or plays runs, without a server and without the network."""
+"""Export of a robot or of runs to one HTML file that needs no server and no network."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ PANEL_STYLE = (
 
 
 def still_html(page: Page, title: str, words: str) -> str:
-    """The scene as it is now, as a page."""
+    """Return the current scene as a page."""
     serializer = page.server.get_scene_serializer()
     return _with_panel(serializer.as_html(), page, title, words, None)
 
 
 def replay_html(page: Page, replay: Replay, title: str, words: str) -> tuple[str, int]:
-    """A run, and its ghost, as a page with a time line.
+    """Return a run, and its ghost, as a page with a time line.
 
     Returns:
         The page, and how many pictures it holds.
@@ -53,13 +53,13 @@ def replay_html(page: Page, replay: Replay, title: str, words: str) -> tuple[str
 
 
 def write_html(path: Path, text: str) -> None:
-    """Write the page, whole or not at all."""
+    """Write the page atomically."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def _with_panel(page_html: str, page: Page, title: str, words: str, run: RecordedRun | None) -> str:
-    """Lay title, legend, words and plots over the scene."""
+    """Lay title, legend, text and plots over the scene."""
     lines = "<br>".join(html.escape(words).split("\n"))
     plots = "" if run is None else _plots(run)
     panel = (
@@ -72,7 +72,7 @@ def _with_panel(page_html: str, page: Page, title: str, words: str, run: Recorde
 
 
 def _plots(run: RecordedRun) -> str:
-    """Tension and error over the whole run, as a picture inside the page."""
+    """Return tension and error over the whole run, as a picture inside the page."""
     from carosac_toolkit.pictures.drawing import new_figure
 
     figure: Any = new_figure(3.7, 3.9)

@@ -1,4 +1,4 @@
-"""Sizes and lines of what stands still: frame, workspace box, platform, camera."""
+"""Sizes and lines of the static scene: frame, workspace box, platform, camera."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CAMERA_DIRECTION = np.array([0.62, -1.0, 0.30])  # from where the camera looks
 
 
 def extent(robot: Robot) -> Array:
-    """Lowest and highest corner of the robot, floor included [m], shape (2, 3)."""
+    """Return the lowest and highest corner of the robot, floor included [m], shape (2, 3)."""
     points = np.vstack(
         [robot.exit_points, robot.workspace_min, robot.workspace_max, robot.home_position]
     )
@@ -23,14 +23,14 @@ def extent(robot: Robot) -> Array:
 
 
 def posts(robot: Robot) -> Array:
-    """Lines from the floor to each exit point [m], shape (n, 2, 3)."""
+    """Return lines from the floor to each exit point [m], shape (n, 2, 3)."""
     foot = robot.exit_points.copy()
     foot[:, 2] = extent(robot)[0, 2]
     return np.stack([foot, robot.exit_points], axis=1)
 
 
 def platform_box(robot: Robot) -> tuple[Array, Array]:
-    """Sides and centre of the box that stands for the platform, in P [m], each of shape (3,).
+    """Return sides and centre of the box that stands for the platform, in P [m], each (3,).
 
     It is the box of the anchor points, given a height where they lie in a plane.
     """
@@ -44,7 +44,7 @@ def platform_box(robot: Robot) -> tuple[Array, Array]:
 
 
 def camera(robot: Robot) -> tuple[Array, Array]:
-    """Where the camera stands, and where it looks, so that all of the robot is seen [m]."""
+    """Return position and target of a camera that sees all of the robot [m]."""
     lower, upper = extent(robot)
     middle = 0.5 * (lower + upper)
     span = upper - lower

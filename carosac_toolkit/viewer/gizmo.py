@@ -17,7 +17,7 @@ GIZMO_NODE = "/target"
 
 def add_gizmo(page: Page, position: Array, rotation: Array | None = None, *,
               rotations: bool) -> Any:  # fmt: skip
-    """Add it to a page.
+    """Add the arrows to a page.
 
     Args:
         page: The page.

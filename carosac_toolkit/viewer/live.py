@@ -1,4 +1,4 @@
-"""A simulated robot in real time whose target somebody drags; the loop never waits for the page."""
+"""Simulated robot in real time with a target dragged by hand; the loop never waits for the page."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LATENCY_CYCLES_MAX = 1000  # cycles whose latencies are kept
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instant:
-    """What the loop hands over: plain numbers; the shapes of cables are worked out elsewhere.
+    """Plain numbers that the loop hands over; cable shapes are computed elsewhere.
 
     Attributes:
         time: By the driver's clock [s].
@@ -56,7 +56,7 @@ class Instant:
 
 @dataclass
 class LiveWatch:
-    """Called by the loop with every step; makes an instant only when one is wanted.
+    """Observer called by the loop with every step; makes an instant only when one is wanted.
 
     Attributes:
         driver: Simulated, with a plant and the count of overruns.
@@ -73,7 +73,7 @@ class LiveWatch:
     latencies: list[float] = field(default_factory=list)
 
     def __call__(self, step: Step) -> None:
-        """Take one cycle in."""
+        """Count one cycle."""
         place = self.cycles % LATENCY_CYCLES_MAX
         self.latencies[place : place + 1] = [step.latency]
         self.cycles += 1
@@ -82,7 +82,7 @@ class LiveWatch:
             self.instants.offer(self._instant(step))
 
     def _instant(self, step: Step) -> Instant:
-        """What the page needs of a step."""
+        """Return what the page needs of a step."""
         plant, truth = self.driver.plant, step.truth
         assert truth is not None
         return Instant(
@@ -96,12 +96,12 @@ class LiveWatch:
 
 
 def _first(values: Array | None) -> Array | None:
-    """The row of the only robot."""
+    """Return the row of the only robot."""
     return None if values is None else values[0]
 
 
 def picture_of(robot: Robot, instant: Instant) -> Picture:
-    """The picture of an instant: true state, reference, and what the estimator believes."""
+    """Return the picture of an instant: true state, reference and estimate."""
     words = f"live, {instant.time:.1f} s"
     if instant.overruns:
         words += f"; {instant.overruns} ticks missed"
@@ -115,7 +115,7 @@ def picture_of(robot: Robot, instant: Instant) -> Picture:
 
 
 def drawing(page: Page) -> Publisher[Instant]:
-    """A publisher that draws instants on a page, in a thread of this process."""
+    """Return a publisher that draws instants on a page, in a thread of this process."""
     return Publisher(
         lambda instant: page.draw(picture_of(page.robot, instant)), rate=page.rate,
         settle=page.settle,
@@ -123,7 +123,7 @@ def drawing(page: Page) -> Publisher[Instant]:
 
 
 class LivePage:
-    """Connects a page with a target that is moved by hand.
+    """Connection of a page with a target that is moved by hand.
 
     Attributes:
         gizmo: Arrows in the scene that move the target.
@@ -154,7 +154,7 @@ class LivePage:
         home.on_click(lambda _: self.go(page.robot.home_position))
 
     def go(self, position: Array, *, dragged: bool = False) -> None:
-        """Set the target, or say why not; while it is dragged the arrows are left to the mouse."""
+        """Set the target, or explain the refusal; while dragged the arrows follow the mouse."""
         try:
             taken = self._target.go_to(position)
         except InvalidField as error:
@@ -169,17 +169,17 @@ class LivePage:
             self.gizmo.position = taken
 
     def _dragged(self, event: Any) -> None:
-        """Go along; once let go, the arrows go back to where the target is."""
+        """Follow the arrows; once released, they return to the target."""
         self.go(np.array(self.gizmo.position), dragged=event.phase != "end")
 
     def _typed(self, event: Any) -> None:
-        """Somebody has typed a target."""
+        """Take a target typed by the user."""
         if event.client_id is not None:
             self.go(np.array(self.place.value))
 
 
 def _numbers(place: Array) -> tuple[float, ...]:
-    """A place as a field of the page shows it."""
+    """Return a position in the form that a field of the page shows."""
     return tuple(float(x) for x in place.round(4))
 
 

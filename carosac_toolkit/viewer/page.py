@@ -1,4 +1,4 @@
-"""The web page that all ways of viewing share: scene, legend, status, plots, display settings."""
+"""Web page shared by all views: scene, legend, status, plots, display settings."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PLAIN_PIXEL_RATIO = 0.5  # drawn per pixel of the screen along each axis, on a p
 
 
 class Page:
-    """A server with one page. Close it.
+    """Server of one page. Close it.
 
     Attributes:
         robot: What is shown.
@@ -46,7 +46,7 @@ class Page:
         self, robot: Robot, title: str, *, host: str = LOOPBACK_ADDRESS, port: int = DEFAULT_PORT,
         rate: float = PUBLISH_RATE_MAX_HZ, followed: str = "target", plain: bool = False,
     ) -> None:  # fmt: skip
-        """Start to serve.
+        """Start the server.
 
         Args:
             robot: What is shown.
@@ -79,7 +79,7 @@ class Page:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         address = f"http://{self.server.get_host()}:{self.server.get_port()}"
         return f"{address}/?fixedDpr={PLAIN_PIXEL_RATIO:g}" if self.plain else address
 
@@ -129,7 +129,7 @@ class Page:
             self.say(self._words(self.picture), problem=self.picture.problem)
 
     def _words(self, picture: Picture) -> str:
-        """Place, distance and sag below what the picture says itself."""
+        """Return position, distance and sag, shown below the picture's own status."""
         x, y, z = picture.position
         line = f"platform at {x:.3f}, {y:.3f}, {z:.3f} m"
         if picture.target is not None:
@@ -142,7 +142,7 @@ class Page:
         return "\n".join(filter(None, [picture.status, line, sag]))
 
     def _add_display(self) -> None:
-        """Settings of what is drawn."""
+        """Add the display settings."""
         gui: Any = self.server.gui
         with gui.add_folder("Display", order=90):
             enlarged = gui.add_slider(
@@ -161,24 +161,24 @@ class Page:
         forget.on_click(lambda _: self._forget())
 
     def _enlarge(self, factor: float) -> None:
-        """Draw sag larger."""
+        """Set the enlargement of the sag."""
         self.scene.enlarged = factor
         self.redraw()
 
     def _choose(self, trails: bool, labels: bool) -> None:
-        """Draw trails and labels, or not."""
+        """Show or hide trails and labels."""
         self.scene.trails, self.scene.labels = trails, labels
         self.scene.refresh()
         self.redraw()
 
     def _forget(self) -> None:
-        """Begin the trails anew."""
+        """Clear the trails."""
         self.scene.forget()
         self.redraw()
 
 
 def note_html(text: str, name: str = "note", *, problem: bool = True) -> str:
-    """Words on a coloured ground, with the id ``carosac-NAME``; no words leave nothing."""
+    """Return text on a coloured ground, with the id ``carosac-NAME``; empty for no text."""
     if not text:
         return ""
     color, ground = ("#8f1020", "#fde8ea") if problem else ("#1d4d2b", "#e9f5ec")
@@ -220,7 +220,7 @@ def start_server(host: str, port: int, title: str) -> Any:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether nobody but this machine reaches an address."""
+    """Return whether only this machine can reach an address."""
     if host == "localhost":
         return True
     try:

@@ -1,4 +1,4 @@
-"""The page of a live loop in a process of its own: threads of one process share Python's lock.
+"""Page of a live loop in its own process, as threads of one process share Python's lock.
 
 A thread that draws holds that lock now and then, and if the system takes the processor from it at
 that moment, the loop waits. Here the loop only sends numbers through a pipe, and gets targets back.
@@ -33,7 +33,7 @@ PROCESS_TIMEOUT_S = 60.0  # [s] for the process to start, and for it to end
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PageOptions:
-    """What the process needs to know.
+    """Settings of the page's process.
 
     Attributes:
         robot: What is shown.
@@ -55,7 +55,7 @@ class PageOptions:
 
 
 class PageProcess:
-    """A page that shows instants and hands over targets. Close it.
+    """Page that shows instants and returns targets. Close it.
 
     Attributes:
         url: Where the page is.
@@ -64,7 +64,7 @@ class PageProcess:
     """
 
     def __init__(self, options: PageOptions, moved: Callable[[Array], object]) -> None:
-        """Start it, and wait until it serves.
+        """Start the process, and wait until it serves.
 
         Args:
             options: What is shown, and where.
@@ -106,7 +106,7 @@ class PageProcess:
             self._process.join()
 
     def _first_word(self) -> tuple[str, Any]:
-        """Its address, or what went wrong."""
+        """Return its address, or raise what went wrong."""
         try:
             if self._pipe.poll(PROCESS_TIMEOUT_S):
                 kind, value = self._pipe.recv()
@@ -120,7 +120,7 @@ class PageProcess:
         self._tell(("instant", instant))
 
     def _tell(self, message: tuple[str, Any]) -> None:
-        """Send; a page that has ended hears nothing."""
+        """Send a message; a page that has ended gets nothing."""
         try:
             self._pipe.send(message)
         except (BrokenPipeError, OSError):
@@ -141,7 +141,7 @@ class PageProcess:
 
 
 def _serve(pipe: Connection, options: PageOptions) -> None:
-    """Be the process of the page until it is told to end, or its parent has gone."""
+    """Run the page's process until it is told to end, or its parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which then ends this
     if hasattr(os, "nice"):
         os.nice(
@@ -180,7 +180,7 @@ def _serve(pipe: Connection, options: PageOptions) -> None:
 
 
 def _show(pipe: Connection, page: Page, instants: Publisher[Instant]) -> None:
-    """Take what comes as fast as it comes; the newest is drawn."""
+    """Receive instants as fast as they come; the newest is drawn."""
     try:
         while True:
             kind, value = pipe.recv()

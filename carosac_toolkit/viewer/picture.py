@@ -1,4 +1,4 @@
-"""One instant of a robot, as the viewer draws it."""
+"""Instant of a robot, as the viewer draws it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CABLE_POINTS = 24  # points of a cable
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Picture:
-    """What is drawn at one instant; n cables.
+    """Drawing data of one instant; n cables.
 
     Attributes:
         time: [s].
@@ -50,7 +50,7 @@ class Picture:
         return np.asarray(np.linalg.norm(offset_from_chord(self.points), axis=-1).max(axis=-1))
 
     def drawn(self, enlarged: float) -> Array:
-        """Points of the cables with the distance from their chords enlarged [m]."""
+        """Return points of the cables with the distance from their chords enlarged [m]."""
         if enlarged == 1.0:
             return self.points
         return self.points + (enlarged - 1.0) * offset_from_chord(self.points)
@@ -69,7 +69,7 @@ def take_picture(
     target: Array | None = None, believed: Array | None = None, held: bool = False,
     status: str = "", problem: bool = False, points: Array | None = None,
 ) -> Picture:  # fmt: skip
-    """Work out the shapes of the cables.
+    """Compute the shapes of the cables.
 
     From the first of these that is there: `points` as they are, `unstrained_length`, `tension`.
     A cable that cannot hang so, or of which nothing is known, is drawn straight, and marked.

@@ -64,7 +64,7 @@ class Plots:
     def _chart(
         self, gui: Any, data: tuple[Array, ...], lines: list[dict[str, Any]], label: str, title: str
     ) -> Any:
-        """One chart; its last series is the dot for now."""
+        """Add one chart; its last series is the dot for now."""
         dot = {
             "label": "now", "stroke": CURSOR_COLOR, "width": 0, "auto": False,
             "points": {"show": True, "size": 7, "fill": CURSOR_COLOR},
@@ -81,7 +81,7 @@ class Plots:
         )  # fmt: skip
 
     def add(self, picture: Picture) -> None:
-        """Take a picture in; live plots are drawn now and then."""
+        """Add a picture; live plots are drawn now and then."""
         time = picture.time
         if self._samples and time < self._samples[-1][0]:
             self._samples.clear()

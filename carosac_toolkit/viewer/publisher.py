@@ -1,4 +1,4 @@
-"""Draws the latest picture in a thread of its own, at a limited rate; older ones are dropped."""
+"""Thread that draws the latest picture at a limited rate; older ones are dropped."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 class Publisher(Generic[T]):
-    """Takes what it is offered at once and hands the newest to `draw` later.
+    """Queue of one picture, handed to `draw` in a thread of its own.
 
     The one who offers never waits for the drawing.
 
@@ -51,11 +51,11 @@ class Publisher(Generic[T]):
 
     @property
     def due(self) -> bool:
-        """Whether a picture offered now would be drawn without delay; else none need be made."""
+        """Return whether a picture offered now would be drawn without delay."""
         return time.monotonic() >= self._next
 
     def offer(self, picture: T) -> None:
-        """Replace whatever waits to be drawn."""
+        """Replace the picture that waits to be drawn."""
         with self._news:
             if self._latest is not None:
                 self.dropped += 1
@@ -63,14 +63,14 @@ class Publisher(Generic[T]):
             self._news.notify()
 
     def close(self) -> None:
-        """Draw what waits, then end the thread."""
+        """Draw the waiting picture, then end the thread."""
         with self._news:
             self._closed = True
             self._news.notify()
         self._thread.join()
 
     def _run(self) -> None:
-        """Wait for something new, draw it, rest until the next may come."""
+        """Wait for a picture, draw it, pause until the next may come."""
         settled = True
         while True:
             with self._news:
@@ -93,7 +93,7 @@ class Publisher(Generic[T]):
             self._rest()
 
     def _has_news(self) -> bool:
-        """Whether there is something to draw, or nothing will come."""
+        """Return whether there is something to draw, or nothing will come."""
         return self._latest is not None or self._closed
 
     def _rest(self) -> None:

@@ -1,4 +1,4 @@
-"""A robot at rest that somebody moves: by where it should be, or by the lengths of its cables."""
+"""Robot at rest that the user moves: by a target pose, or by its cable lengths."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from carosac_toolkit.viewer.picture import Picture, take_picture
 
 
 class RestingRobot:
-    """Remembers the last feasible pose: where what is asked for is none, it stays there.
+    """Robot that keeps the last feasible pose when an infeasible one is asked for.
 
     Attributes:
         rest: The pose of rest that is shown.
@@ -34,11 +34,11 @@ class RestingRobot:
             )
 
     def home(self) -> Picture:
-        """The robot as it rests now."""
+        """Return the robot as it rests now."""
         return self._picture(self.rest, self.rest.position[0].copy(), "at rest", ())
 
     def follow_target(self, position: Array, rotation: Array | None = None) -> Picture:
-        """Go to a place, if the robot can rest there.
+        """Move to a position, if the robot can rest there.
 
         Args:
             position: Of the platform origin in W [m], shape (3,).
@@ -71,7 +71,7 @@ class RestingRobot:
         return self._picture(found, None, "at rest on these lengths", self._strained(found))
 
     def _faults(self, found: Equilibrium) -> tuple[str, ...]:
-        """Why a pose cannot be taken; empty where it can."""
+        """Return why a pose cannot be taken; empty if it can."""
         if not found.converged[0]:
             return (statics.REASONS[found.status[0]],)
         faults = [] if found.stable[0] else ["the pose of rest is unstable"]
@@ -83,7 +83,7 @@ class RestingRobot:
         return tuple(faults)
 
     def _strained(self, found: Equilibrium) -> tuple[str, ...]:
-        """Cables outside their tension limits."""
+        """Return cables outside their tension limits."""
         robot, tension = self.robot, found.tension[0]
         over = tension > robot.tension_max * (1.0 + 1e-9)
         said = []
@@ -98,12 +98,12 @@ class RestingRobot:
         return tuple(said)
 
     def _outside(self, position: Array) -> bool:
-        """Whether a place is outside the workspace box."""
+        """Return whether a position is outside the workspace box."""
         low, high = self.robot.workspace_min, self.robot.workspace_max
         return bool(((position < low) | (position > high)).any())
 
     def _stay(self, what: str, faults: tuple[str, ...], target: Array | None) -> Picture:
-        """The last feasible pose, marked as such."""
+        """Return the last feasible pose, marked as such."""
         status = f"INFEASIBLE: {what}: {'; '.join(faults)}\nshown: the last feasible pose"
         rest = self.rest
         return take_picture(
@@ -115,7 +115,7 @@ class RestingRobot:
     def _picture(
         self, rest: Equilibrium, target: Array | None, status: str, notes: tuple[str, ...]
     ) -> Picture:
-        """A pose of rest."""
+        """Return the picture of an equilibrium."""
         strained = status != "at rest" and bool(notes)
         words = "\n".join([f"OUTSIDE THE TENSION LIMITS: {notes[0]}", *notes[1:]]) if strained \
             else "; ".join([status, *notes])  # fmt: skip

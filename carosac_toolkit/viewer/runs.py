@@ -1,4 +1,4 @@
-"""Recorded runs as the viewer plays them: from a recording, or from the folder of a study."""
+"""Recorded runs for the viewer: from a recording, or from the folder of a study."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ POSE_GAP_MAX_S = 0.5  # [s] without a pose that is bridged
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedRun:
-    """One run, T samples of a robot with n cables.
+    """Run of T samples of a robot with n cables.
 
     Attributes:
         name: For people.
@@ -67,11 +67,11 @@ class RecordedRun:
         return np.asarray(np.linalg.norm(self.position - self.target, axis=1))
 
     def index(self, time: float) -> int:
-        """The sample that was the latest at a time [s]."""
+        """Return the latest sample at a time [s]."""
         return int(np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, None))
 
     def picture(self, k: int) -> Picture:
-        """What sample `k` looked like."""
+        """Return the picture of sample `k`."""
         return take_picture(
             self.robot, self.position[k], self.rotation[k], time=float(self.time[k]),
             tension=self.tension[k],
@@ -82,7 +82,7 @@ class RecordedRun:
 
 
 def load_runs(where: str, robot: str | None = None) -> list[RecordedRun]:
-    """Load what there is to play.
+    """Load the runs to play.
 
     Args:
         where: A recording (file, or name of a bundled one), or the folder of a study, of which
@@ -99,7 +99,7 @@ def load_runs(where: str, robot: str | None = None) -> list[RecordedRun]:
 
 
 def _numbered(where: str) -> tuple[Path, int | None]:
-    """A folder, and which of its runs."""
+    """Return a folder, and which of its runs."""
     folder, colon, number = where.rpartition(":")
     if colon and number.isdigit() and Path(folder).is_dir():
         return Path(folder), int(number)
@@ -107,7 +107,7 @@ def _numbered(where: str) -> tuple[Path, int | None]:
 
 
 def _study_runs(folder: Path, number: int | None) -> list[RecordedRun]:
-    """The cases of a study whose course was kept."""
+    """Return the cases of a study whose time series was kept."""
     from carosac_toolkit.studies.run.folder import read_rows
 
     kept = [row for row in read_rows(folder) if row.get("series") is not None]
@@ -127,7 +127,7 @@ def _study_runs(folder: Path, number: int | None) -> list[RecordedRun]:
 
 
 def _case_run(row: Row) -> RecordedRun | None:
-    """A case of a study, or None where too little of it was kept."""
+    """Return a case of a study, or None if too little of it was kept."""
     series: dict[str, Any] = json.loads(str(row["series"]))
     if series["position_m"] is None or series.get("quaternion") is None:
         return None
@@ -148,7 +148,7 @@ def _case_run(row: Row) -> RecordedRun | None:
 
 
 def _recorded_run(where: str, asked: str | None) -> RecordedRun:
-    """A recording."""
+    """Return the run of a recording."""
     from carosac_toolkit.recordings.bundled import find_recording
 
     path = find_recording(where)
@@ -166,7 +166,7 @@ def _recorded_run(where: str, asked: str | None) -> RecordedRun:
 
 
 def _load(path: Path) -> tuple[Recording, PoseSamples | None]:
-    """A recording, with what an estimator believed where it is the file of a run."""
+    """Load a recording, with the estimates if it is the file of a run."""
     recording = load_recording(path)
     if path.suffix.lower() != ".jsonl":
         return recording, None
@@ -176,7 +176,7 @@ def _load(path: Path) -> tuple[Recording, PoseSamples | None]:
 
 
 def _thinned(recording: Recording) -> Recording:
-    """At most `RUN_SAMPLES_MAX` samples of the lengths."""
+    """Return at most `RUN_SAMPLES_MAX` samples of the lengths."""
     step = -(-len(recording.time) // RUN_SAMPLES_MAX)
     return replace(
         recording, time=recording.time[::step],
@@ -187,7 +187,7 @@ def _thinned(recording: Recording) -> Recording:
 def _run_of(
     name: str, robot: Robot, recording: Recording, believed: PoseSamples | None
 ) -> RecordedRun:
-    """Poses as measured, else as believed, else at rest on the recorded lengths."""
+    """Return poses as measured, else as estimated, else at rest on the recorded lengths."""
     poses, source = recording.poses, "measured"
     if poses is None:
         poses, source = believed, "believed by the estimator"
@@ -228,14 +228,14 @@ def _run_of(
 
 
 def _of_target(command: Stamped | None, target: Array | None) -> str:
-    """Where the target is from, or why there is none."""
+    """Return the source of the target, or why there is none."""
     if target is not None:
         return "; target: where the commanded lengths would rest"
     return "" if command is None else "; no target: some commanded lengths have no pose of rest"
 
 
 def _tensions(recorded: Stamped | None, rest: Any, time: Array, n: int) -> tuple[Array, str]:
-    """Tensions at times [N], shape (T, n), and where they come from."""
+    """Return tensions at times [N], shape (T, n), and their source."""
     if recorded is not None:
         columns = [
             np.interp(time, recorded.time, recorded.value[:, i], left=np.nan, right=np.nan)
@@ -249,7 +249,7 @@ def _tensions(recorded: Stamped | None, rest: Any, time: Array, n: int) -> tuple
 
 
 def _targets(robot: Robot, command: Stamped | None, time: Array, guess: Pose) -> Array | None:
-    """Where the commanded lengths would rest in W [m], shape (T, 3); None if never known."""
+    """Return the equilibria of the commanded lengths in W [m], shape (T, 3); None if unknown."""
     if command is None:
         return None
     latest = np.searchsorted(command.time, time, side="right") - 1
@@ -262,5 +262,5 @@ def _targets(robot: Robot, command: Stamped | None, time: Array, guess: Pose) ->
 
 
 def same_robot(runs: Sequence[RecordedRun]) -> list[RecordedRun]:
-    """Those runs that are of the robot of the first."""
+    """Return the runs of the same robot as the first."""
     return [run for run in runs if run.robot.name == runs[0].robot.name]

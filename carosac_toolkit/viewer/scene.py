@@ -1,4 +1,4 @@
-"""A robot in a viser scene: what stands still is drawn once, the rest with every picture."""
+"""Robot in a viser scene: static parts are drawn once, the rest with every picture."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ GHOST_OPACITY = 0.3
 
 
 class RobotScene:
-    """One robot in a scene. Call `show` from one thread at a time.
+    """Robot in a scene. Call `show` from one thread at a time.
 
     Attributes:
         enlarged: Factor on the distance of the cables from their chords.
@@ -104,13 +104,13 @@ class RobotScene:
         self._count += 1
 
     def settle(self, picture: Picture) -> None:
-        """Draw trails and labels, which come with some pictures only."""
+        """Draw trails and labels, which do not come with every picture."""
         if self.own_trails:
             self._draw_trails()
         self._label(picture.tension)
 
     def forget(self) -> None:
-        """Begin the trails anew."""
+        """Clear the trails."""
         for way in self._ways.values():
             way.clear()
         self._count = 0
@@ -120,12 +120,12 @@ class RobotScene:
         self._count = 0
 
     def _draw_trails(self) -> None:
-        """Draw the ways of platform and target up to now."""
+        """Draw the paths of platform and target up to now."""
         for key, way in self._ways.items():
             self.draw_way(key, np.array(way))
 
     def draw_way(self, key: str, way: Array) -> None:
-        """Draw the whole way of ``platform`` or ``target`` at once [m], shape (T, 3)."""
+        """Draw the whole path of ``platform`` or ``target`` at once [m], shape (T, 3)."""
         handle = self._trails[key]
         handle.visible = self.trails and len(way) > 1
         if handle.visible:
@@ -135,7 +135,7 @@ class RobotScene:
 
     @property
     def visible(self) -> bool:
-        """Whether the robot is drawn at all."""
+        """True if the robot is drawn."""
         return self._visible
 
     @visible.setter
@@ -149,7 +149,7 @@ class RobotScene:
             self._target.visible = self._belief.visible = False
 
     def _draw_frame(self, *, plain: bool) -> None:
-        """What stands still: floor, posts, exit points, axes of W and the workspace box."""
+        """Draw the static parts: floor, posts, exit points, axes of W and the workspace box."""
         scene, robot, name = self._scene, self._robot, self._name
         lower, upper = extent(robot)
         axes = 0.06 * self._size
@@ -178,7 +178,7 @@ class RobotScene:
         )  # fmt: skip
 
     def _draw_floor(self, lower: Array, upper: Array) -> None:
-        """A grid of metres below everything."""
+        """Draw a grid of metres below everything."""
         middle = 0.5 * (lower + upper)
         self._scene.add_grid(
             f"{self._name}/floor", width=1.3 * (upper - lower)[0], height=1.3 * (upper - lower)[1],
@@ -188,7 +188,7 @@ class RobotScene:
         )  # fmt: skip
 
     def _draw_letters(self, origin: Array, axes: float) -> None:
-        """Names at the ends of the axes of W, which are so long [m]."""
+        """Draw names at the ends of the axes of W, of this length [m]."""
         for k, letter in enumerate("xyz"):
             self._scene.add_label(
                 f"{self._name}/axis_{letter}", letter, anchor="center-center",
@@ -196,7 +196,7 @@ class RobotScene:
             )  # fmt: skip
 
     def _add_platform(self) -> Any:
-        """The platform as a box with its frame; the handle moves it all."""
+        """Add the platform as a box with its frame; the handle moves it all."""
         size, center = platform_box(self._robot)
         name = f"{self._name}/platform"
         arrow = 0.7 * float(max(size))
@@ -211,21 +211,21 @@ class RobotScene:
         return handle
 
     def _add_lines(self, name: str, points: Array, color: Rgb, width: float) -> Any:
-        """Line segments, thickness in pixels."""
+        """Add line segments, thickness in pixels."""
         return self._scene.add_line_segments(
             f"{self._name}/{name}", points=np.asarray(points, dtype=np.float32), colors=color,
             thickness=width, thickness_units="screen",
         )  # fmt: skip
 
     def _add_ball(self, name: str, color: Rgb, size: float) -> Any:
-        """A ball that is not there yet."""
+        """Add a hidden ball."""
         return self._scene.add_icosphere(
             f"{self._name}/{name}", radius=size * self._size, color=color, subdivisions=2,
             opacity=GHOST_OPACITY if self._ghost else 0.8, visible=False,
         )  # fmt: skip
 
     def _add_names(self) -> list[Any]:
-        """Labels of the cables at their exits; those that coincide stand above each other."""
+        """Add labels of the cables at their exits; coincident ones are stacked."""
         robot = self._robot
         return [
             self._scene.add_label(
@@ -237,7 +237,7 @@ class RobotScene:
         ]  # fmt: skip
 
     def _draw_cables(self, picture: Picture) -> None:
-        """All cables as one set of segments, coloured by tension."""
+        """Draw all cables as one set of segments, coloured by tension."""
         points = picture.drawn(self.enlarged)
         if self._plain:
             points = points[:, evenly(points.shape[1], PLAIN_CABLE_POINTS)]
@@ -250,7 +250,7 @@ class RobotScene:
         self._cables.colors = np.array(np.broadcast_to(light, pairs.shape).reshape(-1, 2, 3))
 
     def _color_target(self, held: bool) -> None:
-        """Grey platform and red target where the pose is not the one that was asked for."""
+        """Draw platform grey and target red if the pose is not the requested one."""
         color = HELD_COLOR if held else PLATFORM_COLOR
         if self._ghost or color == self._colored:
             return
@@ -259,20 +259,20 @@ class RobotScene:
         self._target.color = REFUSED_COLOR if held else TARGET_COLOR
 
     def _place(self, handle: Any, position: Array | None) -> None:
-        """Put a ball somewhere, or away."""
+        """Place a ball, or hide it."""
         handle.visible = position is not None
         if position is not None:
             handle.position = position
 
     def _remember(self, picture: Picture) -> None:
-        """Let the trails grow."""
+        """Extend the trails."""
         for key, place in (("platform", picture.position), ("target", picture.target)):
             way = self._ways[key]
             if place is not None and (not way or np.abs(place - way[-1]).max() > TRAIL_STEP_MIN_M):
                 way.append(np.array(place))
 
     def _label(self, tension: Array) -> None:
-        """Name cables with their tensions."""
+        """Label cables with names and tensions."""
         if self.labels and not self._names and not self._ghost:
             self._names = self._add_names()
         for i, handle in enumerate(self._names):
@@ -283,14 +283,14 @@ class RobotScene:
 
 
 def segments(way: Array) -> NDArray[np.float32]:
-    """Line segments along a way [m], shape (T - 1, 2, 3)."""
+    """Return line segments along a path [m], shape (T - 1, 2, 3)."""
     if len(way) < 2:
         return np.zeros((1, 2, 3), dtype=np.float32)
     return np.asarray(np.stack([way[:-1], way[1:]], axis=1), dtype=np.float32)
 
 
 def _above(robot: Robot, i: int, size: float) -> Array:
-    """Where the name of a cable stands [m]: above its exit, and above earlier names there."""
+    """Return the position of a cable's name [m]: above its exit, and above earlier names there."""
     away = np.linalg.norm(robot.exit_points[:i] - robot.exit_points[i], axis=1)
     place: Array = robot.exit_points[i].copy()
     place[2] += 0.015 * size * (1.0 + 2.2 * (away < 0.04 * size).sum())

@@ -1,4 +1,4 @@
-"""The page of a robot at rest: drag its target, or move its cable lengths."""
+"""Page of a robot at rest: drag its target, or move its cable lengths."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LENGTH_RANGE_M = 0.5  # [m] that the length of a cable can be moved each way
 
 
 class Wish(NamedTuple):
-    """What somebody asks for: a pose, or lengths."""
+    """Request of the user: a pose, or lengths."""
 
     position: Array | None = None
     rotation: Array | None = None
@@ -30,7 +30,7 @@ class Wish(NamedTuple):
 
 
 class StaticsPage:
-    """Connects the controls of a page with a resting robot.
+    """Connection of the controls of a page with a resting robot.
 
     Attributes:
         resting: The robot.
@@ -65,11 +65,11 @@ class StaticsPage:
         page.offer(self.resting.home())
 
     def close(self) -> None:
-        """Answer no more."""
+        """Stop answering."""
         self._wishes.close()
 
     def _add_sliders(self, gui: Any) -> list[Any]:
-        """One slider a cable, about its length now."""
+        """Add a slider per cable, about its current length."""
         robot, now = self.page.robot, self.resting.rest.unstrained_length[0]
         return [
             gui.add_slider(
@@ -81,7 +81,7 @@ class StaticsPage:
         ]  # fmt: skip
 
     def _connect(self) -> None:
-        """Have the controls ask for something; what the server sets itself asks for nothing."""
+        """Connect the controls; values that the server sets trigger no request."""
         self.gizmo.on_update(lambda _: self._ask_for_target())
         self.place.on_update(self._typed)
         self.mode.on_update(lambda _: self._change_mode())
@@ -90,13 +90,13 @@ class StaticsPage:
             slider.on_update(self._slid)
 
     def _typed(self, event: Any) -> None:
-        """Somebody has typed a target."""
+        """Take a target typed by the user."""
         if event.client_id is not None:
             self.gizmo.position = self.place.value
             self._ask_for_target()
 
     def _slid(self, event: Any) -> None:
-        """Somebody has moved a length."""
+        """Take a length set by the user."""
         if event.client_id is not None:
             length = np.array([each.value for each in self.lengths])
             self._wishes.offer(Wish(length=length))
@@ -121,7 +121,7 @@ class StaticsPage:
             self.gizmo.wxyz = from_matrix(rotation[None])[0]
 
     def _change_mode(self) -> None:
-        """Show the controls of the other way to move; it begins where the robot is."""
+        """Show the controls of the other mode; it begins at the robot's pose."""
         by_target = self.mode.value == TARGET_MODE
         rest = self.resting.rest
         if by_target:
@@ -136,7 +136,7 @@ class StaticsPage:
         self.page.offer(replace(self.resting.home(), time=self._now()))
 
     def _answer(self, wish: Wish) -> None:
-        """Move the robot; in the thread of the wishes."""
+        """Move the robot, in the thread of the requests."""
         if wish.length is not None:
             picture = self.resting.follow_lengths(wish.length)
         else:
@@ -147,5 +147,5 @@ class StaticsPage:
         self.answers += 1
 
     def _now(self) -> float:
-        """Since the page began [s]."""
+        """Return the time since the page began [s]."""
         return time.monotonic() - self._began

@@ -1,4 +1,4 @@
-"""Whether poses belong to the workspace, by how much, and which limit decides."""
+"""Verdicts on poses: inside the workspace or not, by what margin, and by which limit."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SHAPE_CHUNK_POSES = 4096  # poses whose cable shapes are in memory at a time
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Verdicts:
-    """What was found for B poses.
+    """Verdicts on B poses.
 
     Attributes:
         rest: Equilibria with the tensions of the largest margin; where `rest.converged` is False
@@ -56,13 +56,13 @@ class Verdicts:
 
     @property
     def inside(self) -> NDArray[np.bool_]:
-        """Whether each pose belongs to the workspace, shape (B,)."""
+        """True where a pose belongs to the workspace, shape (B,)."""
         found: NDArray[np.bool_] = self.limit == Limit.INSIDE
         return found
 
 
 def modelled(robot: Robot, settings: WorkspaceSettings) -> Robot:
-    """The robot that is judged: itself, or with cables so light that they are straight."""
+    """Return the robot to judge: itself, or with cables so light that they are straight."""
     if settings.sag:
         return robot
     return replace(robot, linear_density=WEIGHTLESS_DENSITY_RATIO * robot.linear_density)
@@ -127,7 +127,7 @@ def judge(
 
 
 def _rotation(robot: Robot, rotation: ArrayLike | None, size: int) -> Array | None:
-    """One rotation per pose, checked."""
+    """Return one rotation per pose, checked."""
     if rotation is None:
         return None
     if robot.n < 6:
@@ -143,7 +143,7 @@ def _hold(
     lines: ArrayLike | None,
     hopeless: NDArray[np.bool_],
 ) -> tuple[WidestRest, WidestRest]:
-    """The rest under the weight alone, and the one of the required wrench with the least margin.
+    """Return the rest under the weight alone, and that of the worst required wrench.
 
     Hopeless poses stay at home while the others are computed, which costs least.
     """
@@ -173,7 +173,7 @@ def _hold(
 
 
 def _worse(one: WidestRest, other: WidestRest) -> WidestRest:
-    """Row by row the one with the smaller margin: proved to be none, not computed, then numbers."""
+    """Return row by row the smaller margin: proved infeasible, not computed, then numbers."""
     first, second = (
         np.where(np.isneginf(each.margin), 0, np.where(np.isnan(each.margin), 1, 2))
         for each in (one, other)
@@ -191,7 +191,7 @@ def _worse(one: WidestRest, other: WidestRest) -> WidestRest:
 
 
 def tilt_angle(robot: Robot, rotation: Array) -> Array:
-    """Angle of the platform's z axis to that at home [rad], shape (B,)."""
+    """Return the angle of the platform's z axis to that at home [rad], shape (B,)."""
     cosine = rotation[:, :, 2] @ robot.home_rotation[:, 2]
     across = np.linalg.norm(np.cross(rotation[:, :, 2], robot.home_rotation[:, 2]), axis=1)
     angle: Array = np.arctan2(across, cosine)
@@ -199,7 +199,7 @@ def tilt_angle(robot: Robot, rotation: Array) -> Array:
 
 
 def _distance(robot: Robot, rest: Equilibrium) -> tuple[Array, NDArray[np.int64]]:
-    """Smallest distance of two cables and which two they are; NaN without a rest."""
+    """Return the smallest distance of two cables and their indices; NaN without a rest."""
     size = len(rest.position)
     least, pair = np.full(size, np.nan), np.full((size, 2), -1)
     rows = np.flatnonzero(rest.converged)
@@ -216,14 +216,14 @@ def _distance(robot: Robot, rest: Equilibrium) -> tuple[Array, NDArray[np.int64]
 
 
 def pick(rest: Equilibrium, rows: NDArray[np.intp]) -> Equilibrium:
-    """Some of the equilibria."""
+    """Return some of the equilibria."""
     return Equilibrium(**{name: value[rows] for name, value in vars(rest).items()})
 
 
 def _first_limit(
     robot: Robot, settings: WorkspaceSettings, rest: Equilibrium, tilt: Array, distance: Array
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """The first limit, apart from the tensions', that a rest breaks, and its cable."""
+    """Return the first limit, apart from the tensions', that a rest breaks, and its cable."""
     length = rest.unstrained_length
     short, long = length < robot.length_min, length > robot.length_max
     near = np.zeros(len(tilt), dtype=bool)

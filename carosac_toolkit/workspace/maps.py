@@ -1,4 +1,4 @@
-"""How well poses are held: tilt, stiffness, natural frequency, sag, distance of cables."""
+"""Quality of poses: tilt, stiffness, natural frequency, sag, distance of cables."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TENSION_CHOICES = ("widest", "least")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Maps:
-    """Numbers of B poses; NaN where there is no rest.
+    """Maps over B poses; NaN where there is no rest.
 
     Attributes:
         tilt: Angle of the platform's z axis to that at home [rad], shape (B,).
@@ -91,7 +91,7 @@ def maps(
 
 
 def _least(robot: Robot, rest: Equilibrium) -> Equilibrium:
-    """The same positions with the least squared tensions."""
+    """Return the same positions with the least squared tensions."""
     if robot.n >= 6:
         return inverse_kinematics(robot, rest.position, rest.rotation)
     guess = Pose(position=rest.position, rotation=rest.rotation)
@@ -99,7 +99,7 @@ def _least(robot: Robot, rest: Equilibrium) -> Equilibrium:
 
 
 def _of_rest(robot: Robot, rest: Equilibrium) -> dict[str, Array]:
-    """All maps of equilibria."""
+    """Return all maps of equilibria."""
     stiffness, softest = _softest(rest.stiffness, slice(0, 3))
     turning, _ = _softest(rest.stiffness, slice(3, 6))
     return {
@@ -113,7 +113,7 @@ def _of_rest(robot: Robot, rest: Equilibrium) -> dict[str, Array]:
 
 
 def _softest(stiffness: Array, part: slice) -> tuple[Array, Array]:
-    """Least stiffness of three coordinates with the others free, and its direction.
+    """Return the least stiffness of three coordinates with the others free, and its direction.
 
     It is the inverse of the largest eigenvalue of that block of the compliance.
     """

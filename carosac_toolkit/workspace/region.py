@@ -1,4 +1,4 @@
-"""The workspace on a grid: its volume, what bounds it, in numbers and in words."""
+"""Workspace on a grid: its volume and what bounds it, in numbers and words."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Region:
         return int((self.verdicts.limit == Limit.NOT_CONVERGED).sum())
 
     def causes(self, *, at_the_end: bool = False) -> list[tuple[int, int, int]]:
-        """Limit, cable (-1: none) and number of positions it keeps out, the largest first.
+        """Return limit, cable (-1: none) and number of positions it excludes, the largest first.
 
         Args:
             at_the_end: Only of the positions beside one that is inside, where a platform that
@@ -66,7 +66,7 @@ class Region:
         return [(int(found[k, 0]), int(found[k, 1]), int(counts[k])) for k in order]
 
     def _beside(self) -> NDArray[np.bool_]:
-        """Positions outside, next to one inside along x, y or z."""
+        """Return positions outside, next to one inside along x, y or z."""
         inside = self.verdicts.inside.reshape(self.grid.shape)
         near = np.zeros_like(inside)
         for axis in range(3):
@@ -79,7 +79,7 @@ class Region:
         return beside
 
     def sentence(self) -> str:
-        """The result in words."""
+        """Return the result in words."""
         name = self.robot.name
         share = f"{self.share:.1%}".replace("%", " %")
         if self.verdicts.inside.all():
@@ -96,7 +96,7 @@ class Region:
         return text
 
     def _nearest(self) -> str:
-        """What comes nearest inside."""
+        """Describe the limit nearest to the positions inside."""
         out = self.verdicts
         k = int(np.nanargmin(np.where(np.isfinite(out.margin), out.margin, np.nan)))
         which = describe(out.nearest[k], out.nearest_cable[k], self.robot.cable_names)
@@ -107,7 +107,7 @@ class Region:
         return f"the least margin is {out.margin[k]:.3g} N at ({place}) m, {cable} {said}"
 
     def _words(self, at_the_end: bool) -> str:
-        """What keeps positions out, the three most frequent causes."""
+        """Describe what excludes positions, the three most frequent causes."""
         causes = self.causes(at_the_end=at_the_end)
         total = sum(count for _, _, count in causes)
         return ", ".join(
@@ -116,7 +116,7 @@ class Region:
         )
 
     def data(self) -> dict[str, Any]:
-        """The numbers, as JSON knows them."""
+        """Return the numbers, ready for JSON."""
         out = self.verdicts
         finite = out.margin[np.isfinite(out.margin)]
         inside = out.margin[out.inside]
@@ -139,7 +139,7 @@ class Region:
         }
 
     def _listed(self, *, at_the_end: bool) -> list[dict[str, Any]]:
-        """The causes, as JSON knows them."""
+        """Return the causes, ready for JSON."""
         names = self.robot.cable_names
         return [
             {
@@ -185,7 +185,7 @@ def compute(
 
 
 def _worst(found: Sequence[Verdicts]) -> Verdicts:
-    """Row by row the verdict that is outside, or has the least margin."""
+    """Return row by row the verdict that is outside, or has the least margin."""
     margin = np.stack([np.where(np.isnan(v.margin), -np.inf, v.margin) for v in found])
     inside = np.stack([v.inside for v in found])
     chosen = np.lexsort((margin, inside), axis=0)[0]
@@ -194,7 +194,7 @@ def _worst(found: Sequence[Verdicts]) -> Verdicts:
 
 
 def _choose(found: Sequence[Any], chosen: NDArray[np.intp]) -> Any:
-    """Row by row one of several records of equal arrays."""
+    """Return row by row one of several records of equal arrays."""
     rows = np.arange(len(chosen))
     values = {}
     for field in fields(found[0]):

@@ -1,4 +1,4 @@
-"""A second search where the first one found no rest, or hardly none."""
+"""Second search where the first one found no rest, or barely one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is asked of a pose to belong to the workspace."""
+"""Demands on a pose of the workspace."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class WorkspaceSettings:
             raise InvalidField("tilt_max", f"{self.tilt_max} rad", "0 to pi rad, or None")
 
     def wrenches(self) -> Array:
-        """Corners of the box of extra wrenches [N, N m], shape (K, 6); one of zeros without a box.
+        """Return corners of the box of extra wrenches [N, N m], (K, 6); one of zeros without a box.
 
         The largest margin is concave in the wrench where cables are straight and the rotation is
         held, so that its least value over the box is at a corner.

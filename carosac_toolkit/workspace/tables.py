@@ -1,4 +1,4 @@
-"""The poses that were judged, as a table for other programs."""
+"""Table of the judged poses, for other programs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from carosac_toolkit.workspace.region import Region
 
 
 def columns(region: Region, found: Maps | None = None) -> dict[str, NDArray[Any]]:
-    """Columns by name; numbers are NaN where there is no rest.
+    """Return columns by name; numbers are NaN where there is no rest.
 
     Args:
         region: Verdicts on a grid.
@@ -70,7 +70,7 @@ def write_table(path: Path, table: dict[str, NDArray[Any]]) -> None:
 
 
 def _cell(value: Any) -> str:
-    """One cell of a CSV file; empty for NaN."""
+    """Return one cell of a CSV file; empty for NaN."""
     if isinstance(value, bool):
         return str(int(value))
     if isinstance(value, float):

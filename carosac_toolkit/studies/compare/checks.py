@@ -1,4 +1,4 @@
-"""Whether a study can run at all: names that lead somewhere, numbers in their range."""
+"""Checks that a study can run: names that exist, numbers in their range."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def check_study(study: Study) -> None:
 
 
 def _check_execution(study: Study) -> None:
-    """Refuse what `run_cases` would refuse, before anybody is told that something runs."""
+    """Refuse what `run_cases` would refuse, before anything is said to run."""
     if not 0.0 < study.timeout < 1e7:
         raise InvalidField("timeout", f"{study.timeout} s", "0 < timeout < 1e7 s")
     check_statuses(study.retry)
@@ -75,7 +75,7 @@ def _check_execution(study: Study) -> None:
 
 
 def _positive(name: str, value: Any, unit: str) -> None:
-    """Refuse what is no positive finite number."""
+    """Refuse anything but a positive finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InvalidField(name, repr(value), f"a number [{unit}]")
     if not (value > 0.0 and np.isfinite(value)):
@@ -91,7 +91,7 @@ def _known(field: str, names: Any, allowed: Sequence[str]) -> None:
 
 
 def _plugin(kind: Any, name: str) -> Any:
-    """Import a plug-in; whatever its import raises is one message.
+    """Import a plug-in; whatever its import raises becomes one message.
 
     Raises:
         CarosacError: Its label is empty, it is not there, cannot be imported or has no `build`.
@@ -145,7 +145,7 @@ def _check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any
 
 
 def _ask(name: str, check: Any, chosen: Any) -> None:
-    """Let a plug-in check its settings; whatever that raises is one message."""
+    """Let a plug-in check its settings; whatever that raises becomes one message."""
     try:
         check(chosen)
     except CarosacError:
@@ -156,6 +156,6 @@ def _ask(name: str, check: Any, chosen: Any) -> None:
 
 
 def _check_truth(driver: Any, name: str) -> None:
-    """Refuse the estimator `truth` where nobody knows it."""
+    """Refuse the estimator `truth` where the driver knows no truth."""
     if replays(driver) or not callable(getattr(driver, "truth", None)):
         raise InvalidField("estimator", "'truth'", f"another one: driver {name} knows no truth")

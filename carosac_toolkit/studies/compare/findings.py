@@ -1,4 +1,4 @@
-"""What the numbers of a study say, in sentences computed from them."""
+"""Conclusions of a study, in sentences computed from its numbers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BLOCKS_MAX = 3  # robots and perturbations that get sentences
 
 @dataclass(frozen=True)
 class _ComparedError:
-    """An error that groups are compared by."""
+    """Error by which groups are compared."""
 
     error: str
     verb: str
@@ -38,7 +38,7 @@ class _ComparedError:
     rows: Callable[[Sequence[Row]], list[Row]]
 
     def errors(self, results: StudyResults, members: Sequence[int]) -> dict[int, float]:
-        """The RMSE in norm of those groups that have one [m]."""
+        """Return the RMSE in norm of the groups that have one [m]."""
         found = {k: results.summary[k][self.summary]["norm"] for k in members}
         return {k: error for k, error in found.items() if error is not None}
 
@@ -52,7 +52,7 @@ ESTIMATION_QUANTITY = _ComparedError(
 
 
 def conclusions(results: StudyResults) -> list[str]:
-    """Say who estimates and tracks best and by how much, over cases that they share."""
+    """State who estimates and tracks best and by how much, over shared cases."""
     blocks: dict[tuple[str, str], list[int]] = {}
     for k, line in enumerate(results.summary):
         blocks.setdefault((line["robot"], line["perturbation"]), []).append(k)
@@ -141,7 +141,7 @@ def _pair(results: StudyResults, one: int, two: int, what: _ComparedError) -> st
 
 
 def _doubt(better: Sequence[Row], worse: Sequence[Row], *, column: str) -> str:
-    """That a difference may be chance, where the seeds do not rule it out."""
+    """Note that a difference may be chance, unless the seeds rule it out."""
     pair = compare(better, worse, column)
     if pair.p is None or pair.p <= SIGNIFICANCE_LEVEL:
         return ""
@@ -149,7 +149,7 @@ def _doubt(better: Sequence[Row], worse: Sequence[Row], *, column: str) -> str:
 
 
 def _consistency(results: StudyResults, group: int) -> str | None:
-    """Whether an estimator is as good as it says."""
+    """Judge whether an estimator's covariance matches its errors."""
     line, label = results.summary[group], _believer(results, group)
     square = line["nees_pose"]
     if line["covariance_faults"]:
@@ -171,7 +171,7 @@ def _consistency(results: StudyResults, group: int) -> str | None:
 
 
 def _believer(results: StudyResults, group: int) -> str:
-    """The estimator of a group, and what else tells it from the other groups."""
+    """Name the estimator of a group, and how it differs from the other groups."""
     line = results.summary[group]
     label = str(line["estimator"])
     for name, word in (("controller", "under"), ("suite", "on")):
@@ -181,7 +181,7 @@ def _believer(results: StudyResults, group: int) -> str:
 
 
 def _notes(results: StudyResults) -> list[str]:
-    """What a reader has to know to read the numbers right."""
+    """Return notes that the reader needs to interpret the numbers."""
     notes = []
     failed = sum(line["failures"] for line in results.summary)
     if failed:

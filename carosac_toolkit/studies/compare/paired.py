@@ -1,4 +1,4 @@
-"""A study as paired comparisons with a baseline, for each robot, condition and error."""
+"""Paired comparisons of a study with a baseline, for each robot, condition and error."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ERROR_COLUMNS = {  # column of the rows by name
 
 @dataclass(frozen=True, kw_only=True)
 class Compared:
-    """One way of control beside the baseline, by the errors that it has.
+    """Group of a study beside the baseline, by its errors.
 
     Attributes:
         label: What tells it from the others.
@@ -49,7 +49,7 @@ class Compared:
     latency: Mapping[str, float | None]
 
     def data(self) -> dict[str, Any]:
-        """All numbers, for JSON."""
+        """Return all numbers, for JSON."""
         return {
             "label": self.label,
             **self.names,
@@ -64,7 +64,7 @@ class Compared:
 
 @dataclass(frozen=True, kw_only=True)
 class PairedBlock:
-    """All that was compared on one robot and in one condition.
+    """Comparisons on one robot and in one condition.
 
     Attributes:
         robot: Its name.
@@ -83,7 +83,7 @@ class PairedBlock:
     compared: tuple[Compared, ...]
 
     def data(self) -> dict[str, Any]:
-        """All numbers, for JSON."""
+        """Return all numbers, for JSON."""
         return vars(self) | {"compared": [one.data() for one in self.compared]}
 
 
@@ -108,7 +108,7 @@ def paired_blocks(results: StudyResults, baseline: str | None = None) -> list[Pa
 
 
 def check_baseline(baseline: str, labels: Sequence[str]) -> None:
-    """Refuse a baseline that is not there.
+    """Refuse a baseline that is not a group.
 
     Raises:
         InvalidField: There is no such group.
@@ -120,7 +120,7 @@ def check_baseline(baseline: str, labels: Sequence[str]) -> None:
 def ways_of(
     controllers: Sequence[str], estimators: Sequence[str], suites: Sequence[str]
 ) -> list[str]:
-    """Labels that the groups of a study will have."""
+    """Return the labels that the groups of a study will have."""
     lines = [
         dict(zip(COMPARED_COLUMNS, (c, e, s), strict=True))
         for c in controllers for e in estimators for s in suites
@@ -177,7 +177,7 @@ def _against(rows: Mapping[int, Sequence[Row]], base: int, column: str) -> dict[
 def _best(
     rows: Mapping[int, Sequence[Row]], column: str, typical: Mapping[int, IntervalEstimate]
 ) -> int | None:
-    """The group that is better than each of the others beyond doubt, or None.
+    """Return the group that is significantly better than all others, or None.
 
     The intervals of its differences to all others exclude zero, and no p of these comparisons,
     adjusted for their number, is above `SIGNIFICANCE_LEVEL`.

@@ -1,4 +1,4 @@
-"""Two ways of control on the same draws: paired differences, and who won how many cases."""
+"""Two groups on the same draws: paired differences, and the cases that each won."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from carosac_toolkit.studies.run.rows import Row
 
 @dataclass(frozen=True, kw_only=True)
 class IntervalEstimate:
-    """A number and its 95 % interval.
+    """Number and its 95 % interval.
 
     Attributes:
         value: The number.
@@ -29,11 +29,11 @@ class IntervalEstimate:
     high: float | None = None
 
     def excludes(self, value: float) -> bool:
-        """Whether a value lies outside the interval, which there must be."""
+        """Return whether a value lies outside the interval, which must exist."""
         return self.low is not None and self.high is not None and not self.low <= value <= self.high
 
     def data(self) -> dict[str, float | None]:
-        """The number and its ends, for JSON; None where it is not finite."""
+        """Return all numbers, for JSON; None where a number is not finite."""
         return {
             name: x if x is not None and np.isfinite(x) else None for name, x in vars(self).items()
         }
@@ -41,7 +41,7 @@ class IntervalEstimate:
 
 @dataclass(frozen=True, kw_only=True)
 class Pair:
-    """One error of A against that of B, over the cases that both were asked to run.
+    """Error of A against that of B, over the cases that both were asked to run.
 
     Differences and typical errors are over the cases in which both have the error. Won, lost and
     the p of them count failures: who fails where the other does not has lost the case, and where
@@ -79,11 +79,11 @@ class Pair:
         return self.won / self.cases if self.cases else float("nan")
 
     def adjusted(self, p: float | None) -> Pair:
-        """The same with its p among others."""
+        """Return the same with its p among others."""
         return replace(self, p_holm=p)
 
     def data(self) -> dict[str, Any]:
-        """All numbers, for JSON."""
+        """Return all numbers, for JSON; None where a number is not finite."""
         return {
             "cases": self.cases,
             "scored": self.scored,
@@ -136,19 +136,19 @@ def compare(rows: Sequence[Row], others: Sequence[Row], column: str) -> Pair:
 
 
 def typical_of(rows: Sequence[Row], column: str) -> IntervalEstimate | None:
-    """Typical error over the cases of a group that have it, with its interval."""
+    """Return the typical error over the cases of a group that have it, with its interval."""
     found = {key: x for key, x in errors_by_case(rows, column).items() if np.isfinite(x)}
     return estimate(_table(list(found), list(found.values()))) if found else None
 
 
 def typical_value(rows: Sequence[Row], column: str) -> float | None:
-    """Typical error over the cases of a group that have it, without an interval."""
+    """Return the typical error over the cases of a group that have it, without an interval."""
     found = {key: x for key, x in errors_by_case(rows, column).items() if np.isfinite(x)}
     return _typical(_table(list(found), list(found.values()))) if found else None
 
 
 def estimate(table: Array) -> IntervalEstimate:
-    """Typical value of a table (S, T), one row per seed, NaN where there is no case."""
+    """Return the typical value of a table (S, T), one row per seed, NaN where there is no case."""
     ends = interval(typical, table)
     return IntervalEstimate(
         value=_typical(table), low=ends[0] if ends else None, high=ends[1] if ends else None
@@ -160,7 +160,7 @@ def _typical(table: Array) -> float:
 
 
 def errors_by_case(rows: Sequence[Row], column: str) -> dict[tuple[str, int], float]:
-    """An error by trajectory and seed: infinite where the case failed, absent where it has none."""
+    """Return an error by trajectory and seed: infinite for a failed case, absent without one."""
     found: dict[tuple[str, int], float] = {}
     for row in rows:
         trajectory, seed = (row[name] for name in PAIR_COLUMNS)
@@ -171,7 +171,7 @@ def errors_by_case(rows: Sequence[Row], column: str) -> dict[tuple[str, int], fl
 
 
 def _ratio(a: Array, b: Array) -> IntervalEstimate:
-    """Ratio of the typical values of two tables with the same gaps."""
+    """Return the ratio of the typical values of two tables with the same gaps."""
 
     def ratio(one: Array, other: Array) -> Array:
         with np.errstate(divide="ignore"):
@@ -186,7 +186,7 @@ def _ratio(a: Array, b: Array) -> IntervalEstimate:
 
 
 def _table(keys: Sequence[tuple[str, int]], values: Sequence[float]) -> Array:
-    """Values by seed and trajectory, shape (S, T), NaN where there is none."""
+    """Return values by seed and trajectory, shape (S, T), NaN where there is none."""
     seeds = {seed: k for k, seed in enumerate(dict.fromkeys(seed for _, seed in keys))}
     paths = {name: k for k, name in enumerate(dict.fromkeys(name for name, _ in keys))}
     table = np.full((len(seeds), len(paths)), np.nan)

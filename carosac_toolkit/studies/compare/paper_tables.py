@@ -36,7 +36,7 @@ P_VALUE_SHOWN_MIN = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Sheet:
-    """One table, cells as text without any mark-up.
+    """Table of cells as text without any mark-up.
 
     Attributes:
         title: What it is of.
@@ -54,7 +54,7 @@ class Sheet:
 
 
 def sheets(blocks: Sequence[PairedBlock]) -> list[Sheet]:
-    """All tables of a study: errors of each block, and its paired differences."""
+    """Return all tables of a study: errors of each block, and its paired differences."""
     found = []
     for block in blocks:
         found.append(_errors(block))
@@ -64,7 +64,7 @@ def sheets(blocks: Sequence[PairedBlock]) -> list[Sheet]:
 
 
 def explanation(blocks: Sequence[PairedBlock]) -> str:
-    """What the columns of all tables mean."""
+    """Explain the columns of all tables."""
     percent = f"{100 * CONFIDENCE_LEVEL:.0f} %"
     seeds = min(block.seeds for block in blocks)
     text = (
@@ -95,17 +95,17 @@ def explanation(blocks: Sequence[PairedBlock]) -> str:
 
 
 def _others(block: PairedBlock) -> int:
-    """How many are compared with one."""
+    """Return how many groups are compared with the baseline."""
     return max(len(block.compared) - 1, 1)
 
 
 def _lowest_p(block: PairedBlock) -> float:
-    """The smallest p that a comparison can have, adjusted for the number of them."""
+    """Return the smallest p that a comparison can have, Holm-corrected."""
     return min(1.0, _others(block) * smallest_p(block.seeds))
 
 
 def text_tables(blocks: Sequence[PairedBlock], width: int) -> str:
-    """The paired differences of tracking and estimation, within a width."""
+    """Format the paired differences of tracking and estimation within a width."""
     parts = []
     for block in blocks:
         if any(name in differing(block) for name in TERMINAL_QUANTITIES):
@@ -115,13 +115,13 @@ def text_tables(blocks: Sequence[PairedBlock], width: int) -> str:
 
 
 def text_errors(blocks: Sequence[PairedBlock], width: int) -> str:
-    """The typical errors, within a width."""
+    """Format the typical errors within a width."""
     found = [_errors(block) for block in blocks]
     return "\n\n".join(f"{wrapped(one.title, width)}\n\n{_text(one, width)}" for one in found)
 
 
 def differing(block: PairedBlock) -> list[str]:
-    """Errors in which anything differs from the baseline: estimates may move nothing, say."""
+    """Return the errors in which any group differs from the baseline."""
     return [
         name for name in QUANTITY_TITLES
         if any(
@@ -132,13 +132,13 @@ def differing(block: PairedBlock) -> list[str]:
 
 
 def _text(sheet: Sheet, width: int) -> str:
-    """One table within a width."""
+    """Format one table within a width."""
     groups = (sheet.left, *[1] * (len(sheet.header) - sheet.left))
     return fit(sheet.header, list(sheet.rows), groups, width)
 
 
 def markdown(blocks: Sequence[PairedBlock], origin: str = "") -> str:
-    """All tables as Markdown.
+    """Return all tables as Markdown.
 
     Args:
         blocks: Of the study.
@@ -149,7 +149,7 @@ def markdown(blocks: Sequence[PairedBlock], origin: str = "") -> str:
 
 
 def latex(blocks: Sequence[PairedBlock], origin: str = "") -> str:
-    r"""All tables as LaTeX, to be read with ``\input``; they need the package booktabs.
+    r"""Return all tables as LaTeX, to be read with ``\input``; they need the package booktabs.
 
     Args:
         blocks: Of the study.
@@ -161,7 +161,7 @@ def latex(blocks: Sequence[PairedBlock], origin: str = "") -> str:
 
 
 def _errors(block: PairedBlock) -> Sheet:
-    """Typical errors, and latencies."""
+    """Return the table of typical errors and latencies."""
     names = _names(block)
     errors = [
         name for name in QUANTITY_TITLES if any(name in one.typical for one in block.compared)
@@ -183,7 +183,7 @@ def _errors(block: PairedBlock) -> Sheet:
 
 
 def _differences(block: PairedBlock, wanted: Sequence[str] = tuple(QUANTITY_TITLES)) -> Sheet:
-    """Paired differences with the baseline."""
+    """Return the table of paired differences with the baseline."""
     names, rows = _names(block), []
     errors = [name for name in wanted if name in differing(block)]
     for name in errors:
@@ -205,7 +205,7 @@ def _differences(block: PairedBlock, wanted: Sequence[str] = tuple(QUANTITY_TITL
 
 
 def _pair(pair: Pair, places: int) -> tuple[str, ...]:
-    """Cells of a comparison."""
+    """Return the cells of a comparison."""
     return (
         _estimate(pair.difference, MM_PER_M, places, signed=True),
         _estimate(pair.ratio, 1.0, 2),
@@ -216,24 +216,24 @@ def _pair(pair: Pair, places: int) -> tuple[str, ...]:
 
 
 def _where(block: PairedBlock) -> str:
-    """What a table is of."""
+    """Name the robot and condition of a table."""
     draws = f"{counted(block.seeds, 'seed')} x {counted(block.trajectories, 'path')}"
     return f"{block.robot}, {block.perturbation}, {draws}"
 
 
 def _names(block: PairedBlock) -> list[str]:
-    """What tells the groups of a block apart."""
+    """Return the names that distinguish the groups of a block."""
     varies = [n for n in COMPARED_COLUMNS if len({one.names[n] for one in block.compared}) > 1]
     return varies or ["controller"]
 
 
 def _value(one: Compared, name: str) -> float:
-    """A typical error in mm; not finite where there is none."""
+    """Return a typical error in mm; not finite if there is none."""
     return MM_PER_M * one.typical[name].value if name in one.typical else float("nan")
 
 
 def _decimals(values: Sequence[float]) -> int:
-    """How many decimals a column of numbers has: the same for all."""
+    """Return the number of decimals of a column, the same for all its cells."""
     known = [abs(value) for value in values if isfinite(value) and value != 0.0]
     if not known:
         return 1
@@ -243,7 +243,7 @@ def _decimals(values: Sequence[float]) -> int:
 def _estimate(
     one: IntervalEstimate | None, factor: float, places: int, *, signed: bool = False
 ) -> str:
-    """A number with its interval."""
+    """Format a number with its interval."""
     if one is None:
         return "-"
     sign = "+" if signed else ""
@@ -255,7 +255,7 @@ def _estimate(
 
 
 def _p(value: float | None) -> str:
-    """A p; small ones only as such."""
+    """Format a p; a small one as a bound."""
     if value is None:
         return "-"
     return f"<{P_VALUE_SHOWN_MIN:g}" if value < P_VALUE_SHOWN_MIN else f"{value:.3f}"
@@ -266,7 +266,7 @@ def _milliseconds(value: float | None) -> str:
 
 
 def markdown_table(sheet: Sheet) -> str:
-    """One table as Markdown."""
+    """Return one table as Markdown."""
     lines = [f"| {' | '.join(sheet.header)} |"]
     lines.append("|" + "---|" * sheet.left + "---:|" * (len(sheet.header) - sheet.left))
     for k, row in enumerate(sheet.rows):
@@ -276,7 +276,7 @@ def markdown_table(sheet: Sheet) -> str:
 
 
 def _latex_table(sheet: Sheet) -> str:
-    """One table as LaTeX."""
+    """Return one table as LaTeX."""
     columns = "l" * sheet.left + "r" * (len(sheet.header) - sheet.left)
     body = []
     for k, row in enumerate(sheet.rows):
@@ -302,7 +302,7 @@ _SIGNED_NUMBER_PATTERN = re.compile(r"(?<![\w.])([+-]\d[\d.]*)")
 
 
 def _latex_cell(text: str, bold: bool = False) -> str:
-    """Text for LaTeX: special characters, and numbers with a true minus sign."""
+    """Return text for LaTeX: special characters escaped, numbers with a true minus sign."""
     done = "".join(_LATEX_ESCAPES.get(character, character) for character in text)
     done = _SIGNED_NUMBER_PATTERN.sub(r"$\1$", done)
     return rf"\textbf{{{done}}}" if bold else done

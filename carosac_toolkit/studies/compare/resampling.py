@@ -1,4 +1,4 @@
-"""Intervals and tests from resampling, where only seeds are independent of each other.
+"""Intervals and tests by resampling, where only seeds are independent of each other.
 
 The cases of one seed share the plant and the biases of the sensors, so a study with S seeds and T
 trajectories has S independent draws, not S x T. All tables here have one row per seed, and whole
@@ -25,7 +25,7 @@ Statistic = Callable[..., Array]  # tables (R, S, T), one for each given, to val
 
 
 def typical(table: Array) -> Array:
-    """Median over the seeds of each trajectory, then the mean over the trajectories.
+    """Return the median over the seeds of each trajectory, then the mean over the trajectories.
 
     Trajectories differ in how hard they are, so that errors of all of them together have several
     modes, between which a median of all would jump; over the seeds of one it is robust.
@@ -54,7 +54,7 @@ def interval(
     resamples: int = BOOTSTRAP_RESAMPLES,
     seed: int = 0,
 ) -> tuple[float, float] | None:
-    """Confidence interval of a statistic: cluster bootstrap, expanded percentiles.
+    """Return the confidence interval of a statistic: cluster bootstrap, expanded percentiles.
 
     Seeds are drawn with replacement, each with all its cases and in all tables alike. Percentile
     intervals of few clusters are too short: their variance lacks a factor S / (S - 1), and the
@@ -103,7 +103,7 @@ def interval(
 
 
 def _with_all_paths(table: Array, drawn: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which draws of rows (R, S) have a case on every trajectory of a table that has any, (R,)."""
+    """Return the draws of rows (R, S) that have a case on every trajectory with any, (R,)."""
     there = ~np.isnan(table)
     gaps = there[:, there.any(axis=0) & ~there.all(axis=0)]
     on_each: NDArray[np.bool_] = np.asarray(gaps[drawn].any(axis=1))
@@ -139,7 +139,7 @@ def sign_flip_p(
 
 
 def holm(p_values: Sequence[float | None]) -> list[float | None]:
-    """Adjust p for as many tests: the chance of any false finding stays below their level.
+    """Adjust each p for their number (Holm), which bounds the chance of any false finding.
 
     References:
         Holm, A Simple Sequentially Rejective Multiple Test Procedure, *Scandinavian Journal of
@@ -155,7 +155,7 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
 
 
 def smallest_p(seeds: int) -> float:
-    """The smallest p that this many seeds can give."""
+    """Return the smallest p that this many seeds can give."""
     return (
         float(min(1.0, 2.0 ** (1 - seeds)))
         if seeds <= EXACT_TEST_SEEDS_MAX
@@ -164,7 +164,7 @@ def smallest_p(seeds: int) -> float:
 
 
 def _flipped(sums: Array, draws: int, seed: int) -> float:
-    """Share of sign changes whose total is as far from zero as that of the sums (S,)."""
+    """Return the share of sign changes whose total is as far from zero as that of the sums (S,)."""
     seeds = len(sums)
     if seeds <= EXACT_TEST_SEEDS_MAX:
         bits = np.arange(2**seeds)[:, None] >> np.arange(seeds) & 1
@@ -178,7 +178,7 @@ def _flipped(sums: Array, draws: int, seed: int) -> float:
 
 
 def _tail(confidence: float, seeds: int) -> float:
-    """Percentile of the lower end."""
+    """Return the percentile of the lower end."""
     from scipy.special import ndtr, stdtrit
 
     quantile = float(stdtrit(seeds - 1, 0.5 + 0.5 * confidence))

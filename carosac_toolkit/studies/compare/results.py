@@ -1,4 +1,4 @@
-"""What a study found: its rows, and one line per way of control.
+"""Results of a study: its rows, and one summary line per group.
 
 How rows become one line:
 
@@ -60,25 +60,25 @@ class StudyResults:
 
     @cached_property
     def summary(self) -> list[dict[str, Any]]:
-        """One line per group; what is unknown is None."""
+        """One line per group; unknown values are None."""
         return [_line(rows) for rows in self.groups]
 
     @cached_property
     def labels(self) -> list[str]:
-        """Short names of the groups, all different: what they do not share."""
+        """Short, distinct names of the groups: the fields that they do not share."""
         return self.labels_of(GROUP_COLUMNS)
 
     def labels_of(self, names: Sequence[str]) -> list[str]:
-        """Names of the groups by those of some fields that they do not share."""
+        """Name the groups by those of some fields that they do not share."""
         return labels_by(names, self.summary)
 
     @property
     def complete(self) -> bool:
-        """Whether at least one case of every group succeeded."""
+        """True if at least one case of every group succeeded."""
         return all(line["failures"] < line["cases"] for line in self.summary)
 
     def data(self) -> dict[str, Any]:
-        """All numbers under names with units, ready for JSON."""
+        """Return all numbers under names with units, ready for JSON."""
         return {"summary": self.summary, "cases": len(self.rows)}
 
 
@@ -89,22 +89,22 @@ def labels_by(names: Sequence[str], lines: Sequence[Mapping[str, Any]]) -> list[
 
 
 def scored(rows: Sequence[Row]) -> list[Row]:
-    """Rows of cases that succeeded."""
+    """Return the rows of cases that succeeded."""
     return [row for row in rows if row["status"] == "ok"]
 
 
 def tracked(rows: Sequence[Row]) -> list[Row]:
-    """Rows with a tracking error: a driver that follows commands, and a known truth."""
+    """Return the rows with a tracking error: a driver that follows commands, and a known truth."""
     return [row for row in scored(rows) if row.get("tracking_rmse_norm_m") is not None]
 
 
 def estimated(rows: Sequence[Row]) -> list[Row]:
-    """Rows with an estimation error: cases that succeeded, and a known truth."""
+    """Return the rows with an estimation error: cases that succeeded, and a known truth."""
     return [row for row in scored(rows) if row.get("estimation_rmse_norm_m") is not None]
 
 
 def pooled(rows: Sequence[Row], name: str, weights: Sequence[float]) -> float | None:
-    """Root of the weighted mean of squares of a column, None where no row has it."""
+    """Return the root of the weighted mean of squares of a column, None if no row has it."""
     pairs = [(row.get(name), w) for row, w in zip(rows, weights, strict=True)]
     known = [(float(value), w) for value, w in pairs if value is not None and w > 0]
     if not known:
@@ -114,12 +114,12 @@ def pooled(rows: Sequence[Row], name: str, weights: Sequence[float]) -> float | 
 
 
 def steps(rows: Sequence[Row]) -> list[float]:
-    """Number of steps of each row."""
+    """Return the number of steps of each row."""
     return [_number(row, "steps") for row in rows]
 
 
 def reasons(rows: Sequence[Row]) -> dict[str, int]:
-    """Why cases have no scores, the most frequent first; those that differ in numbers are one."""
+    """Count why cases have no scores, most frequent first, whatever their numbers."""
     counts: dict[str, int] = {}
     shown: dict[str, str] = {}
     for row in rows:
@@ -132,7 +132,7 @@ def reasons(rows: Sequence[Row]) -> dict[str, int]:
 
 
 def _line(rows: Sequence[Row]) -> dict[str, Any]:
-    """Summary of one group."""
+    """Return the summary of one group."""
     good, moved = scored(rows), tracked(rows)
     norms = [float(row["tracking_rmse_norm_m"] or 0.0) for row in moved]
     inside = [_number(row, "centre_steps") for row in moved]
@@ -163,24 +163,24 @@ def _line(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _per_axis(rows: Sequence[Row], what: str) -> dict[str, float | None]:
-    """Pooled error per axis and in norm [m]."""
+    """Return the pooled error per axis and in norm [m]."""
     return {axis: pooled(rows, f"{what}_rmse_{axis}_m", steps(rows)) for axis in AXIS_NAMES}
 
 
 def _mean(rows: Sequence[Row], name: str) -> float | None:
-    """Mean of a column, None where no row has it."""
+    """Return the mean of a column, None if no row has it."""
     known = [float(value) for row in rows if (value := row.get(name)) is not None]
     return float(np.mean(known)) if known else None
 
 
 def _middle(rows: Sequence[Row], name: str) -> float | None:
-    """Median of a column, None where no row has it."""
+    """Return the median of a column, None if no row has it."""
     known = [float(value) for row in rows if (value := row.get(name)) is not None]
     return float(np.median(known)) if known else None
 
 
 def _normalised(rows: Sequence[Row], name: str, dof: float | None) -> dict[str, Any] | None:
-    """Mean of normalised squares over cases, with the band that 95 % of such means lie in."""
+    """Return the mean of normalised squares over cases, with the 95 % band of such means."""
     mean, seeds = _mean(rows, name), len({x["seed"] for x in rows if x.get(name) is not None})
     if mean is None or dof is None:
         return None
@@ -188,6 +188,6 @@ def _normalised(rows: Sequence[Row], name: str, dof: float | None) -> dict[str, 
 
 
 def _number(row: Row, name: str) -> float:
-    """A number of a row; 0 where it has none."""
+    """Return a number of a row; 0 if it has none."""
     value = row.get(name)
     return float(value) if isinstance(value, int | float) else 0.0

@@ -1,4 +1,4 @@
-"""A comparative study as one value: what is compared, on what, and how it is run."""
+"""Comparative study as one value: its axes, its conditions and its execution."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class Study:
     batch: int = 1
 
     def __post_init__(self) -> None:
-        """Turn lists into tuples; a name alone would be taken letter by letter."""
+        """Turn lists into tuples; a bare name would be split into letters."""
         for item in fields(self):
             value = getattr(self, item.name)
             if item.name in ("seeds", "retry", *STUDY_AXES) and not isinstance(value, int):
@@ -96,16 +96,16 @@ class Study:
             raise InvalidField("seeds", repr(self.seeds), "1 or more, or a list of seeds")
 
     def quick(self) -> Study:
-        """The same with the first two seeds: for a first look, in under a minute."""
+        """Return the same study with the first two seeds: a first look, in under a minute."""
         return replace(self, seeds=self.seed_list[:QUICK_SEEDS])
 
     @property
     def seed_list(self) -> tuple[int, ...]:
-        """The seeds themselves."""
+        """Seeds of the study."""
         return tuple(range(self.seeds)) if isinstance(self.seeds, int) else tuple(self.seeds)
 
     def cases(self) -> list[Case]:
-        """All cases, those of one controller and estimator together, the seeds changing fastest.
+        """Return all cases, grouped by controller and estimator, the seeds changing fastest.
 
         Raises:
             InvalidField: An axis is empty or names a value twice, or a value is not allowed.
@@ -118,7 +118,7 @@ class Study:
         return [replace(case, settings=self._settings_of(case)) for case in cases]
 
     def check(self) -> None:
-        """Refuse what could not run, before any work is done and anything is written.
+        """Refuse a study that could not run, before any work is done or anything is written.
 
         Raises:
             CarosacError: A name that leads nowhere, a number out of its range, a scheduler that
@@ -130,7 +130,7 @@ class Study:
                 pass
 
     def folder(self) -> Path:
-        """Where the results go."""
+        """Return the folder of the results."""
         return (
             Path(self.output)
             if self.output is not None
@@ -138,7 +138,7 @@ class Study:
         )
 
     def run(self, *, progress: bool = True) -> StudyResults:
-        """Check everything, run what is missing in the folder, and score.
+        """Check everything, run the missing cases of the folder, and score.
 
         Args:
             progress: Whether to tell on standard error how far it is.
@@ -157,13 +157,13 @@ class Study:
         return StudyResults(rows=tuple(rows), folder=folder)
 
     def _batching(self) -> Batching | None:
-        """How cases run together."""
+        """Return how cases run together."""
         if self.batch == 1:
             return None
         return Batching(group=GROUPING_FUNCTION, function=BATCH_FUNCTION, size=self.batch)
 
     def _worker_count(self) -> int | None:
-        """Workers to ask for: code from outside never runs in this process unless asked to.
+        """Return the number of workers; user code runs in this process only on request.
 
         A plug-in of the user may hang or end its process, which must cost its own cases only.
         """
@@ -173,7 +173,7 @@ class Study:
         return self.workers
 
     def _settings(self) -> dict[str, Any]:
-        """What all cases share; pictures are of the first seed."""
+        """Return the settings that all cases share; pictures are of the first seed."""
         settings: dict[str, Any] = {
             "driver": self.driver,
             "speed_max": float(self.speed_max),
@@ -185,7 +185,7 @@ class Study:
         return settings
 
     def _settings_of(self, case: Case) -> dict[str, Any]:
-        """Settings of one case, those of its own controller and estimator included."""
+        """Return the settings of one case, with those of its controller and estimator."""
         settings = dict(case.settings) | {"robot_digest": robot_digest(case.robot)}
         if case.controller in self.controller_settings:
             settings["controller_settings"] = dict(self.controller_settings[case.controller])

@@ -1,4 +1,4 @@
-"""The summary of a study as rows for people: mm and ms."""
+"""Summary of a study as readable rows, in mm and ms."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ REASONS_SHOWN = 3  # of a group
 
 
 def header(results: StudyResults) -> tuple[str, ...]:
-    """Titles of the columns."""
+    """Return the titles of the columns."""
     return (*_names(results), *ERROR_TABLE_COLUMNS, *_consistency_columns(results))
 
 
 def units(results: StudyResults) -> str:
-    """What the columns mean."""
+    """Explain the columns."""
     return ERROR_TABLE_CAPTION + (CONSISTENCY_CAPTION if _consistency_columns(results) else "")
 
 
 def rows(results: StudyResults) -> Rows:
-    """One row per group."""
+    """Return one row per group."""
     return [
         (*(str(line[name]) for name in _names(results)), *_cells(line), *more)
         for line, more in zip(results.summary, _consistency_cells(results), strict=True)
@@ -51,12 +51,12 @@ def rows(results: StudyResults) -> Rows:
 
 
 def name_columns(results: StudyResults) -> int:
-    """How many columns on the left hold names."""
+    """Return how many columns on the left hold names."""
     return len(_names(results))
 
 
 def text_table(results: StudyResults, width: int) -> str:
-    """The table within a width, in as many blocks as it takes."""
+    """Format the table within a width, in as many blocks as needed."""
     titles, cells = header(results), rows(results)
     left = name_columns(results)
     widths = [max(len(line[i]) for line in [titles, *cells]) for i in range(len(titles))]
@@ -72,7 +72,7 @@ def text_table(results: StudyResults, width: int) -> str:
 
 
 def failures(results: StudyResults) -> list[str]:
-    """Which groups lost cases, and why; lines that begin with a blank belong to the last one."""
+    """List the groups that lost cases, and why; indented lines belong to the one above."""
     lines = []
     for label, line in zip(results.labels, results.summary, strict=True):
         if not line["failures"]:
@@ -94,12 +94,12 @@ def failures(results: StudyResults) -> list[str]:
 
 
 def _short(reason: str) -> str:
-    """First 200 characters on one line."""
+    """Return the first 200 characters on one line."""
     return textwrap.shorten(reason, 200, placeholder=" ...")
 
 
 def _names(results: StudyResults) -> list[str]:
-    """Names that every row shows, and those that vary."""
+    """Return the names that every row shows, and those that vary."""
     always = ["controller", "estimator", "suite"]
     several = [
         name
@@ -110,7 +110,7 @@ def _names(results: StudyResults) -> list[str]:
 
 
 def _cells(line: dict[str, Any]) -> list[str]:
-    """Numbers of one group."""
+    """Return the numbers of one group."""
     tracking, turn = line["tracking_rmse_m"], line["orientation_rmse_rad"]
     lengths = [
         *(tracking[axis] for axis in AXIS_NAMES), line["tracking_std_m"], line["tracking_centre_m"],
@@ -123,7 +123,7 @@ def _cells(line: dict[str, Any]) -> list[str]:
 
 
 def _consistency_columns(results: StudyResults) -> list[str]:
-    """Titles of the columns on covariances, where any estimator has one."""
+    """Return the titles of the covariance columns, if any estimator has one."""
     titles = [
         title for name, title in CONSISTENCY_TITLES.items() if any(x[name] for x in results.summary)
     ]
@@ -132,7 +132,7 @@ def _consistency_columns(results: StudyResults) -> list[str]:
 
 
 def _consistency_cells(results: StudyResults) -> list[list[str]]:
-    """What is in these columns, by group."""
+    """Return the covariance cells by group."""
     titles = _consistency_columns(results)
     cells = []
     for line in results.summary:
@@ -144,7 +144,7 @@ def _consistency_cells(results: StudyResults) -> list[list[str]]:
 
 
 def _square(value: dict[str, Any] | None) -> str:
-    """A normalised square, marked where it is outside its band."""
+    """Format a normalised square, marked if it is outside its band."""
     if value is None:
         return "-"
     low, high = value["band"]
@@ -153,5 +153,5 @@ def _square(value: dict[str, Any] | None) -> str:
 
 
 def _millimetres(metres: float | None) -> str:
-    """A length in mm, or an angle in mrad."""
+    """Format a length in mm, or an angle in mrad."""
     return "-" if metres is None else f"{metres * 1e3:.1f}"

@@ -1,4 +1,4 @@
-"""The reference suite: fixed studies that controllers and estimators of anybody can enter."""
+"""Reference suite: fixed studies that anybody's controllers and estimators can enter."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TRACKING, ESTIMATION = "tracking", "estimation"
 
 @dataclass(frozen=True, kw_only=True)
 class SuiteTask:
-    """One study of a suite: a part of it on one robot.
+    """Study of a suite: a part of it on one robot.
 
     Attributes:
         part: ``tracking`` or ``estimation``.
@@ -38,13 +38,13 @@ class SuiteTask:
 
     @property
     def baseline(self) -> tuple[str, str]:
-        """The controller and estimator that all others are compared with."""
+        """Controller and estimator that all others are compared with."""
         return self.study.controllers[0], self.study.estimators[0]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceSuite:
-    """What is run, and nothing about how.
+    """Definition of the studies of a suite, independent of their execution.
 
     Attributes:
         name: With its version.
@@ -56,7 +56,7 @@ class ReferenceSuite:
 
     @classmethod
     def load(cls, name: str) -> ReferenceSuite:
-        """The suite of a name.
+        """Return the suite of a name.
 
         Raises:
             InvalidField: There is none.
@@ -72,7 +72,7 @@ class ReferenceSuite:
 
     @cached_property
     def digest(self) -> str:
-        """Sixteen hexadecimal digits of all that decides the draws: equal ones can be compared."""
+        """Sixteen hexadecimal digits of all that decides the draws; equal ones are comparable."""
         names = self.definition["robots"]
         whole = {
             "definition": dict(self.definition),
@@ -82,7 +82,7 @@ class ReferenceSuite:
         return hashlib.sha256(canonical(whole).encode()).hexdigest()[:16]
 
     def quick(self) -> ReferenceSuite:
-        """Two seeds of one trajectory: another definition, to see that all runs."""
+        """Return two seeds of one trajectory: another definition, to see that all runs."""
         fewer = {
             "seeds": self.definition["seeds"][:REFERENCE_QUICK_SEEDS],
             "trajectories": self.definition["trajectories"][:1],
@@ -92,7 +92,7 @@ class ReferenceSuite:
     def tasks(
         self, controllers: Sequence[str] = (), estimators: Sequence[str] = (), **more: Any
     ) -> list[SuiteTask]:
-        """The studies of the suite, or those that some entries need.
+        """Return the studies of the suite, or those that some entries need.
 
         Args:
             controllers: Entries, which run beside the baseline of the part ``tracking``; with
@@ -110,14 +110,14 @@ class ReferenceSuite:
         ]
 
     def _may_run(self, name: str, robot: str) -> bool:
-        """Whether a plug-in is for this robot."""
+        """Return whether a plug-in works for this robot."""
         only = self.definition.get("only", {})
         return robot in only.get(name, [robot])
 
     def _study(
         self, part: str, robot: str, entries: Sequence[str], more: Mapping[str, Any]
     ) -> Study:
-        """One part on one robot."""
+        """Return the study of one part on one robot."""
         ways = dict(self.definition["parts"][part])
         axis = "controllers" if part == TRACKING else "estimators"
         if entries:
@@ -145,11 +145,11 @@ class ReferenceSuite:
 
 
 def suites() -> list[str]:
-    """Names of all suites, oldest first."""
+    """Return the names of all suites, oldest first."""
     names = (item.name for item in files("carosac_toolkit.studies").iterdir())
     return sorted(name.removesuffix(".yaml") for name in names if name.endswith(".yaml"))
 
 
 def _file(name: str) -> Path:
-    """Where the definition of a suite is."""
+    """Return the path of a suite's definition."""
     return Path(str(files("carosac_toolkit.studies") / f"{name}.yaml"))

@@ -1,4 +1,4 @@
-"""Whether two runs of a reference suite found the same: here and there, now and when published."""
+"""Agreement of two runs of a reference suite, on two machines or at two times."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Way = tuple[str, str, str, str]  # part, robot, controller, estimator
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """One typical error in two runs.
+    """Typical error in two runs.
 
     Attributes:
         way: Part, robot, controller and estimator.
@@ -34,7 +34,7 @@ class Difference:
 
     @property
     def agrees(self) -> bool:
-        """Whether they differ by no more than `MACHINE_DIFFERENCE_RATIO`, or `DIFFERENCE_MIN_M`."""
+        """True if they differ by at most `MACHINE_DIFFERENCE_RATIO`, or `DIFFERENCE_MIN_M`."""
         if self.here is None or self.there is None:
             return self.here is self.there
         return abs(self.here - self.there) <= max(
@@ -42,7 +42,7 @@ class Difference:
         )
 
     def sentence(self) -> str:
-        """What differs."""
+        """Difference as a sentence."""
         part, robot, controller, estimator = self.way
         here, there = (
             "none" if x is None else f"{1e3 * x:.1f} mm" for x in (self.here, self.there)
@@ -55,7 +55,7 @@ class Difference:
 
 @dataclass(frozen=True, kw_only=True)
 class SuiteAgreement:
-    """How far two runs agree.
+    """Agreement of two runs.
 
     Attributes:
         differences: All typical errors of ways that both have, also equal ones.
@@ -69,7 +69,7 @@ class SuiteAgreement:
 
     @property
     def faults(self) -> list[str]:
-        """What does not agree, as sentences; nothing where all does."""
+        """Disagreements as sentences; empty if there are none."""
         return [one.sentence() for one in self.differences if not one.agrees] + list(self.failures)
 
     @property
@@ -105,7 +105,7 @@ def agreement(rows: Sequence[Row], others: Sequence[Row]) -> SuiteAgreement:
 
 
 def _by_way(rows: Sequence[Row]) -> dict[Way, list[Row]]:
-    """Rows of each part, robot, controller and estimator."""
+    """Return the rows of each part, robot, controller and estimator."""
     found: dict[Way, list[Row]] = {}
     for row in rows:
         part, robot, controller, estimator = (
@@ -116,7 +116,7 @@ def _by_way(rows: Sequence[Row]) -> dict[Way, list[Row]]:
 
 
 def _statuses(rows: Sequence[Row], others: Sequence[Row]) -> list[tuple[tuple[str, int], str, str]]:
-    """How the cases that any of the two has ended."""
+    """Return sentences on cases that ended differently in the two runs."""
     one, other = (
         {(str(r["trajectory"]), int(r["seed"] or 0)): str(r["status"]) for r in group}
         for group in (rows, others)

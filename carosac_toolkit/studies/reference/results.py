@@ -1,4 +1,4 @@
-"""Results of a reference suite as small files: one row per case, and what they are rows of."""
+"""Results of a reference suite as small files: one row per case, and a record of the suite."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ NUMBER_COLUMNS = (
 
 
 class OtherSuite(CarosacError):
-    """Results of another definition, which cannot be compared with these."""
+    """Error of results of another definition, which cannot be compared with these."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PartResults:
-    """What was found in one part of a suite on one robot.
+    """Results of one part of a suite on one robot.
 
     Attributes:
         task: What was run.
@@ -53,7 +53,7 @@ class PartResults:
 
     @cached_property
     def blocks(self) -> list[PairedBlock]:
-        """Its paired comparisons with its baseline."""
+        """Paired comparisons with the baseline."""
         labels = zip(self.results.labels_of(COMPARED_COLUMNS), self.results.summary, strict=True)
         wanted = self.task.baseline
         names = [x for x, line in labels if (line["controller"], line["estimator"]) == wanted]
@@ -61,12 +61,12 @@ class PartResults:
 
     @property
     def rows(self) -> list[Row]:
-        """Its rows, each with its part."""
+        """Rows, each with its part."""
         return [row | {"part": self.task.part} for row in self.results.rows]
 
 
 def write_rows(parts: Sequence[PartResults]) -> str:
-    """Rows of all parts as CSV: six digits of each number, one row per case."""
+    """Write rows of all parts as CSV: six digits of each number, one row per case."""
     stream = io.StringIO()
     writer: Any = csv.writer(stream, lineterminator="\n")
     writer.writerow((*TEXT_COLUMNS, *NUMBER_COLUMNS))
@@ -79,7 +79,7 @@ def write_rows(parts: Sequence[PartResults]) -> str:
 
 
 def read_rows(folder: Path) -> list[Row]:
-    """Rows that `write_rows` wrote; a number that is not there is None.
+    """Read rows that `write_rows` wrote; a missing number is None.
 
     Raises:
         MissingFile: There are none.
@@ -104,7 +104,7 @@ def read_rows(folder: Path) -> list[Row]:
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """What the results of a folder are of.
+    """Read which suite the results of a folder belong to.
 
     Raises:
         MissingFile: There is no record.
@@ -129,7 +129,7 @@ def read_record(folder: Path) -> dict[str, Any]:
 
 
 def _text(path: Path) -> str:
-    """Content of a file of results."""
+    """Return the content of a file of results."""
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
@@ -155,7 +155,7 @@ def check_same(suite: ReferenceSuite, folder: Path) -> None:
 
 
 def with_published(part: PartResults, rows: Sequence[Row]) -> PartResults:
-    """Set rows of others, from the same draws, beside those of a part.
+    """Add others' rows from the same draws to those of a part.
 
     What ran here as well is left out of theirs: it tells whether both agree.
     """
@@ -170,7 +170,7 @@ def with_published(part: PartResults, rows: Sequence[Row]) -> PartResults:
 
 
 def tables(suite: ReferenceSuite, parts: Sequence[PartResults], origin: str) -> str:
-    """All tables as Markdown."""
+    """Return all tables as Markdown."""
     head = f"Suite `{suite.name}`, definition `{suite.digest}`."
     texts = []
     for part in parts:
@@ -183,7 +183,7 @@ def tables(suite: ReferenceSuite, parts: Sequence[PartResults], origin: str) -> 
 def record(
     suite: ReferenceSuite, parts: Sequence[PartResults], made: Mapping[str, str], command: str
 ) -> dict[str, Any]:
-    """What results are of, and their paired comparisons."""
+    """Return the origin of the results, and their paired comparisons."""
     return {
         "schema": REFERENCE_SCHEMA,
         "suite": suite.name,
@@ -198,7 +198,7 @@ def record(
 
 
 def _axis(part: PartResults) -> str:
-    """What the entries of a part are."""
+    """Return which axis the entries of a part belong to."""
     return "controller" if part.task.part == TRACKING else "estimator"
 
 
@@ -211,7 +211,7 @@ def _digits(value: Any) -> str:
 
 
 def _row(line: Mapping[str, str | None]) -> Row:
-    """One line as a row of a study.
+    """Parse one line as a row of a study.
 
     Raises:
         InvalidField: A cell that is missing, or none of its kind.
@@ -232,7 +232,7 @@ def _row(line: Mapping[str, str | None]) -> Row:
 
 
 def _number(name: str, cell: str, kind: type[int] | type[float]) -> int | float:
-    """A finite number."""
+    """Parse a finite number."""
     try:
         value = kind(cell)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Workers: processes of this machine, or those of a dask scheduler that runs already."""
+"""Workers: processes of this machine, or those of a running dask scheduler."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _DASK_CONFIG = {
 
 
 def usable_cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     from dask.system import CPU_COUNT
 
     return int(CPU_COUNT)

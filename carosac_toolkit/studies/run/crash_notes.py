@@ -1,4 +1,4 @@
-"""A note beside every running case, so that its death is put down to it and to no other."""
+"""Note beside every running case, so that its death is attributed to it alone."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _START_LINE_PATTERN = re.compile(r"^start (\S+)\n", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Death:
-    """How earlier attempts at a case ended.
+    """End of earlier attempts at a case.
 
     Attributes:
         attempts: How many attempts ended with the process.
@@ -76,7 +76,7 @@ def noted(note: Path, kill_after: float) -> Iterator[None]:
 
 
 def _cause(message: str) -> str:
-    """First line of a fault handler's message, with the place in the thread of the case."""
+    """Return the first line of a fault handler's message, with the place in the case's thread."""
     if not message:
         return ""
     first = message.splitlines()[0].removeprefix("Fatal Python error: ")

@@ -1,4 +1,4 @@
-"""Hand tasks to workers and take their rows back, as they come."""
+"""Dispatch of tasks to workers and collection of their rows as they come."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TASKS_PER_THREAD = 16
 
 
 class Dispatcher:
-    """Sends tasks to a dask scheduler, no more at a time than keep its workers busy.
+    """Sender of tasks to a dask scheduler, no more at a time than keep its workers busy.
 
     Args:
         client: Client of the scheduler.
@@ -75,12 +75,12 @@ class Dispatcher:
             self._watch(future, task)
 
     def _watch(self, future: Any, task: WorkerTask) -> None:
-        """Be told when a task ends."""
+        """Register to be told when a task ends."""
         self._running[future.key] = future, task
         future.add_done_callback(lambda future: self._done.put(future.key))
 
     def _wait(self) -> list[str]:
-        """Keys of tasks that have ended, all there are; none after a while."""
+        """Return the keys of all tasks that have ended; empty after a timeout."""
         keys = []
         try:
             keys.append(self._done.get(timeout=POLL_INTERVAL_S))
@@ -119,7 +119,7 @@ class Dispatcher:
         return rows
 
     def _results(self, futures: Sequence[Any]) -> list[WorkerAnswer]:
-        """Answers of tasks that have ended; a row that died with its worker is waited for."""
+        """Return answers of tasks that have ended; a row that died with its worker is awaited."""
         coroutine = self._client.gather(list(futures), errors="skip", asynchronous=True)
         answer = asyncio.run_coroutine_threadsafe(coroutine, self._client.loop.asyncio_loop)
         try:

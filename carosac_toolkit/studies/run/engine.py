@@ -123,7 +123,7 @@ def _tasks(
     own_folder: str,
     batching: Batching | None,
 ) -> list[WorkerTask]:
-    """What workers are sent."""
+    """Return the tasks for the workers."""
     parts = batching.parts([case for case, _ in todo]) if batching else [[x] for x, _ in todo]
     limits = {case.identity: limit for case, limit in todo}
     return [
@@ -154,7 +154,7 @@ def _on_workers(
 
 
 def _keep(batches: Iterable[list[Row]], store: StudyFolder, bar: Progress) -> None:
-    """Bring rows to the disk as they come, and those at hand whatever happens."""
+    """Write rows to the disk as they come, and those at hand whatever happens."""
     pending: list[Row] = []
     flushed = time.monotonic()
     try:
@@ -197,7 +197,7 @@ def _check(
 
 
 def _limit(case: Case, timeout: float) -> float:
-    """Time limit of a case [s]."""
+    """Return the time limit of a case [s]."""
     limit = case.settings.get("timeout", timeout)
     if isinstance(limit, bool) or not isinstance(limit, (int, float)) or not 0.0 < limit < 1e7:
         raise InvalidField("timeout", f"{limit!r} s", "0 < timeout < 1e7 s")
@@ -205,7 +205,7 @@ def _limit(case: Case, timeout: float) -> float:
 
 
 def _worker_count(workers: int | None, asked: int, left: int) -> int:
-    """Number of local workers; the handful is counted over the study, not over what is left."""
+    """Return the number of local workers; few cases are counted over the whole study."""
     if workers is not None:
         return min(workers, left)
     return 0 if asked <= SERIAL_CASES_MAX else min(usable_cores(), left)

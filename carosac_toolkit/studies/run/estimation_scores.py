@@ -1,4 +1,4 @@
-"""How good an estimate was in one run, and how good it said it was."""
+"""Accuracy of an estimate in one run, and consistency of its covariance."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def estimation_scores(log: Log) -> dict[str, Any]:
 
 
 def _errors(log: Log, position: Array, rotation: Array) -> Array:
-    """Errors of all beliefs in the order of their covariance, (T B, 12), or (T B, 6)."""
+    """Return the errors of all beliefs in the order of their covariance, (T B, 12), or (T B, 6)."""
 
     def flat(values: Array | None, *shape: int) -> Array | None:
         return None if values is None else values.reshape(-1, *shape)
@@ -80,7 +80,7 @@ def _errors(log: Log, position: Array, rotation: Array) -> Array:
 
 
 def _consistency(error: Array, covariance: Array) -> dict[str, Any]:
-    """Mean normalised squares of errors (S, 6 or 12) with covariances (S, 12, 12)."""
+    """Return mean normalised squares of errors (S, 6 or 12) with covariances (S, 12, 12)."""
     row: dict[str, Any] = {}
     for name, size in (("nees_pose", POSE_SIZE), ("nees", STATE_SIZE)):
         if error.shape[1] < size:
@@ -98,7 +98,7 @@ def _consistency(error: Array, covariance: Array) -> dict[str, Any]:
 
 
 def _innovation_scores(innovations: Innovations) -> dict[str, Any]:
-    """Mean normalised innovation squared, and what was rejected."""
+    """Return the mean normalised innovation squared, and the share rejected."""
     total, measured = float(innovations.dof.sum()), int((innovations.dof > 0.0).sum())
     return {
         "nis": float(innovations.squares.sum()) / total if total > 0.0 else None,

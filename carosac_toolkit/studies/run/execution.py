@@ -1,4 +1,4 @@
-"""Run cases to their rows, whatever they do; this is what workers are asked for."""
+"""Execution of cases to rows, whatever they do; workers are asked for this."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ CaseFunction = Callable[..., Any]  # of a case, or of several at once
 
 
 class UnfitWorker(CarosacError):
-    """A worker that would give other numbers than the rest."""
+    """Error of a worker that would give other numbers than the rest."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorkerTask:
-    """What a worker is sent: a case, or several that run together.
+    """Work for a worker: a case, or several that run together.
 
     Attributes:
         cases: The fields of each case.
@@ -55,12 +55,12 @@ class WorkerTask:
 
     @property
     def identity(self) -> str:
-        """Of the case; of several, that of the first with their number."""
+        """Identity of the case; of several, that of the first with their number."""
         count = len(self.cases)
         return self.identities[0] + (f"-and-{count - 1}" if count > 1 else "")
 
     def alone(self) -> list[WorkerTask]:
-        """A task for each case."""
+        """Return a task for each case."""
         return [
             replace(self, cases=(case,), identities=(identity,))
             for case, identity in zip(self.cases, self.identities, strict=True)
@@ -69,7 +69,7 @@ class WorkerTask:
 
 @dataclass(frozen=True, kw_only=True)
 class WorkerAnswer:
-    """What a worker answers.
+    """Answer of a worker.
 
     Attributes:
         identity: Of the task.
@@ -200,7 +200,7 @@ def _batch_of_task(cases: Sequence[Case], task: WorkerTask) -> list[Row]:
 
 
 def crashed_row(case: Case, deaths: int, cause: str = "", wall_time: float = 0.0) -> Row:
-    """Row of a case whose process died each time."""
+    """Return the row of a case whose process died each time."""
     times = f"{deaths} time" + ("s" if deaths != 1 else "")
     cause = cause or "without a word: killed, out of memory, or left by os._exit"
     reason = f"its process died {times}: {cause}"
@@ -208,7 +208,7 @@ def crashed_row(case: Case, deaths: int, cause: str = "", wall_time: float = 0.0
 
 
 def _own_folder(task: WorkerTask) -> tuple[Path, ...]:
-    """The folder that the function takes, if it does, as this machine has it."""
+    """Return the folder for the function, if it takes one, as this machine has it."""
     if not task.own_folder:
         return ()
     folder = Path(task.own_folder)
@@ -227,7 +227,7 @@ def _found_here(function: str) -> CaseFunction:
 
 
 def _row_of_death(case: Case, death: Death, timeout: float) -> Row:
-    """Row of a case that will not be tried again."""
+    """Return the row of a case that will not be tried again."""
     if not death.timed_out:
         return crashed_row(case, death.attempts, death.cause, death.wall_time)
     where = death.cause.partition(" in ")[2]
@@ -238,7 +238,7 @@ def _row_of_death(case: Case, death: Death, timeout: float) -> Row:
 
 
 def _check_worker(cases: Sequence[Case], task: WorkerTask) -> None:
-    """Refuse a worker that is not like the sender."""
+    """Refuse a worker that differs from the sender."""
     from distributed import get_worker
 
     worker = get_worker()

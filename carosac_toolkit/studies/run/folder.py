@@ -1,4 +1,4 @@
-"""The folder of a study: what was asked, the rows so far, and one run at a time."""
+"""Folder of a study: its cases, its rows so far, and a lock for one run at a time."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SMALL_PARTS_MAX = 100  # small parts
 
 
 class StudyConflict(CarosacError):
-    """The folder holds another study than the one that was asked for, or is in use."""
+    """Error of a folder that holds another study than the requested one, or is in use."""
 
 
 class StudyFolder:
@@ -46,7 +46,7 @@ class StudyFolder:
         self._parts = 0
 
     def finished(self) -> dict[str, Row]:
-        """Rows of this study that are on disk, by case."""
+        """Return the rows of this study that are on disk, by case."""
         return {name: x for name, x in read_parts(self.path).items() if name in self._identities}
 
     def forget(self, statuses: Collection[str]) -> None:
@@ -58,7 +58,7 @@ class StudyFolder:
         drop_rows(self.path, self._identities & set(identities), CASE_STATUSES)
 
     def append(self, rows: Sequence[Row]) -> None:
-        """Bring rows to the disk."""
+        """Write rows to the disk."""
         if not rows:
             return
         write_part(self.path, rows)
@@ -67,7 +67,7 @@ class StudyFolder:
             self.merge()
 
     def merge(self) -> None:
-        """Make one file of many."""
+        """Merge the files into one."""
         merge_parts(self.path, self._identities)
         self._parts = 0
 
@@ -148,7 +148,7 @@ def free_folder(base: Path, cases: Sequence[Case]) -> Path:
 
 
 def check_statuses(retry: Collection[str]) -> None:
-    """Refuse what is no status of an unfinished case."""
+    """Refuse anything but the statuses of unfinished cases."""
     allowed = [status for status in CASE_STATUSES if status != "ok"]
     for status in retry:
         if status not in allowed:
@@ -172,7 +172,7 @@ def _locked(path: Path) -> Iterator[None]:
 
 
 def _agree(path: Path, cases: Sequence[Case], function: str) -> None:
-    """Compare what is asked with the manifest; write it where there is none, or cases are added."""
+    """Compare the request with the manifest; write it if there is none or cases are added."""
     asked = _manifest(cases, function)
     file = path / MANIFEST_FILE
     if file.is_file():
@@ -191,7 +191,7 @@ def _agree(path: Path, cases: Sequence[Case], function: str) -> None:
 
 
 def _manifest(cases: Sequence[Case], function: str) -> dict[str, Any]:
-    """What is asked, as JSON."""
+    """Return the request as JSON."""
     texts = [canonical(dict(case.settings)) for case in cases]
     index = {text: i for i, text in enumerate(dict.fromkeys(texts))}
     return {
@@ -208,7 +208,7 @@ def _manifest(cases: Sequence[Case], function: str) -> dict[str, Any]:
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
-    """Read what a study was asked for."""
+    """Read the cases that a study was asked for."""
     file = path / MANIFEST_FILE
     try:
         manifest = json.loads(file.read_text(encoding="utf-8"))
@@ -231,7 +231,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 
 
 def _conflict(path: Path, held: str, asked: str) -> StudyConflict:
-    """Say that a folder holds something else."""
+    """Return the error of a folder that holds something else."""
     return StudyConflict(
         f"{path} holds another study: it has {held}; asked for is {asked}. "
         "Use another folder, or remove this one"
@@ -239,7 +239,7 @@ def _conflict(path: Path, held: str, asked: str) -> StudyConflict:
 
 
 def _axes(manifest: dict[str, Any], entries: list[list[Any]]) -> str:
-    """Say in short what some cases of a study are."""
+    """Summarise the axes of some cases of a study."""
     text = []
     for i, name in enumerate((*CASE_COLUMNS, "seed"), start=1):
         values = list(dict.fromkeys(str(entry[i]) for entry in entries))

@@ -1,4 +1,4 @@
-"""How far a study is, on standard error."""
+"""Progress of a study, on standard error."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PLAIN_INTERVAL_S = 10.0  # [s] between two lines elsewhere
 
 
 class Progress:
-    """Counts finished cases and says how long the rest takes.
+    """Counter of finished cases that estimates the remaining time.
 
     Args:
         total: Number of cases of the study.
@@ -53,7 +53,7 @@ class Progress:
         return sum(self._counts.values())
 
     def add(self, rows: Iterable[Row]) -> None:
-        """Count rows, and tell from time to time."""
+        """Count rows, and report from time to time."""
         self._count(rows)
         now = time.monotonic()
         if now - self._shown >= self._interval:
@@ -61,17 +61,17 @@ class Progress:
             self._tell(end="" if self._terminal else "\n")
 
     def close(self) -> None:
-        """Tell a last time."""
+        """Report a last time."""
         if self.finished > self._told or self._terminal:
             self._tell(end="\n")
 
     def say(self, text: str) -> None:
-        """Write a line of its own."""
+        """Write a separate line."""
         if not self._quiet:
             self._write(f"\r\x1b[K{text}\n" if self._terminal else f"{text}\n")
 
     def line(self) -> str:
-        """What is told now."""
+        """Return the current status line."""
         elapsed = time.monotonic() - self._start
         text = f"study: {self.finished}/{self._total} cases, {_clock(elapsed)}"
         new = float(self.finished - self._before)
@@ -104,7 +104,7 @@ class Progress:
 
 
 def _clock(seconds: float) -> str:
-    """Hours, minutes and seconds."""
+    """Return hours, minutes and seconds."""
     minutes, second = divmod(round(seconds), 60)
     hours, minute = divmod(minutes, 60)
     return f"{hours}:{minute:02d}:{second:02d}"

@@ -1,4 +1,4 @@
-"""Rows on disk: small Parquet files that appear whole or not at all, merged now and then."""
+"""Rows on disk: small Parquet files, written atomically and merged now and then."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _JSON_METADATA = {
 
 
 def part_files(folder: Path) -> list[Path]:
-    """All parts, oldest first."""
+    """Return all parts, oldest first."""
     return sorted(folder.glob(PART_FILE_PATTERN))
 
 
@@ -35,7 +35,7 @@ def write_part(folder: Path, rows: Sequence[Row]) -> Path:
 
 
 def replace_part(path: Path, rows: Sequence[Row]) -> None:
-    """Write rows as this part: another process sees all of it, or what was there before."""
+    """Write rows as this part atomically: another process sees either all of it or the old one."""
     import pyarrow.parquet as pq
 
     with replacing(path) as temporary:
@@ -91,7 +91,7 @@ def read_parts(folder: Path) -> dict[str, Row]:
 
 
 def merge_parts(folder: Path, known: Collection[str]) -> None:
-    """Merge the small parts into one; parts with any case that is not known stay as they are.
+    """Merge the small parts into one; parts with any unknown case stay as they are.
 
     The merged part appears before the others go. Should the process die in between, rows are there
     twice until the next merge, and readers take the first.
@@ -123,7 +123,7 @@ def drop_rows(folder: Path, known: Collection[str], statuses: Collection[str]) -
 
 
 def _table(rows: Sequence[Row]) -> Any:
-    """Arrow table of rows that share their columns."""
+    """Return an Arrow table of rows that share their columns."""
     import pyarrow as pa
 
     fields, arrays = [], []
@@ -140,5 +140,5 @@ def _table(rows: Sequence[Row]) -> Any:
 
 
 def _is_huge(value: Any) -> bool:
-    """Whether a whole number does not fit a Parquet integer."""
+    """Return whether a whole number does not fit a Parquet integer."""
     return isinstance(value, int) and not -(2**63) <= value < 2**63

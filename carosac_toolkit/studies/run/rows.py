@@ -1,4 +1,4 @@
-"""One row per case: what happened to it, its fields, and the numbers that its run returned."""
+"""Row of a case: its status, its fields, and the numbers that its run returned."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ REASON_CHARACTERS_MAX = 1000  # characters kept of a message
 
 
 class BadRow(CarosacError):
-    """A case function returned something that is no row."""
+    """Error of a case function that returned an invalid row."""
 
 
 def make_row(
@@ -52,7 +52,7 @@ def make_row(
 
 
 def checked_values(returned: Any) -> dict[str, Value]:
-    """Return what a case function returned with numpy scalars as plain ones.
+    """Return the values of a case function with numpy scalars as plain ones.
 
     Raises:
         BadRow: It is no flat dict of finite numbers, text, true/false and None, or it uses a
@@ -77,12 +77,12 @@ def in_common_columns(rows: Iterable[Row]) -> list[Row]:
 
 
 def column_kinds(rows: Iterable[Row], name: str) -> set[type]:
-    """Types of the values that a column holds, None left out."""
+    """Return the types of the values that a column holds, without None."""
     return {type(row[name]) for row in rows if row.get(name) is not None}
 
 
 def _as_float(value: Value, wanted: bool) -> Value:
-    """Turn a whole number into a float where that is wanted."""
+    """Turn a whole number into a float if requested."""
     return float(value) if wanted and isinstance(value, int) else value
 
 

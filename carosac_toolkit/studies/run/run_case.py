@@ -1,4 +1,4 @@
-"""One case of a study: build everything by name, run the loop, score it."""
+"""Case of a study: build everything by name, run the loop, score it."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ CENTRE_SHARE = 0.5  # of each side of the workspace box: inside is the centre, o
 
 
 class Truth:
-    """The estimator `truth`: what the driver's world knows. For simulation only."""
+    """Estimator `truth`: the state of the simulated world. For simulation only."""
 
     def __init__(self, source: object) -> None:
         if not isinstance(source, TruthSource) or replays(source):
@@ -51,7 +51,7 @@ class Truth:
         self._source = source
 
     def reset(self, measurement: Measurement) -> Belief:
-        """The state now."""
+        """Return the state now."""
         state = self._source.truth()
         if state is None:
             raise CarosacError("estimator truth: the driver does not know the truth here")
@@ -64,7 +64,7 @@ class Truth:
         )
 
     def update(self, belief: Belief, command: Command, measurement: Measurement) -> Belief:
-        """The state now."""
+        """Return the state now."""
         return self.reset(measurement)
 
 
@@ -112,13 +112,13 @@ def run_case(case: Case) -> dict[str, Any]:
 
 
 def path_of(case: Case, robot: Robot) -> Trajectory:
-    """The trajectory that a case draws."""
+    """Return the trajectory that a case draws."""
     limits = {x: float(case.settings.get(x, 1.0)) for x in ("speed_max", "acceleration_max")}
     return trajectories.build(case.trajectory, robot, case.path_seed % 2**32, **limits)
 
 
 def estimator_of(case: Case, robot: Robot, driver: object) -> Any:
-    """The estimator that a case names; `truth` asks the driver."""
+    """Return the estimator that a case names; `truth` asks the driver."""
     if case.estimator == "truth":
         return Truth(driver)
     return build_part("estimators", case.estimator, robot, case, "estimator_settings")
@@ -127,13 +127,13 @@ def estimator_of(case: Case, robot: Robot, driver: object) -> Any:
 def given_to_driver(
     case: Case, condition: Condition, period: float, start: tuple[Any, ...]
 ) -> dict[str, Any]:
-    """Settings of a driver that the case itself says; `start` in W [m], one or a row each."""
+    """Return the driver settings that follow from the case; `start` in W [m], one or a row each."""
     said = (case.suite, period, start, True, condition.wind_force, condition.wind_time)
     return dict(zip(CASE_DRIVER_SETTINGS, said, strict=True))
 
 
 def period_of(controller: Any) -> float:
-    """Time between two commands [s], which drivers need to know."""
+    """Return the time between two commands [s], which drivers need."""
     period = getattr(controller, "period", None)
     if not isinstance(period, int | float) or not 0.0 < period < np.inf:
         raise BadPlugin(f"controller: got period {period!r}; allowed: > 0 s, finite")
@@ -141,7 +141,7 @@ def period_of(controller: Any) -> float:
 
 
 def score(log: Log, robot: Robot, duration: float, *, replayed: bool = False) -> dict[str, Any]:
-    """Errors of one run.
+    """Score one run.
 
     Args:
         log: What happened.
@@ -172,7 +172,7 @@ def score(log: Log, robot: Robot, duration: float, *, replayed: bool = False) ->
 
 
 def _tracking(log: Log, position: Array, robot: Robot, duration: float) -> dict[str, Any]:
-    """Truth against the reference."""
+    """Compare truth and reference."""
     error = position - log.reference
     distance = np.linalg.norm(error, axis=-1)
     middle = 0.5 * (robot.workspace_min + robot.workspace_max)
@@ -192,7 +192,7 @@ def _tracking(log: Log, position: Array, robot: Robot, duration: float) -> dict[
 
 
 def known_settings(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Refuse settings of a case that nobody reads."""
+    """Refuse unknown settings of a case."""
     unknown = sorted(set(settings) - set(CASE_SETTINGS))
     if unknown:
         raise InvalidField(f"settings.{unknown[0]}", "a name", f"one of {sorted(CASE_SETTINGS)}")
@@ -200,7 +200,7 @@ def known_settings(settings: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _errors(name: str, error: Array | None) -> dict[str, float | None]:
-    """Root mean squares per axis and in norm [m]."""
+    """Return root mean squares per axis and in norm [m]."""
     keys = [f"{name}_rmse_{axis}_m" for axis in ("x", "y", "z", "norm")]
     if error is None:
         return dict.fromkeys(keys)
@@ -210,12 +210,12 @@ def _errors(name: str, error: Array | None) -> dict[str, float | None]:
 
 
 def _rms(values: Array) -> float | None:
-    """Root mean square, or None of nothing."""
+    """Return the root mean square, or None without values."""
     return float(np.sqrt((values**2).mean())) if values.size else None
 
 
 def example_series(case: Case, log: Log) -> str | None:
-    """What pictures and the viewer need of one run, thinned out, as JSON; order w x y z.
+    """Return the thinned-out time series for pictures and viewer, as JSON; order w x y z.
 
     None for all seeds but the one that is shown.
     """
@@ -266,7 +266,7 @@ def build_part(
 
 
 def own_settings(name: str, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings that a driver gets: those for any driver, and those under its own name.
+    """Return the settings of a driver: those for any driver, and those under its own name.
 
     So one study runs on several drivers, and each has settings that the others do not know.
     """
@@ -275,17 +275,17 @@ def own_settings(name: str, asked: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def plugin_name(name: str) -> str:
-    """The plug-in that a name stands for: ``ks_ekf`` for its variant ``ks_ekf@tight``."""
+    """Return the plug-in that a name stands for: ``ks_ekf`` for its variant ``ks_ekf@tight``."""
     return name.partition("@")[0]
 
 
 def robot_digest(name: str) -> str:
-    """What stands for the content of a robot file in the identity of a case."""
+    """Return the digest of a robot file that is part of the identity of a case."""
     return hashlib.sha256(robot_text(name).encode()).hexdigest()[:16]
 
 
 def digest_of(case: Case) -> str:
-    """Digest of the robot file as it is here, which must be the one the case was made for."""
+    """Return the digest of the local robot file, which must be the one the case was made for."""
     here = robot_digest(case.robot)
     if case.settings.get("robot_digest", here) != here:
         raise CarosacError(f"robot {case.robot}: this file is not the one the study was made for")
@@ -294,5 +294,5 @@ def digest_of(case: Case) -> str:
 
 @lru_cache(maxsize=8)
 def robot_of(name: str, digest: str) -> Robot:
-    """Robots are read once per process and content, so that their device buffers are kept."""
+    """Return a robot; each is read once per process and content, to keep its device buffers."""
     return load_robot(name)

@@ -1,4 +1,4 @@
-"""Cases that differ in the seed alone, run as one batch: what Python costs is paid once for all.
+"""Batch of cases that differ in the seed alone, so that the overhead of Python is paid once.
 
 Each row is what `run_case` gives, to rounding, but for the latencies, which a batch does not have.
 """
@@ -38,7 +38,7 @@ from carosac_toolkit.trajectories.trajectory import Trajectory
 
 
 def group_of(case: Case) -> str | None:
-    """What cases of one batch have in common; None where driver or plug-ins want one robot.
+    """Return the key that cases of one batch share; None if any plug-in needs a single robot.
 
     The driver has to have `build_batch`, controller and estimator have to be `batched`.
     """
@@ -97,7 +97,7 @@ def run_together(cases: Sequence[Case]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Paths:
-    """What B robots follow, each its own; the shorter ones rest at their end.
+    """Reference paths of B robots, each its own; the shorter ones rest at their end.
 
     Attributes:
         paths: One for each robot.
@@ -107,17 +107,17 @@ class Paths:
 
     @property
     def duration(self) -> float:
-        """Of the longest [s]."""
+        """Duration of the longest [s]."""
         return max(path.duration for path in self.paths)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Where each begins in W [m]."""
+        """Starting positions in W [m]."""
         places = (path.sample(np.zeros(1)).position[0] for path in self.paths)
         return tuple(tuple(float(x) for x in place) for place in places)
 
     def window(self, time: float, horizon: float, period: float) -> Reference:
-        """As `Trajectory.window`, a row for each robot."""
+        """Return the references as `Trajectory.window` does, a row for each robot."""
         each = [path.window(time, horizon, period) for path in self.paths]
         names = ("time", "position", "velocity", "acceleration")
         return Reference(

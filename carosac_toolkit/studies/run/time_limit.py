@@ -1,4 +1,4 @@
-"""Stop Python code that runs for too long, in the thread that it runs in."""
+"""Time limit for Python code, in the thread that it runs in."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ EXCEPTION_WAIT_S = 1.0  # [s] an exception sent to a thread is waited for
 
 
 class CaseTimeout(BaseException):
-    """Time is up. No `Exception`: code that catches those has to stop as well."""
+    """Expiry of the time limit; no `Exception`, so that code that catches those stops as well."""
 
 
 class TimeLimit:

@@ -1,4 +1,4 @@
-"""Whether anybody is there to do the work of a study."""
+"""Watch over the scheduler and the workers of a study."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ ANSWER_TIMEOUT_S = 10.0  # [s] an answer is waited for
 
 
 class LostScheduler(CarosacError):
-    """The scheduler went away, has no workers, or its workers cannot do the work."""
+    """Error of a scheduler that is gone, has no workers, or has none that can do the work."""
 
 
 class Presence:
-    """Looks after the scheduler and its workers while a study waits for them.
+    """Watch over the scheduler and its workers while a study waits for them.
 
     A scheduler keeps tasks for workers that may come one day, so a wait for its results has no end
     of its own.
@@ -38,11 +38,11 @@ class Presence:
         self._connected = self._asked = self._present = time.monotonic()
 
     def confirm(self) -> None:
-        """Take note that work has been done."""
+        """Note that work has been done."""
         self._connected = self._asked = self._present = time.monotonic()
 
     def check(self) -> None:
-        """Look whether somebody is there; to be called again and again while nothing comes.
+        """Check for scheduler and workers; call it repeatedly while nothing comes.
 
         Raises:
             LostScheduler: Nobody has been there for too long.
@@ -66,7 +66,7 @@ class Presence:
         self._present = self._asked
 
     def _absence(self) -> str:
-        """What is wrong; empty if the scheduler has workers."""
+        """Describe what is wrong; empty if the scheduler has workers."""
         try:
             workers = self._client.nthreads(callback_timeout=ANSWER_TIMEOUT_S)
         except (OSError, TimeoutError):
@@ -74,7 +74,7 @@ class Presence:
         return "" if workers else "has had no workers"
 
     def _wait(self, absence: str, duration: float) -> None:
-        """Have patience, say so, and lose it."""
+        """Wait patiently, say so, and give up in the end."""
         if duration > CLUSTER_PATIENCE_S:
             raise LostScheduler(
                 f"{self._name} {absence} for {duration:.0f} s; what is finished is kept: "
