@@ -99,9 +99,9 @@ def _unrecognized(event: Any, options: type, words: list[str]) -> CarosacError:
     if not token.startswith("-"):
         return InvalidField("argument", repr(token), f"nothing more; see '{event.prog} --help'")
     known = ["--help", *(f"--{name.replace('_', '-')}" for name in _names(options))]
-    taken = [flag for flag in known if flag not in _positionals(options)]
-    hint = did_you_mean(token.partition("=")[0], taken)
-    return InvalidField("option", repr(token), f"{', '.join(taken)}{hint}")
+    options_only = [flag for flag in known if flag not in _positionals(options)]
+    hint = did_you_mean(token.partition("=")[0], options_only)
+    return InvalidField("option", repr(token), f"{', '.join(options_only)}{hint}")
 
 
 def _missing(event: Any, options: type, words: list[str]) -> CarosacError:
@@ -159,12 +159,12 @@ def _written(flag: str, words: list[str]) -> str:
 def _names(options: type) -> list[str]:
     """Return the names of the options as users write them, without dashes."""
     hints = get_type_hints(options, include_extras=True)
-    found = []
+    flags = []
     for field in fields(options):
         marks = getattr(hints[field.name], "__metadata__", ())
-        given = [mark.name for mark in marks if getattr(mark, "name", None)]
-        found.append(given[0] if given else field.name)
-    return found
+        names = [mark.name for mark in marks if getattr(mark, "name", None)]
+        flags.append(names[0] if names else field.name)
+    return flags
 
 
 def _positionals(options: type) -> set[str]:

@@ -28,7 +28,7 @@ def describe_calibration(report: RobotReport) -> Iterator[str]:
     Args:
         report: The robot.
     """
-    known = {found.name: found for found in report.calibration}
+    known = {parameter.name: parameter for parameter in report.calibration}
     if not known and report.sensors is None:
         return
     words = f"{len(known)} parameters, below with one standard deviation" if known else "no"
@@ -38,12 +38,12 @@ def describe_calibration(report: RobotReport) -> Iterator[str]:
         yield from _table(report, known, columns, title)
     columns = {f"{field}[{{}}]": title for field, title in _CABLE_PARAMETER_LABELS.items()}
     yield from _table(report, known, columns, "cable")
-    alone = [found for name, found in known.items() if "[" not in name]
-    width = max((len(found.name) for found in alone), default=0)
+    alone = [parameter for name, parameter in known.items() if "[" not in name]
+    width = max((len(parameter.name) for parameter in alone), default=0)
     start = "\n"
-    for found in alone:
-        unit = _DISPLAY_UNITS.get(found.unit, (found.unit, 1.0))[0]
-        yield f"{start}{found.name:<{width}}  {_number(found)} {unit}"
+    for parameter in alone:
+        unit = _DISPLAY_UNITS.get(parameter.unit, (parameter.unit, 1.0))[0]
+        yield f"{start}{parameter.name:<{width}}  {_number(parameter)} {unit}"
         start = ""
     yield from _sensors(report, with_table="length_offset" not in _fields(known))
 
@@ -66,12 +66,12 @@ def _table(
     cables = report.robot.cable_names
     header, cells = [title], [list(cables)]
     for pattern, word in columns.items():
-        found = [known.get(pattern.format(name)) for name in cables]
-        units = {each.unit for each in found if each is not None}
+        parameters = [known.get(pattern.format(name)) for name in cables]
+        units = {each.unit for each in parameters if each is not None}
         if units:
             unit = _DISPLAY_UNITS.get(units.pop(), ("", 1.0))[0]
             header.append(f"{word} [{unit}]" if unit else word)
-            cells.append(["-" if each is None else _number(each) for each in found])
+            cells.append(["-" if each is None else _number(each) for each in parameters])
     if len(header) > 1:
         yield "\n" + format_table(header, list(zip(*cells, strict=True)))
 
@@ -96,10 +96,10 @@ def _sensors(report: RobotReport, *, with_table: bool) -> Iterator[str]:
         yield f"poses       in a frame turned by {', '.join(filter(None, (turn, tilt)))}"
 
 
-def _number(found: CalibratedParameter) -> str:
+def _number(parameter: CalibratedParameter) -> str:
     """Format a value with its sigma, to two digits of the sigma."""
-    factor = _DISPLAY_UNITS.get(found.unit, ("", 1.0))[1]
-    value, sigma = found.value * factor, found.sigma * factor
+    factor = _DISPLAY_UNITS.get(parameter.unit, ("", 1.0))[1]
+    value, sigma = parameter.value * factor, parameter.sigma * factor
     if not np.isfinite(value):
         return f"one number for cables that differ, +- {sigma:.2g}"
     if not sigma > 0.0:

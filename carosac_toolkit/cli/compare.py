@@ -64,15 +64,20 @@ def run(options: Options) -> CommandResult:
     width = terminal_width()
     print(wrapped(_what(study), width), flush=True)
     results = study.run()
-    said = conclusions(results)
+    sentences = conclusions(results)
     blocks = paired_blocks(results, options.baseline)
-    _print(results, said, blocks, width)
-    files = write_report(results, said, _words(options, study), blocks)
+    _print(results, sentences, blocks, width)
+    files = write_report(results, sentences, _words(options, study), blocks)
     pictures = sum(file.suffix == ".png" for file in files)
     print(f"\nreport: {results.folder / 'report.html'}, with {pictures} pictures and the rows of")
     print(f"all cases (Parquet) beside it; tables for a paper: {TABLES_MARKDOWN}, {TABLES_LATEX}")
     paired = [block.data() for block in blocks]
-    data = {**results.data(), "paired": paired, "conclusions": said, "output": str(results.folder)}
+    data = {
+        **results.data(),
+        "paired": paired,
+        "conclusions": sentences,
+        "output": str(results.folder),
+    }
     return CommandResult(data, status=0 if results.complete else 1)
 
 
@@ -136,7 +141,9 @@ def _what(study: Study) -> str:
     )
 
 
-def _print(results: StudyResults, said: list[str], blocks: list[PairedBlock], width: int) -> None:
+def _print(
+    results: StudyResults, sentences: list[str], blocks: list[PairedBlock], width: int
+) -> None:
     """Print the tables, the failures and the conclusions."""
     print(f"\n{text_table(results, width)}\n")
     print(wrapped(units(results), width))
@@ -144,12 +151,12 @@ def _print(results: StudyResults, said: list[str], blocks: list[PairedBlock], wi
     if paired:
         print(f"\n{paired}\n")
         print(wrapped(PAIRED_TABLE_CAPTION, width))
-    lost = failures(results)
-    if lost:
+    failed = failures(results)
+    if failed:
         print()
-    for line in lost:
+    for line in failed:
         indent = " " * (len(line) - len(line.lstrip()))
         print(wrapped(line.lstrip(), width, indent))
     print()
-    for line in said:
+    for line in sentences:
         print(wrapped(line, width, "* "))

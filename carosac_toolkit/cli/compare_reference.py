@@ -133,14 +133,15 @@ def _finish(
     shown = parts
     if published is not None:
         shown = [with_published(part, published) for part in parts]
-        for line in _said(agreement([row for part in parts for row in part.rows], published)):
+        rows = [row for part in parts for row in part.rows]
+        for line in _agreement_notes(agreement(rows, published)):
             print(wrapped(line, width, "* "))
-    made = made_with() | {"time": f"{took / 60:.1f} minutes, without what was there already"}
+    provenance = made_with() | {"time": f"{took / 60:.1f} minutes, without what was there already"}
     for part in shown:
         print(f"\n{part.task.part.capitalize()}. {text_tables(part.blocks, width)}")
-    data: dict[str, Any] = record(suite, shown, made, command) | {"minutes": took / 60}
+    data: dict[str, Any] = record(suite, shown, provenance, command) | {"minutes": took / 60}
     origin = "\n".join([f"    {name}: {text}" for name, text in
-                        {"command": command, **made}.items() if text])  # fmt: skip
+                        {"command": command, **provenance}.items() if text])  # fmt: skip
     texts = {RESULTS: write_rows(parts), TABLES: tables(suite, shown, origin)}
     write_files(folder, {name: text.encode() for name, text in texts.items()})
     write_json(folder / RECORD, data)
@@ -150,13 +151,14 @@ def _finish(
     return CommandResult(data, status=0 if all(part.results.complete for part in parts) else 1)
 
 
-def _said(found: SuiteAgreement) -> list[str]:
+def _agreement_notes(comparison: SuiteAgreement) -> list[str]:
     """Tell whether these results agree with the published ones, before comparing the rest."""
-    if not found.differences:
-        return ["Nothing that was published ran here: nothing tells whether both agree."]
-    if found.faults:
-        return ["This machine finds other numbers than were published:", *found.faults]
-    return [f"What ran here and was published agrees within {100 * found.largest:.2f} %."]
+    if not comparison.differences:
+        return ["No published case ran here, so that the agreement is unknown."]
+    if comparison.faults:
+        return ["The numbers of this machine differ from the published ones:", *comparison.faults]
+    largest = f"{100 * comparison.largest:.2f} %"
+    return [f"The cases that ran here agree with the published ones within {largest}."]
 
 
 def _words(options: Options, suite: ReferenceSuite) -> list[str]:
@@ -164,7 +166,7 @@ def _words(options: Options, suite: ReferenceSuite) -> list[str]:
     words = ["carosac", "compare", "--suite", suite.name.removesuffix("-quick")]
     words += ["--quick"] if options.quick else []
     for name in ("controllers", "estimators"):
-        given = getattr(options, name)
-        words += [f"--{name}", *given] if given else []
+        names = getattr(options, name)
+        words += [f"--{name}", *names] if names else []
     words += ["--against", options.against] if options.against is not None else []
     return words + [word for text in options.settings for word in ("--set", text)]

@@ -72,12 +72,12 @@ def run(options: Options) -> CommandResult:
 
 def all_figures() -> list[PaperFigure]:
     """Return the figures of all installed packages, in the order of the paper."""
-    found = [
+    figures = [
         figure
         for name in plugins.names("figures")
         for figure in plugins.load("figures", name).FIGURES
     ]
-    return sorted(found, key=lambda figure: figure.place)
+    return sorted(figures, key=lambda figure: figure.place)
 
 
 def _write(

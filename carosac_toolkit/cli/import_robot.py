@@ -127,8 +127,8 @@ def _straight_lengths(robot: Robot) -> list[float]:
     """Return the lengths of straight cables at home, with the arcs on pulleys [m]."""
     from carosac_toolkit.physics.cable import straight_line
 
-    found = straight_line.inverse_kinematics(robot, robot.home_position[None])
-    return [float(length) for length in found[0]]
+    cables = straight_line.inverse_kinematics(robot, robot.home_position[None])
+    return [float(length) for length in cables[0]]
 
 
 def _data(completed: Completed, lengths: list[float] | None) -> dict[str, object]:

@@ -34,8 +34,8 @@ def check_outputs(options: Any) -> None:
         InvalidField: An output is an input, is given twice, or cannot be written.
     """
     hints = get_type_hints(type(options), include_extras=True)
-    outputs = [found for f in fields(options) for found in _outputs(f, hints[f.name], options)]
-    inputs = [found for f in fields(options) for found in _inputs(f, hints[f.name], options)]
+    outputs = [named for f in fields(options) for named in _outputs(f, hints[f.name], options)]
+    inputs = [named for f in fields(options) for named in _inputs(f, hints[f.name], options)]
     for k, output in enumerate(outputs):
         _check_clash(output, inputs, outputs[:k])
         if output.folder:

@@ -65,27 +65,27 @@ def run(options: Options) -> CommandResult:
     if options.output is not None:
         check_folder("--output", options.output)
     recording = load_recording(path)
-    found = find_robot(recording, path, options.robot)
+    robot_choice = find_robot(recording, path, options.robot)
     context = Context(
         recording=options.recording,
         metadata=recording.metadata,
-        words=_words(options, found.name),
+        words=_words(options, robot_choice.name),
         file=path,
-        guess=_guess(found),
+        guess=_guess(robot_choice),
     )
-    folder = options.output or free_folder(_default_folder(options, path, found), context)
+    folder = options.output or free_folder(_default_folder(options, path, robot_choice), context)
     check_folder("--output", folder)
     result = validate(
-        recording, found.robot, options.models,
+        recording, robot_choice.robot, options.models,
         start=options.start, stop=options.stop, seed=options.seed,
     )  # fmt: skip
-    said = conclusions(result)
-    _print(context, recording, result, said)
-    files = write_report(folder, result, said, context)
+    sentences = conclusions(result)
+    _print(context, recording, result, sentences)
+    files = write_report(folder, result, sentences, context)
     pictures = sum(file.suffix == ".png" for file in files)
     print(f"\nreport: {folder / 'report.html'} and {pictures} pictures beside it")
-    data = {"recording": options.recording, "robot_source": found.source, **result.data()}
-    return CommandResult({**data, "conclusions": said}, status=_status(result))
+    data = {"recording": options.recording, "robot_source": robot_choice.source, **result.data()}
+    return CommandResult({**data, "conclusions": sentences}, status=_status(result))
 
 
 def _status(result: ValidationResult) -> int:
@@ -96,20 +96,20 @@ def _status(result: ValidationResult) -> int:
     return 1 if failed or result.warnings else 0
 
 
-def _guess(found: FoundRobot) -> str:
+def _guess(robot_choice: FoundRobot) -> str:
     """Explain how the robot was guessed; empty if it was not."""
-    if found.source != "exit points":
+    if robot_choice.source != "exit points":
         return ""
-    others = f", and those of {', '.join(found.others)}" if found.others else ""
+    others = f", and those of {', '.join(robot_choice.others)}" if robot_choice.others else ""
     return f"a guess: the recording names no robot, but its exit points are this one's{others}"
 
 
-def _default_folder(options: Options, path: Path, found: FoundRobot) -> Path:
+def _default_folder(options: Options, path: Path, robot_choice: FoundRobot) -> Path:
     """Return the default folder of the report."""
     parts = [path.stem]
     if path.suffix and options.recording not in list_recordings():
         parts.append(path.suffix[1:])
-    parts.append(found.robot.name)
+    parts.append(robot_choice.robot.name)
     if options.start or options.stop is not None:
         parts += [str(options.start), "end" if options.stop is None else str(options.stop)]
     name = re.sub(r"[^\w.-]+", "_", "-".join(parts))
@@ -125,7 +125,7 @@ def _words(options: Options, robot: str) -> list[str]:
 
 
 def _print(
-    context: Context, recording: Recording, result: ValidationResult, said: list[str]
+    context: Context, recording: Recording, result: ValidationResult, sentences: list[str]
 ) -> None:
     """Print warnings, tables and conclusions within the width of the terminal."""
     width = terminal_width()
@@ -146,5 +146,5 @@ def _print(
     print("\n" + wrapped(part_units(result), width), end="\n\n")
     print(fit(PART_HEADER, part_rows(result), PART_GROUPS, width), end="\n\n")
     print(fit(CAUSE_HEADER, cause_rows(result), CAUSE_GROUPS, width), end="\n\n")
-    for line in said:
+    for line in sentences:
         print(wrapped(line, width, "* "))

@@ -92,28 +92,28 @@ def run(options: Options) -> CommandResult:
     folder = options.output or Path("carosac-results") / "workspace" / robot.name
     check_folder("--output", folder)
     models = ("sag", "straight") if options.model == "both" else (options.model,)
-    found: dict[str, tuple[Region, list[Region]]] = {}
+    regions: dict[str, tuple[Region, list[Region]]] = {}
     for model in models:
         asked = replace(settings, sag=model == "sag")
         whole = compute(robot, grid, settings=asked, orientations=turns)
         slices = [compute(robot, p, settings=asked, orientations=turns) for p in planes]
-        found[model] = (whole, slices)
-    _print(found, lower, upper)
-    files = _write(options, folder, found)
+        regions[model] = (whole, slices)
+    _print(regions, lower, upper)
+    files = _write(options, folder, regions)
     print(f"\n{len(files)} files in {folder}: {', '.join(file.name for file in files)}")
-    first = found[models[0]][0]
+    first = regions[models[0]][0]
     data = {
         "robot": robot.name,
         "box_m": [lower, upper],
         **first.data(),
-        "models": {model: region.data() for model, (region, _) in found.items()},
+        "models": {model: region.data() for model, (region, _) in regions.items()},
         "slices": {
             model: [{"plane": _name(r.grid), **r.data()} for r in slices]
-            for model, (_, slices) in found.items()
+            for model, (_, slices) in regions.items()
         },
     }
-    if len(found) == 2:
-        data["sag_changes"] = _changes(found)
+    if len(regions) == 2:
+        data["sag_changes"] = _changes(regions)
     return CommandResult(data, status=0 if first.verdicts.inside.any() else 1)
 
 
@@ -197,9 +197,9 @@ def _name(grid: Grid) -> str:
     return f"{GRID_AXES[across]}={grid.axes[across][0]:.6g}"
 
 
-def _print(found: dict[str, tuple[Region, list[Region]]], lower: Array, upper: Array) -> None:
+def _print(regions: dict[str, tuple[Region, list[Region]]], lower: Array, upper: Array) -> None:
     """Print volumes, limits and the effect of sag."""
-    for model, (region, slices) in found.items():
+    for model, (region, slices) in regions.items():
         title = "with sag" if model == "sag" else "straight cables"
         print(f"{title}: {region.sentence()}.\n")
         size = region.grid.cell * len(region.verdicts.margin)
@@ -233,8 +233,8 @@ def _print(found: dict[str, tuple[Region, list[Region]]], lower: Array, upper: A
                 )
             )
         print()
-    if len(found) == 2:
-        change = _changes(found)
+    if len(regions) == 2:
+        change = _changes(regions)
         by = change["margin_change_N"]
         text = (
             f"sag takes {change['lost']} positions ({change['lost_m3']:.3g} m^3) away from the "
@@ -254,9 +254,9 @@ def _vector(values: Array) -> str:
     return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"
 
 
-def _changes(found: dict[str, tuple[Region, list[Region]]]) -> dict[str, Any]:
+def _changes(regions: dict[str, tuple[Region, list[Region]]]) -> dict[str, Any]:
     """Compare the workspaces with and without sag."""
-    sag, straight = found["sag"][0], found["straight"][0]
+    sag, straight = regions["sag"][0], regions["straight"][0]
     one, other = sag.verdicts.inside, straight.verdicts.inside
     lost, gained, both = int((other & ~one).sum()), int((one & ~other).sum()), one & other
     change = sag.verdicts.margin[both] - straight.verdicts.margin[both]
@@ -273,7 +273,7 @@ def _changes(found: dict[str, tuple[Region, list[Region]]]) -> dict[str, Any]:
 
 
 def _write(
-    options: Options, folder: Path, found: dict[str, tuple[Region, list[Region]]]
+    options: Options, folder: Path, regions: dict[str, tuple[Region, list[Region]]]
 ) -> list[Path]:
     """Write pictures and tables."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -284,8 +284,8 @@ def _write(
             draw(temporary)
         files.append(folder / name)
 
-    for model, (whole, slices) in found.items():
-        end = f"-{model}" if len(found) == 2 else ""
+    for model, (whole, slices) in regions.items():
+        end = f"-{model}" if len(regions) == 2 else ""
         for name, figure in _figures(options, whole, slices) if options.pictures else ():
             save(f"{name}{end}.png", lambda path, f=figure: f.savefig(path, dpi=130))
         table = columns(whole, _maps(options, whole))

@@ -162,18 +162,18 @@ def _beliefs(
     estimator: Any, measurements: tuple[Measurement, ...]
 ) -> list[tuple[Belief, Measurement]]:
     """Return beliefs after a reset with their measurements; commands are the measured lengths."""
-    found: list[tuple[Belief, Measurement]] = []
+    beliefs: list[tuple[Belief, Measurement]] = []
     with only_clear_errors("reset() and update()"):
         for measurement in measurements:
             command = Command(
                 time=measurement.time, unstrained_length=measurement.unstrained_length
             )
-            if not found:
+            if not beliefs:
                 belief = estimator.reset(measurement)
             else:
-                belief = estimator.update(found[-1][0], command, measurement)
-            found.append((belief, measurement))
-    return found
+                belief = estimator.update(beliefs[-1][0], command, measurement)
+            beliefs.append((belief, measurement))
+    return beliefs
 
 
 def _poses(estimator: Any, measurements: tuple[Measurement, ...]) -> list[Array]:

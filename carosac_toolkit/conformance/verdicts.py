@@ -67,8 +67,8 @@ def only_clear_errors(doing: str) -> Iterator[None]:
     except CarosacError:
         raise
     except Exception as error:
-        said = f"{type(error).__name__}: {error}"
-        raise NotConforming(f"{doing}: got {said}; allowed: a CarosacError") from error
+        message = f"{type(error).__name__}: {error}"
+        raise NotConforming(f"{doing}: got {message}; allowed: a CarosacError") from error
 
 
 def refuses(doing: str, action: Callable[[], object]) -> bool:

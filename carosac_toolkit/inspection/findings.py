@@ -33,13 +33,13 @@ def problems(report: RobotReport) -> list[str]:
     Args:
         report: The robot and how it hangs at home.
     """
-    found = [*_inside_pulley(report)]
+    sentences = [*_inside_pulley(report)]
     home = report.equilibrium
     if not home.converged[0]:
-        found += _no_equilibrium(report)
+        sentences += _no_equilibrium(report)
     elif not home.stable[0]:
-        found.append(_unstable(report))
-    return [*found, *_tension_limits(report, home), *_winch_range(report)]
+        sentences.append(_unstable(report))
+    return [*sentences, *_tension_limits(report, home), *_winch_range(report)]
 
 
 def warnings(report: RobotReport) -> list[str]:
@@ -48,13 +48,15 @@ def warnings(report: RobotReport) -> list[str]:
     Args:
         report: The robot and how it hangs at home.
     """
-    found = [*_far_points(report), *_low_rank(report), *_deep_sag(report), *_long_wrap(report)]
+    sentences = [*_far_points(report), *_low_rank(report), *_deep_sag(report), *_long_wrap(report)]
     tilt = float(np.degrees(report.tilt))
     if report.equilibrium.converged[0] and tilt > HOME_TILT_MAX_DEG:
-        found.append(f"the platform tilts by {tilt:.0f} degrees at home: is center_of_mass right?")
+        sentences.append(
+            f"the platform tilts by {tilt:.0f} degrees at home: is center_of_mass right?"
+        )
     if report.file is not None:
-        found += [f"{name} is used by no chain" for name in unused_parts(report.file)]
-    return found
+        sentences += [f"{name} is used by no chain" for name in unused_parts(report.file)]
+    return sentences
 
 
 def _unstable(report: RobotReport) -> str:

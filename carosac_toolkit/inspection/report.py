@@ -178,8 +178,12 @@ class RobotReport:
             "home": self._home_data(),
             "sensors": self._sensor_data(),
             "calibration": {
-                found.name: {"value": found.value, "sigma": found.sigma, "unit": found.unit}
-                for found in self.calibration
+                parameter.name: {
+                    "value": parameter.value,
+                    "sigma": parameter.sigma,
+                    "unit": parameter.unit,
+                }
+                for parameter in self.calibration
             },
             "problems": self.problems,
             "warnings": self.warnings,

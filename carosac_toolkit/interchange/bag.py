@@ -70,14 +70,14 @@ class Bag:
         Raises:
             InvalidField: There is none, or it has no messages.
         """
-        found = self.topics.get(name)
-        if found is None:
+        topic = self.topics.get(name)
+        if topic is None:
             names = list(self.topics)
             allowed = f"a topic of the bag: {', '.join(names)}{did_you_mean(name, names)}"
             raise InvalidField(option, repr(name), allowed)
-        if not found.count:
+        if not topic.count:
             raise InvalidField(option, repr(name), "a topic with messages; this one has none")
-        return found
+        return topic
 
     def first(self, topic: str) -> Any:
         """Return the content of the first message of a topic, or None."""

@@ -172,15 +172,15 @@ def split_spec(spec: str, option: str) -> tuple[str, str | None]:
 
 def _at(message: Any, path: str, spec: str, option: str) -> Any:
     """Return the content of a field; of a list of messages, that of each."""
-    found = message
+    content = message
     for part in filter(None, path.split(".")):
-        if isinstance(found, list | tuple):
-            found = [_at(entry, part, spec, option) for entry in found]
-        elif hasattr(found, part) and is_dataclass(found):
-            found = getattr(found, part)
+        if isinstance(content, list | tuple):
+            content = [_at(entry, part, spec, option) for entry in content]
+        elif hasattr(content, part) and is_dataclass(content):
+            content = getattr(content, part)
         else:
-            raise InvalidField(option, repr(spec), f"a field of the message: {_fields(found)}")
-    return found
+            raise InvalidField(option, repr(spec), f"a field of the message: {_fields(content)}")
+    return content
 
 
 def _row(value: Any, spec: str, option: str) -> Array:
@@ -199,17 +199,17 @@ def _fields(message: Any) -> str:
 
 def numeric(message: Any, start: str = "") -> str:
     """List the fields of a message that hold numbers."""
-    found = []
+    names = []
     for name in [field.name for field in fields(message)] if is_dataclass(message) else []:
         value = getattr(message, name)
         if name == "header" or name.startswith("__"):
             continue
         first = value[0] if isinstance(value, list) and value else value
         if is_dataclass(first):
-            found.append(numeric(first, f"{start}{name}."))
+            names.append(numeric(first, f"{start}{name}."))
         elif isinstance(value, int | float | np.ndarray) and not isinstance(value, bool):
-            found.append(f"{start}{name}")
-    return ", ".join(entry for entry in found if entry)
+            names.append(f"{start}{name}")
+    return ", ".join(entry for entry in names if entry)
 
 
 def _named(

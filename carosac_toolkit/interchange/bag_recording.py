@@ -98,7 +98,7 @@ def read_bag(bag: Bag, topics: Topics) -> Imported:
     """
     notes: list[str] = []
     scale = parse_quantity(f"1 {topics.length_unit}", "m")
-    found: dict[str, TopicSamples] = {}
+    channels: dict[str, TopicSamples] = {}
     for channel, option, specs in (
         ("unstrained_length", "--lengths", topics.lengths),
         ("tension", "--tension", topics.tensions),
@@ -107,20 +107,20 @@ def read_bag(bag: Bag, topics: Topics) -> Imported:
     ):
         if specs:
             samples = _cables(bag, specs, option, topics, notes)
-            found[channel] = _in_order_of(found.get("unstrained_length", samples), samples)
+            channels[channel] = _in_order_of(channels.get("unstrained_length", samples), samples)
     if topics.pose is not None:
-        found["poses"] = poses(bag, topics.pose, stamps=topics.stamps, frames=topics.frames)
+        channels["poses"] = poses(bag, topics.pose, stamps=topics.stamps, frames=topics.frames)
     if topics.imu is not None:
-        found["imu"] = inertial(bag, topics.imu, stamps=topics.stamps)
-    if topics.names and not any(samples.labels for samples in found.values()):
+        channels["imu"] = inertial(bag, topics.imu, stamps=topics.stamps)
+    if topics.names and not any(samples.labels for samples in channels.values()):
         allowed = "none, as these topics have no names"
         raise InvalidField("--names", " ".join(topics.names), allowed)
-    for channel, samples in found.items():
+    for channel, samples in channels.items():
         if samples.repeated:
             notes.append(f"{channel}: {samples.repeated} messages with the stamp of an earlier one")
-    start = min(int(samples.time[0]) for samples in found.values())
-    recording = _recording(found, start, scale, topics, bag)
-    return Imported(recording, found, notes, _clock_warnings(found))
+    start = min(int(samples.time[0]) for samples in channels.values())
+    recording = _recording(channels, start, scale, topics, bag)
+    return Imported(recording, channels, notes, _clock_warnings(channels))
 
 
 def _cables(
@@ -194,18 +194,18 @@ def _nearest(time: Nanoseconds, when: Nanoseconds) -> np.ndarray[tuple[int], np.
 
 
 def _recording(
-    found: dict[str, TopicSamples], start: int, scale: float, topics: Topics, bag: Bag
+    channels: dict[str, TopicSamples], start: int, scale: float, topics: Topics, bag: Bag
 ) -> Recording:
     """Return all channels on one clock that begins with the first sample."""
-    lengths = found["unstrained_length"]
+    lengths = channels["unstrained_length"]
     stamped = {
         name: Stamped(time=_seconds(samples, start), value=factor * samples.value)
         for name, factor in (("tension", 1.0), ("command", scale), ("length_rate", scale))
-        if (samples := found.get(name)) is not None
+        if (samples := channels.get(name)) is not None
     }
-    where = found.get("poses")
-    imu = found.get("imu")
-    said = f"time 0 is {start // 10**9}.{start % 10**9:09d} s since 1970"
+    where = channels.get("poses")
+    imu = channels.get("imu")
+    origin = f"time 0 is {start // 10**9}.{start % 10**9:09d} s since 1970"
     return Recording(
         time=_seconds(lengths, start),
         unstrained_length=scale * lengths.value,
@@ -223,8 +223,8 @@ def _recording(
         ),
         metadata=RecordingMetadata(
             robot=topics.robot,
-            description=f"imported from a bag; {said}",
-            source="; ".join([bag.name, *(f"{n}: {s.topic}" for n, s in found.items())]),
+            description=f"imported from a bag; {origin}",
+            source="; ".join([bag.name, *(f"{n}: {s.topic}" for n, s in channels.items())]),
             created_by=f"carosac import recording {__version__}",
             length_kind=topics.length_kind,
         ),
@@ -239,18 +239,20 @@ def _seconds(samples: TopicSamples, start: int) -> Array:
     return np.asarray((samples.time - start) / 1e9, dtype=np.float64)
 
 
-def _clock_warnings(found: dict[str, TopicSamples]) -> list[str]:
+def _clock_warnings(channels: dict[str, TopicSamples]) -> list[str]:
     """Return warnings of channels that can hardly share one clock."""
     warnings = []
-    clocks = {samples.clock for samples in found.values()}
+    clocks = {samples.clock for samples in channels.values()}
     if len(clocks) > 1:
-        late = ", ".join(name for name, s in found.items() if s.clock == "receive")
+        late = ", ".join(name for name, s in channels.items() if s.clock == "receive")
         warnings.append(
             f"header stamps, but times of receipt for {late} (no header): their delay against each "
             "other is not known; --stamps receive takes times of receipt for all"
         )
-    delays = {n: s.behind for n, s in found.items() if s.behind is not None and s.clock == "header"}
+    delays = {
+        n: s.behind for n, s in channels.items() if s.behind is not None and s.clock == "header"
+    }
     if delays and max(delays.values()) - min(delays.values()) > _DELAY_DIFFERENCE_MAX_S:
-        said = ", ".join(f"{name} {delay:.3g} s" for name, delay in delays.items())
-        warnings.append(f"header stamps of different clocks? received after their stamps: {said}")
+        text = ", ".join(f"{name} {delay:.3g} s" for name, delay in delays.items())
+        warnings.append(f"header stamps of different clocks? received after their stamps: {text}")
     return warnings

@@ -79,11 +79,13 @@ def _platform(file: SourceFile, draft: Draft) -> Array:
     """Put mass, centre and inertia of the link, and its joint; return the centre of mass in P."""
     root = file.xml()
     links = root if root.tag == "links" else root.find("links")
-    found = [] if links is None else list(links)
-    if len(found) != 1 or found[0].tag != "link_rigid":
-        tags = ", ".join(link.get("name") or link.tag for link in found) or "none"
-        raise file.refuse(f"{len(found)} links ({tags}); allowed: one rigid link, the platform")
-    link = found[0]
+    rigid_links = [] if links is None else list(links)
+    if len(rigid_links) != 1 or rigid_links[0].tag != "link_rigid":
+        tags = ", ".join(link.get("name") or link.tag for link in rigid_links) or "none"
+        raise file.refuse(
+            f"{len(rigid_links)} links ({tags}); allowed: one rigid link, the platform"
+        )
+    link = rigid_links[0]
     draft.put(("name",), (link.get("name") or file.path.stem).strip())
     draft.put(("description",), f"{link.get('name') or file.path.stem}, imported from CASPR")
     joint = link.find("joint")
@@ -115,13 +117,13 @@ def _body(file: SourceFile, physical: Element, draft: Draft) -> Array:
     matrix[np.triu_indices(3)] = entries
     matrix += np.triu(matrix, 1).T
     reference = inertia.get("ref")
-    said = "inertia of the link about its centre of mass; Ixy, Ixz, Iyz are matrix entries"
+    source = "inertia of the link about its centre of mass; Ixy, Ixz, Iyz are matrix entries"
     if reference == "joint":
         matrix = about_centre_of_mass(matrix, mass, centre)
-        said = "inertia of the link about its joint, moved to the centre of mass"
+        source = "inertia of the link about its joint, moved to the centre of mass"
     elif reference != "com":
         file.fault("inertia@ref", repr(reference), "'com' or 'joint'")
-    draft.put(("platform", "inertia"), matrix.tolist(), said)
+    draft.put(("platform", "inertia"), matrix.tolist(), source)
     if np.isfinite(matrix).all() and np.triu(matrix, 1).any():
         draft.warnings.append(
             "products of inertia are taken as entries of the matrix; some files mean the integral "

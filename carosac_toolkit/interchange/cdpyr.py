@@ -134,11 +134,11 @@ def _platform(
     """Put mass, centre and inertia."""
     where = "platforms[0]"
     centre = np.zeros(3)
-    given = _plain(platform.get("center_of_gravity"), "position")
-    if given is not None:
-        centre = file.numbers(given, f"{where}.center_of_gravity", 3, "m")
-        said = "center_of_gravity of the platform"
-        draft.put(("platform", "center_of_mass"), centre.tolist(), said)
+    stated = _plain(platform.get("center_of_gravity"), "position")
+    if stated is not None:
+        centre = file.numbers(stated, f"{where}.center_of_gravity", 3, "m")
+        source = "center_of_gravity of the platform"
+        draft.put(("platform", "center_of_mass"), centre.tolist(), source)
     link = _plain(platform.get("center_of_linkage"), "position")
     if link is not None and np.any(file.numbers(link, f"{where}.center_of_linkage", 3, "m")):
         draft.dropped.append("center_of_linkage of the platform")
@@ -151,7 +151,7 @@ def _platform(
     if inertia.get("angular") is None:
         return
     matrix = _square(file, inertia["angular"], f"{where}.inertia.angular")
-    known = centre if given is not None else None
+    known = centre if stated is not None else None
     _inertia(file, matrix, mass, known, draft, inertia_about)
 
 
@@ -161,7 +161,7 @@ def _inertia(
 ) -> None:  # fmt: skip
     """Put the inertia about the centre of mass, if it can be known; `centre` is the file's."""
     if centre is not None and not centre.any():
-        said = "angular inertia of the platform; origin and centre of gravity are one point"
+        source = "angular inertia of the platform; origin and centre of gravity are one point"
     elif about is None:
         draft.dropped.append(
             "angular inertia of the platform: the file does not say about which point; "
@@ -169,7 +169,7 @@ def _inertia(
         )
         return
     elif about == "center_of_mass":
-        said = "angular inertia of the platform, said to be about its centre of mass"
+        source = "angular inertia of the platform, said to be about its centre of mass"
     elif centre is None:
         draft.dropped.append(
             "angular inertia of the platform: without a centre of gravity in the file nobody can "
@@ -180,8 +180,8 @@ def _inertia(
         if mass is None:
             file.fault("platforms[0].inertia.linear", "nothing", "the mass, to move the inertia")
         matrix = about_centre_of_mass(matrix, mass or np.nan, centre)
-        said = "angular inertia of the platform about its origin, moved to the centre of mass"
-    draft.put(("platform", "inertia"), matrix.tolist(), said)
+        source = "angular inertia of the platform about its origin, moved to the centre of mass"
+    draft.put(("platform", "inertia"), matrix.tolist(), source)
 
 
 def _mass(file: SourceFile, value: object, where: str) -> float | None:

@@ -153,10 +153,14 @@ def _nested(pair: str) -> dict[str, Any]:
 
 
 def _merge(
-    draft: Draft, given: Mapping[str, Any], own: Mapping[str, Any], source: str, replaced: list[str]
+    draft: Draft,
+    additions: Mapping[str, Any],
+    own: Mapping[str, Any],
+    source: str,
+    replaced: list[str],
 ) -> None:
     """Put the leaves of a mapping into the draft."""
-    for path, value in _leaves((), given):
+    for path, value in _leaves((), additions):
         if value is None:
             continue
         place: Any = draft.data
@@ -262,10 +266,10 @@ def _styled(value: Any, inside: bool = False) -> Any:
     from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
     if isinstance(value, dict):
-        made = CommentedMap({key: _styled(entry) for key, entry in value.items()})
+        styled = CommentedMap({key: _styled(entry) for key, entry in value.items()})
         if inside:
-            made.fa.set_flow_style()
-        return made
+            styled.fa.set_flow_style()
+        return styled
     if isinstance(value, list):
         row = CommentedSeq([_styled(entry, inside=True) for entry in value])
         if not any(isinstance(entry, dict) for entry in value):

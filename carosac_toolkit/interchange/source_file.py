@@ -121,10 +121,10 @@ class SourceFile:
 
     def child(self, element: Element | None, tag: str, where: str) -> Element | None:
         """Return the child of a tag; note a fault if it is missing."""
-        found = None if element is None else element.find(tag)
-        if found is None and element is not None:
+        below = None if element is None else element.find(tag)
+        if below is None and element is not None:
             self.fault(where, "nothing", f"an element <{tag}>")
-        return found
+        return below
 
     def child_number(self, element: Element, tag: str, where: str, unit: str = "") -> float:
         """Return the number in a child; note a fault if it is missing."""

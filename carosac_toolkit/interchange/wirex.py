@@ -165,8 +165,8 @@ def _inertia(file: SourceFile, element: Element, draft: Draft) -> None:
     for i, j in zip(*np.triu_indices(3), strict=True):
         entry = f"I{'xyz'[i]}{'xyz'[j]}"
         matrix[i, j] = matrix[j, i] = known.get(entry, 0.0)
-    said = "inertiatensor of the platform, taken as about its centre of mass"
-    draft.put(("platform", "inertia"), matrix.tolist(), said)
+    source = "inertiatensor of the platform, taken as about its centre of mass"
+    draft.put(("platform", "inertia"), matrix.tolist(), source)
 
 
 def _value(file: SourceFile, element: Element | None, name: str, where: str) -> float | None:
@@ -194,12 +194,12 @@ def _cable(file: SourceFile, root: Element, draft: Draft) -> None:
         draft.put(("cable_types", "cable", "linear_density"), density, "weight of the cable, kg/m")
     radius = _value(file, cable, "radius", "cable")
     if radius is not None:
-        said = "twice the radius of the cable"
-        draft.put(("cable_types", "cable", "diameter"), 2.0 * radius, said)
+        source = "twice the radius of the cable"
+        draft.put(("cable_types", "cable", "diameter"), 2.0 * radius, source)
     modulus = _value(file, cable, "elasticity", "cable")
     if modulus is not None:
-        said = "elasticity of the cable, Pa; the file does not say of which area"
-        draft.put(("cable_types", "cable", "youngs_modulus"), modulus, said)
+        source = "elasticity of the cable, Pa; the file does not say of which area"
+        draft.put(("cable_types", "cable", "youngs_modulus"), modulus, source)
 
 
 def _winches(file: SourceFile, root: Element, draft: Draft) -> list[str]:
@@ -227,10 +227,10 @@ def _limits(file: SourceFile, root: Element, robot: Element, draft: Draft) -> No
     needs = robot.find("application")
     low = _value(file, needs, "min_cable_load", "application")
     high = _value(file, needs, "max_cable_load", "application")
-    said = "cable loads of the application"
+    source = "cable loads of the application"
     if low is None and high is None:
         low = _value(file, root.find("cable"), "minimum_load", "cable")
         high = _value(file, root.find("winch/cable"), "f_max", "winch/cable")
-        said = "minimum_load of the cable, f_max of the winch"
+        source = "minimum_load of the cable, f_max of the winch"
     count = len(draft.data["chains"])
-    draft.limits([low] * count, [high] * count, said)
+    draft.limits([low] * count, [high] * count, source)

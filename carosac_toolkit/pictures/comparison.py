@@ -221,12 +221,12 @@ def _same_example(results: StudyResults, wanted: tuple[str, ...]) -> dict[str, t
         for label, (rows, color) in groups.items()
         if (rows[0]["robot"], rows[0]["perturbation"]) == (first["robot"], first["perturbation"])
     }
-    have = dict.fromkeys(name for found, _ in block.values() for name in found)
+    have = dict.fromkeys(name for by_trajectory, _ in block.values() for name in by_trajectory)
     name = next((name for name in (*wanted, *have) if name in have), None)
     return {
-        label: (found[name], color)
-        for label, (found, color) in block.items()
-        if name is not None and name in found
+        label: (by_trajectory[name], color)
+        for label, (by_trajectory, color) in block.items()
+        if name is not None and name in by_trajectory
     }
 
 

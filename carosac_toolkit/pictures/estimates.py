@@ -81,8 +81,8 @@ def _draw_squares(axes: Any, groups: Groups, squares: Mapping[str, dict[int, lis
 
 def _squares(rows: Sequence[Row]) -> dict[int, list[float]]:
     """Return the NEES of the cases that have one, by seed."""
-    found: dict[int, list[float]] = {}
+    by_seed: dict[int, list[float]] = {}
     for row in scored(rows):
         if row.get("nees_pose") is not None:
-            found.setdefault(int(row["seed"] or 0), []).append(float(row["nees_pose"] or 0.0))
-    return found
+            by_seed.setdefault(int(row["seed"] or 0), []).append(float(row["nees_pose"] or 0.0))
+    return by_seed

@@ -77,15 +77,15 @@ def draw_commanded(results: StudyResults) -> Figure:
 
 def length_errors(results: StudyResults) -> dict[str, Array]:
     """Return measured minus commanded lengths of example cases [mm], shape (S, n), by label."""
-    found = {}
+    errors = {}
     for label, rows in list(zip(results.labels, results.groups, strict=True))[:GROUPS_MAX]:
         series = [json.loads(str(row["series"])) for row in scored(rows) if row.get("series")]
         values = [
             MM_PER_M * np.array(one["length_error_m"]) for one in series if "length_error_m" in one
         ]
         if values:
-            found[label] = np.concatenate(values)
-    return found
+            errors[label] = np.concatenate(values)
+    return errors
 
 
 def _validated(draw: Callable[[ValidationResult], Figure]) -> Callable[..., list[Drawn]]:

@@ -75,7 +75,7 @@ def find_sources(folders: Sequence[str]) -> list[FigureSource]:
     Raises:
         InvalidField: A folder is not there, or holds nothing of ours.
     """
-    found: list[FigureSource] = []
+    sources: list[FigureSource] = []
     for name in folders:
         top = Path(name)
         if not top.is_dir():
@@ -89,8 +89,8 @@ def find_sources(folders: Sequence[str]) -> list[FigureSource]:
         if not here:
             allowed = "a folder that carosac compare, validate, evaluate or train wrote"
             raise InvalidField("FOLDER", f"'{name}'", allowed)
-        found += [one for one in here if one not in found]
-    return found
+        sources += [one for one in here if one not in sources]
+    return sources
 
 
 def of_kind(sources: Sequence[FigureSource], kind: SourceKind) -> list[Path]:

@@ -203,8 +203,8 @@ def _draw_limits(axes: Any, region: Region, plane: _Plane, shown: dict[Any, Any]
 
 def _matches(out: Any, key: tuple[int, int]) -> NDArray[np.bool_]:
     """Return positions that a limit, and its cable if it has one, excludes."""
-    found: NDArray[np.bool_] = out.limit == key[0]
-    return found & (out.cable == key[1]) if key[0] in CABLE_LIMITS else found
+    matches: NDArray[np.bool_] = out.limit == key[0]
+    return matches & (out.cable == key[1]) if key[0] in CABLE_LIMITS else matches
 
 
 def _set_plane(axes: Any, region: Region, plane: _Plane) -> None:

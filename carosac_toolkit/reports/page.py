@@ -125,9 +125,9 @@ def table(
 
     def line(cells: tuple[str, ...], tag: str, row: int = -1) -> str:
         kinds = [' class="t"' if i < left else "" for i in range(len(cells))]
-        said = [f"<b>{escape(c)}</b>" if (row, i) in bold else escape(c)
+        cell_texts = [f"<b>{escape(c)}</b>" if (row, i) in bold else escape(c)
                 for i, c in enumerate(cells)]  # fmt: skip
-        texts = [f"<{tag}{k}>{c}</{tag}>" for k, c in zip(kinds, said, strict=True)]
+        texts = [f"<{tag}{k}>{c}</{tag}>" for k, c in zip(kinds, cell_texts, strict=True)]
         first = ' class="m"' if tag == "td" and cells[0] else ""
         return f"<tr{first}>{''.join(texts)}</tr>"
 
@@ -167,13 +167,13 @@ def made_with() -> dict[str, str]:
 
 def _versions() -> list[str]:
     """Return Python and the libraries that the numbers depend on."""
-    found = [f"Python {platform.python_version()}"]
+    versions = [f"Python {platform.python_version()}"]
     for name in REPORTED_LIBRARIES:
         try:
-            found.append(f"{name} {version(name)}")
+            versions.append(f"{name} {version(name)}")
         except PackageNotFoundError:
             continue
-    return [*found, f"{platform.system()} {platform.machine()}"]
+    return [*versions, f"{platform.system()} {platform.machine()}"]
 
 
 def commit_of_code() -> str | None:

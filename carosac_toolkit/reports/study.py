@@ -89,22 +89,22 @@ def _origin(results: StudyResults, words: Sequence[str]) -> str:
         for row in results.rows
         if (digest := json.loads(str(row["settings"])).get("robot_digest"))
     )
-    made = [f"{name}: {text}" for name, text in made_with().items() if text]
-    return "\n".join([f"command: {shlex.join(words)}", *digests, *made])
+    terms = [f"{name}: {text}" for name, text in made_with().items() if text]
+    return "\n".join([f"command: {shlex.join(words)}", *digests, *terms])
 
 
 def _html(
     results: StudyResults,
-    said: Sequence[str],
+    sentences: Sequence[str],
     words: Sequence[str],
     images: Mapping[str, bytes],
     blocks: Sequence[PairedBlock],
 ) -> str:
     """Return the whole document."""
     names = list(dict.fromkeys(str(row["controller"]) for row in results.rows))
-    lost = "\n".join(failures(results))
+    failed = "\n".join(failures(results))
     parts = [
-        bullets(said),
+        bullets(sentences),
         f"<h2>Errors</h2><p>{escape(units(results))}</p>",
         table(header(results), rows(results), left=name_columns(results)),
         f"<h2>Paired comparison</h2><p>{escape(explanation(blocks))}</p>",
@@ -115,7 +115,7 @@ def _html(
         ),
         f"<p>The same as {TABLES_MARKDOWN} and {TABLES_LATEX}, and all digits in {STATISTICS}, "
         "beside this page.</p>",
-        f"<h2>Cases without a score</h2><pre>{escape(lost)}</pre>" if lost else "",
+        f"<h2>Cases without a score</h2><pre>{escape(failed)}</pre>" if failed else "",
         *(picture(image, STUDY_CAPTIONS[Path(file).stem]) for file, image in images.items()),
         "<h2>Settings</h2>",
         definitions({**_settings(results), **made_with()}),

@@ -121,13 +121,13 @@ def _any_scored(result: ValidationResult) -> bool:
 
 
 def _html(
-    result: ValidationResult, said: list[str], context: Context, images: dict[str, bytes]
+    result: ValidationResult, sentences: list[str], context: Context, images: dict[str, bytes]
 ) -> str:
     """Return the whole document."""
     name = f"Validation of {', '.join(result.models)} on {Path(context.recording).name}"
     parts = [
         *warnings(result.warnings),
-        bullets(said),
+        bullets(sentences),
         f"<h2>Errors</h2><p>{part_units(result)}. Error is model minus measured, in world frame W. "
         f"At rest means that no cable length changes faster than {REST_SPEED_MAX_M_S * 1e3:g} mm/s "
         f"for at least {REST_DURATION_MIN_S:g} s; the platform may still sway.</p>",

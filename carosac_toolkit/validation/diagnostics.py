@@ -79,7 +79,7 @@ class RestSway:
 
 def find_delay(error: Array, velocity: Array) -> Delay:
     """Regress model minus measured position [m] on the measured velocity [m/s], both (S, 3)."""
-    found = np.full((3, 3), np.nan)
+    fit = np.full((3, 3), np.nan)
     for axis in range(3):
         if len(error) < 4 or velocity[:, axis].std() < AXIS_SPEED_MIN_M_S:
             continue
@@ -89,8 +89,8 @@ def find_delay(error: Array, velocity: Array) -> Delay:
         left = e - delay * v
         deviation = np.sqrt(left @ left / (len(e) - 2) / (v @ v))
         share = 1.0 - (left @ left) / (e @ e) if e @ e > 0.0 else 0.0
-        found[:, axis] = delay, deviation, share
-    return Delay(seconds=found[0], deviation=found[1], explained=found[2])
+        fit[:, axis] = delay, deviation, share
+    return Delay(seconds=fit[0], deviation=fit[1], explained=fit[2])
 
 
 def find_sway(time: Array, error: Array, rests: Sequence[tuple[int, int]]) -> RestSway | None:
@@ -165,9 +165,9 @@ def rest_frequencies(robot: Robot, length: Array, rests: Sequence[tuple[int, int
     if not rests:
         return None
     means = np.array([length[a:b].mean(axis=0) for a, b in rests])
-    found = forward_kinematics(robot, means)
-    good = found.converged & found.stable
+    equilibria = forward_kinematics(robot, means)
+    good = equilibria.converged & equilibria.stable
     if not good.any():
         return None
-    found = forward_kinematics(robot, means[good])
-    return np.asarray(np.median(natural_frequencies(robot, found), axis=0))
+    equilibria = forward_kinematics(robot, means[good])
+    return np.asarray(np.median(natural_frequencies(robot, equilibria), axis=0))

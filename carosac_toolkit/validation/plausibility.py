@@ -54,8 +54,8 @@ class _MixUpTrial:
     @property
     def distance(self) -> Array:
         """Straight-cable lengths at the poses [m], shape (S, n), NaN where there is none."""
-        found = straight_length(self.robot, self.position, self.rotation)
-        return np.where(found.valid, found.length, np.nan)
+        straight = straight_length(self.robot, self.position, self.rotation)
+        return np.where(straight.valid, straight.length, np.nan)
 
 
 def find_mix_ups(
@@ -80,13 +80,13 @@ def find_mix_ups(
         position=pose.position[some],
         rotation=pose.rotation[some],
     )
-    said, trial = _units(trial)
+    sentences, trial = _units(trial)
     more, trial = _orders(trial)
-    said += more
+    sentences += more
     if not zeros_known:
-        return tuple(said)
-    said += _differences(trial)
-    return tuple(said or _winch_range(trial))
+        return tuple(sentences)
+    sentences += _differences(trial)
+    return tuple(sentences or _winch_range(trial))
 
 
 def find_misfits(recording: Recording, robot: Robot) -> tuple[str, ...]:
@@ -139,13 +139,13 @@ def _units(trial: _MixUpTrial) -> tuple[list[str], _MixUpTrial]:
         misfit = abs(_median(other.length / other.distance) - 1.0)
         if misfit < best:
             best, repaired, chosen = misfit, other, units
-    said = []
+    sentences = []
     if chosen[0] != "m":
         times = f"{1.0 / METRES_PER_UNIT[chosen[0]]:.0f} times the distance at the measured poses"
-        said.append(f"Lengths are {times}: are they in {chosen[0]}?")
+        sentences.append(f"Lengths are {times}: are they in {chosen[0]}?")
     if chosen[1] != "m":
-        said.append(f"Lengths and poses fit if the positions are in {chosen[1]}: are they?")
-    return said, repaired
+        sentences.append(f"Lengths and poses fit if the positions are in {chosen[1]}: are they?")
+    return sentences, repaired
 
 
 def _outside(trial: _MixUpTrial) -> bool:
@@ -167,19 +167,19 @@ def _orders(trial: _MixUpTrial) -> tuple[list[str], _MixUpTrial]:
     if _nearer_home(trial.rotation, trials[True].rotation, trial.robot):
         simple, double = [*simple, (True, same)], [(True, orders[True])]
     for group in (simple, double):
-        found = [
+        candidates = [
             (_misfit(trials[turn], order), turn, order)
             for turn, order in group
             if _tells_order(trials[turn], order)
         ]
-        best = min(found, key=lambda entry: entry[0], default=(np.inf, False, same))
+        best = min(candidates, key=lambda entry: entry[0], default=(np.inf, False, same))
         if best[0] < REMAINING_MISFIT_MAX * left:
             left, turn, order = best
-    said = [QUATERNION_ORDER_HINT] if turn else []
+    sentences = [QUATERNION_ORDER_HINT] if turn else []
     swaps = [f"{i + 1} fits exit point {j + 1}" for i, j in enumerate(order) if i != j]
     if swaps:
-        said.append(f"Cables seem swapped: measured length {', '.join(swaps)}.")
-    return said, replace(trials[turn], length=trial.length[:, np.argsort(order)])
+        sentences.append(f"Cables seem swapped: measured length {', '.join(swaps)}.")
+    return sentences, replace(trials[turn], length=trial.length[:, np.argsort(order)])
 
 
 def _turned(trial: _MixUpTrial) -> _MixUpTrial:

@@ -156,17 +156,17 @@ class LivePage:
     def go(self, position: Array, *, dragged: bool = False) -> None:
         """Set the target, or explain the refusal; while dragged the arrows follow the mouse."""
         try:
-            taken = self._target.go_to(position)
+            reached = self._target.go_to(position)
         except InvalidField as error:
-            taken, refused = self._target.target, str(error)
+            reached, refused = self._target.target, str(error)
         else:
             refused = ""
             if self._moved is not None:
-                self._moved(taken)
+                self._moved(reached)
         self.note.content = note_html(refused)
-        self.place.value = _numbers(taken)
+        self.place.value = _numbers(reached)
         if not dragged:
-            self.gizmo.position = taken
+            self.gizmo.position = reached
 
     def _dragged(self, event: Any) -> None:
         """Follow the arrows; once released, they return to the target."""

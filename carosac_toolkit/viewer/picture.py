@@ -96,12 +96,12 @@ def take_picture(
             unstrained_length = length_at_tension(robot, *pose, tension[None]).unstrained_length[0]
         if unstrained_length is None:
             unstrained_length = np.full(robot.n, np.nan)
-        found = hanging_cables(
+        hanging = hanging_cables(
             robot, position[None], rotation[None], unstrained_length[None], samples=CABLE_POINTS
         )
-        straight = ~found.valid[0]
-        points = _straightened(robot, position, rotation, found.points[0], straight)
-        known = found.tension[0] if tension is None else tension
+        straight = ~hanging.valid[0]
+        points = _straightened(robot, position, rotation, hanging.points[0], straight)
+        known = hanging.tension[0] if tension is None else tension
     return Picture(
         time=time, position=position, rotation=rotation, points=points,
         tension=np.full(robot.n, np.nan) if known is None else known, straight=straight,

@@ -45,15 +45,15 @@ class RestingRobot:
             rotation: From P to W, shape (3, 3); only with six cables or more.
         """
         held = None if self.robot.n < 6 or rotation is None else rotation[None]
-        found = statics.inverse_kinematics(
+        rest = statics.inverse_kinematics(
             self.robot, position[None], held, guess=self.rest if self.robot.n < 6 else None
         )
-        faults = self._faults(found)
+        faults = self._faults(rest)
         if faults:
             return self._stay("this target", faults, position)
-        self.rest = found
+        self.rest = rest
         notes = ("outside the workspace box",) if self._outside(position) else ()
-        return self._picture(found, position, "at rest", notes)
+        return self._picture(rest, position, "at rest", notes)
 
     def follow_lengths(self, length: Array) -> Picture:
         """Hang on cables of given unstrained lengths [m], shape (n,).
@@ -62,40 +62,40 @@ class RestingRobot:
         """
         if (length <= 0.0).any():
             return self._stay("these lengths", ("a length that is not positive",), None)
-        found = statics.forward_kinematics(self.robot, length[None], guess=self.rest)
-        if not found.converged[0]:
+        rest = statics.forward_kinematics(self.robot, length[None], guess=self.rest)
+        if not rest.converged[0]:
             return self._stay("these lengths", ("no pose of rest found",), None)
-        if not found.stable[0]:
+        if not rest.stable[0]:
             return self._stay("these lengths", ("the pose of rest is unstable",), None)
-        self.rest = found
-        return self._picture(found, None, "at rest on these lengths", self._strained(found))
+        self.rest = rest
+        return self._picture(rest, None, "at rest on these lengths", self._strained(rest))
 
-    def _faults(self, found: Equilibrium) -> tuple[str, ...]:
+    def _faults(self, rest: Equilibrium) -> tuple[str, ...]:
         """Return why a pose cannot be taken; empty if it can."""
-        if not found.converged[0]:
-            return (statics.REASONS[found.status[0]],)
-        faults = [] if found.stable[0] else ["the pose of rest is unstable"]
+        if not rest.converged[0]:
+            return (statics.REASONS[rest.status[0]],)
+        faults = [] if rest.stable[0] else ["the pose of rest is unstable"]
         faults += [
-            f"cable {self.robot.cable_names[i]} would be {found.unstrained_length[0, i]:.2f} m "
+            f"cable {self.robot.cable_names[i]} would be {rest.unstrained_length[0, i]:.2f} m "
             f"long; its winch holds {self.robot.length_min[i]:g} to {self.robot.length_max[i]:g} m"
-            for i in np.flatnonzero(~found.in_winch_range[0])
+            for i in np.flatnonzero(~rest.in_winch_range[0])
         ]
         return tuple(faults)
 
-    def _strained(self, found: Equilibrium) -> tuple[str, ...]:
+    def _strained(self, rest: Equilibrium) -> tuple[str, ...]:
         """Return cables outside their tension limits."""
-        robot, tension = self.robot, found.tension[0]
+        robot, tension = self.robot, rest.tension[0]
         over = tension > robot.tension_max * (1.0 + 1e-9)
-        said = []
+        sentences = []
         for mask, word, limit in (
-            (found.slack[0], "slack", robot.tension_min),
+            (rest.slack[0], "slack", robot.tension_min),
             (over, "overloaded", robot.tension_max),
         ):
-            said += [
+            sentences += [
                 f"cable {robot.cable_names[i]} {word}: {tension[i]:.3g} N, limit {limit[i]:g} N"
                 for i in np.flatnonzero(mask)
             ]
-        return tuple(said)
+        return tuple(sentences)
 
     def _outside(self, position: Array) -> bool:
         """Return whether a position is outside the workspace box."""

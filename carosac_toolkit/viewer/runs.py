@@ -153,11 +153,11 @@ def _recorded_run(where: str, asked: str | None) -> RecordedRun:
 
     path = find_recording(where)
     recording, believed = _load(path)
-    found = find_robot(recording, path, asked)
-    recording.require_cables(found.robot)
-    recording = calibrated(recording, found.robot)
+    robot_choice = find_robot(recording, path, asked)
+    recording.require_cables(robot_choice.robot)
+    recording = calibrated(recording, robot_choice.robot)
     thinned = _thinned(recording)
-    run = _run_of(Path(where).name, found.robot, thinned, believed)
+    run = _run_of(Path(where).name, robot_choice.robot, thinned, believed)
     if len(thinned.time) == len(recording.time):
         return run
     return replace(
@@ -196,11 +196,11 @@ def _run_of(
     keep = np.ones(len(recording.time), dtype=bool)
     guess = None
     if poses is not None:
-        found = poses.at(recording.time, gap_max=POSE_GAP_MAX_S)
-        keep = found.valid
+        matched = poses.at(recording.time, gap_max=POSE_GAP_MAX_S)
+        keep = matched.valid
         if not keep.any():
             raise CarosacError(f"{name}: no pose near the time of any length; nothing to show")
-        guess = Pose(position=found.pose.position[keep], rotation=found.pose.rotation[keep])
+        guess = Pose(position=matched.pose.position[keep], rotation=matched.pose.rotation[keep])
     length, time = recording.unstrained_length[keep], recording.time[keep]
     rest = statics.forward_kinematics(robot, length, guess=guess) if absolute else None
     if guess is None:

@@ -57,8 +57,8 @@ class Verdicts:
     @property
     def inside(self) -> NDArray[np.bool_]:
         """True where a pose belongs to the workspace, shape (B,)."""
-        found: NDArray[np.bool_] = self.limit == Limit.INSIDE
-        return found
+        inside: NDArray[np.bool_] = self.limit == Limit.INSIDE
+        return inside
 
 
 def modelled(robot: Robot, settings: WorkspaceSettings) -> Robot:
@@ -151,25 +151,25 @@ def _hold(
     turn = rotation
     if turn is not None:
         turn = np.where(hopeless[:, None, None], robot.home_rotation, turn)
-    found = hold(robot, where, turn, lines=lines)
+    held = hold(robot, where, turn, lines=lines)
     if robot.n < 6:
-        found = second_opinion(robot, found, ~hopeless)
+        held = second_opinion(robot, held, ~hopeless)
     shown = robot.home_rotation if rotation is None else rotation
     rest = replace(
-        found.rest,
+        held.rest,
         position=position,
-        rotation=np.where(hopeless[:, None, None], shown, found.rest.rotation),
-        converged=found.rest.converged & ~hopeless,
-        stable=found.rest.stable & ~hopeless,
-        status=np.where(hopeless, 2, found.rest.status).astype(np.int32),
-        stiffness=np.where(hopeless[:, None, None], np.nan, found.rest.stiffness),
+        rotation=np.where(hopeless[:, None, None], shown, held.rest.rotation),
+        converged=held.rest.converged & ~hopeless,
+        stable=held.rest.stable & ~hopeless,
+        status=np.where(hopeless, 2, held.rest.status).astype(np.int32),
+        stiffness=np.where(hopeless[:, None, None], np.nan, held.rest.stiffness),
     )
-    found = replace(found, rest=rest)
-    worst = found
+    held = replace(held, rest=rest)
+    worst = held
     for wrench in settings.wrenches():
         if wrench.any():
             worst = _worse(worst, hold(robot, where, turn, wrench=wrench, lines=lines))
-    return found, worst
+    return held, worst
 
 
 def _worse(one: WidestRest, other: WidestRest) -> WidestRest:
@@ -208,9 +208,9 @@ def _distance(robot: Robot, rest: Equilibrium) -> tuple[Array, NDArray[np.int64]
         return least, pair
     for start in range(0, len(rows), SHAPE_CHUNK_POSES):
         part = rows[start : start + SHAPE_CHUNK_POSES]
-        found, pairs = cable_distances(robot, pick(rest, part))
-        first = np.argmin(found, axis=1)
-        least[part] = found[np.arange(len(part)), first]
+        distances, pairs = cable_distances(robot, pick(rest, part))
+        first = np.argmin(distances, axis=1)
+        least[part] = distances[np.arange(len(part)), first]
         pair[part] = pairs[first]
     return least, pair
 

@@ -61,9 +61,9 @@ class Region:
         pairs = np.stack([out.limit, out.cable], axis=1)[chosen]
         if len(pairs) == 0:
             return []
-        found, counts = np.unique(pairs, axis=0, return_counts=True)
+        groups, counts = np.unique(pairs, axis=0, return_counts=True)
         order = np.argsort(-counts, kind="stable")
-        return [(int(found[k, 0]), int(found[k, 1]), int(counts[k])) for k in order]
+        return [(int(groups[k, 0]), int(groups[k, 1]), int(counts[k])) for k in order]
 
     def _beside(self) -> NDArray[np.bool_]:
         """Return positions outside, next to one inside along x, y or z."""
@@ -103,8 +103,8 @@ class Region:
         verb = {Limit.SLACK: "first to fall slack", Limit.OVERLOAD: "first to be overloaded"}
         cable = self.robot.cable_names[out.nearest_cable[k]]
         place = ", ".join(f"{x:.2f}" for x in out.rest.position[k])
-        said = verb.get(Limit(int(out.nearest[k])), which)
-        return f"the least margin is {out.margin[k]:.3g} N at ({place}) m, {cable} {said}"
+        text = verb.get(Limit(int(out.nearest[k])), which)
+        return f"the least margin is {out.margin[k]:.3g} N at ({place}) m, {cable} {text}"
 
     def _words(self, at_the_end: bool) -> str:
         """Describe what excludes positions, the three most frequent causes."""
@@ -177,30 +177,30 @@ def compute(
         return Region(robot=robot, grid=grid, settings=asked, verdicts=verdicts)
     if len(orientations) == 0:
         raise InvalidField("orientations", "none", "at least one rotation, or None")
-    found = [
+    judged = [
         judge(robot, where, np.broadcast_to(turn, (len(where), 3, 3)), settings=asked)
         for turn in orientations
     ]
-    return Region(robot=robot, grid=grid, settings=asked, verdicts=_worst(found))
+    return Region(robot=robot, grid=grid, settings=asked, verdicts=_worst(judged))
 
 
-def _worst(found: Sequence[Verdicts]) -> Verdicts:
+def _worst(verdicts: Sequence[Verdicts]) -> Verdicts:
     """Return row by row the verdict that is outside, or has the least margin."""
-    margin = np.stack([np.where(np.isnan(v.margin), -np.inf, v.margin) for v in found])
-    inside = np.stack([v.inside for v in found])
+    margin = np.stack([np.where(np.isnan(v.margin), -np.inf, v.margin) for v in verdicts])
+    inside = np.stack([v.inside for v in verdicts])
     chosen = np.lexsort((margin, inside), axis=0)[0]
-    worst: Verdicts = _choose(found, chosen)
+    worst: Verdicts = _choose(verdicts, chosen)
     return worst
 
 
-def _choose(found: Sequence[Any], chosen: NDArray[np.intp]) -> Any:
+def _choose(records: Sequence[Any], chosen: NDArray[np.intp]) -> Any:
     """Return row by row one of several records of equal arrays."""
     rows = np.arange(len(chosen))
     values = {}
-    for field in fields(found[0]):
-        parts = [getattr(record, field.name) for record in found]
+    for field in fields(records[0]):
+        parts = [getattr(record, field.name) for record in records]
         if isinstance(parts[0], np.ndarray):
             values[field.name] = np.stack(parts)[chosen, rows]
         else:
             values[field.name] = _choose(parts, chosen)
-    return type(found[0])(**values)
+    return type(records[0])(**values)

@@ -44,9 +44,9 @@ def check_study(study: Study) -> None:
     _known("trajectory", study.trajectories, paths)
     _known("perturbation", study.perturbations, sorted(CONDITIONS))
     own = own_settings(study.driver, study.driver_settings)
-    for taken in sorted(set(CASE_DRIVER_SETTINGS) & set(own)):
-        value = repr(own[taken])
-        raise InvalidField(f"driver_settings.{taken}", value, "none: each case says it")
+    for name in sorted(set(CASE_DRIVER_SETTINGS) & set(own)):
+        value = repr(own[name])
+        raise InvalidField(f"driver_settings.{name}", value, "none: each case says it")
     _check_suites(driver, study.driver, study.suites)
     _check_settings("driver_settings", study.driver, driver, own)
     for kind in ("controllers", "estimators"):
@@ -86,8 +86,8 @@ def _known(field: str, names: Any, allowed: Sequence[str]) -> None:
     """Refuse names that are not in a list."""
     for name in names:
         if name not in allowed:
-            said = f"one of {list(allowed)}{did_you_mean(name, allowed)}"
-            raise InvalidField(field, repr(name), said)
+            choices = f"one of {list(allowed)}{did_you_mean(name, allowed)}"
+            raise InvalidField(field, repr(name), choices)
 
 
 def _plugin(kind: Any, name: str) -> Any:
@@ -151,8 +151,8 @@ def _ask(name: str, check: Any, chosen: Any) -> None:
     except CarosacError:
         raise
     except Exception as error:
-        said = f"{name}: check_settings raised {type(error).__name__}: {error}"
-        raise CarosacError(said) from error
+        message = f"{name}: check_settings raised {type(error).__name__}: {error}"
+        raise CarosacError(message) from error
 
 
 def _check_truth(driver: Any, name: str) -> None:

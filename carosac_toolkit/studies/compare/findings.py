@@ -39,8 +39,8 @@ class _ComparedError:
 
     def errors(self, results: StudyResults, members: Sequence[int]) -> dict[int, float]:
         """Return the RMSE in norm of the groups that have one [m]."""
-        found = {k: results.summary[k][self.summary]["norm"] for k in members}
-        return {k: error for k, error in found.items() if error is not None}
+        by_group = {k: results.summary[k][self.summary]["norm"] for k in members}
+        return {k: error for k, error in by_group.items() if error is not None}
 
 
 TRACKING_QUANTITY = _ComparedError(
@@ -56,11 +56,11 @@ def conclusions(results: StudyResults) -> list[str]:
     blocks: dict[tuple[str, str], list[int]] = {}
     for k, line in enumerate(results.summary):
         blocks.setdefault((line["robot"], line["perturbation"]), []).append(k)
-    said = []
+    sentences = []
     for names, members in list(blocks.items())[:BLOCKS_MAX]:
         where = f"On {names[0]}, {names[1]}: " if len(blocks) > 1 else ""
-        said += [where + text for text in _of_block(results, members)]
-    return said + _notes(results)
+        sentences += [where + text for text in _of_block(results, members)]
+    return sentences + _notes(results)
 
 
 def _of_block(results: StudyResults, members: list[int]) -> Iterator[str]:

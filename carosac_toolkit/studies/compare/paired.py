@@ -138,7 +138,7 @@ def _block(
         name: {k: one for k in members if (one := typical_of(rows[k], column))}
         for name, column in ERROR_COLUMNS.items()
     }
-    errors = [name for name, found in typical.items() if found]
+    errors = [name for name, by_label in typical.items() if by_label]
     pairs = {name: _against(rows, base, ERROR_COLUMNS[name]) for name in errors}
     best = {name: _best(rows, ERROR_COLUMNS[name], typical[name]) for name in errors}
     compared = []

@@ -115,7 +115,7 @@ def compare(rows: Sequence[Row], others: Sequence[Row], column: str) -> Pair:
     """
     mine, theirs = errors_by_case(rows, column), errors_by_case(others, column)
     shared = [key for key in mine if key in theirs]
-    a, b = (_table(shared, [found[key] for key in shared]) for found in (mine, theirs))
+    a, b = (_table(shared, [errors[key] for key in shared]) for errors in (mine, theirs))
     failed = (int(np.isinf(a).sum()), int(np.isinf(b).sum()))
     outcomes = np.where(a == b, 0.0, np.sign(np.where(a == b, 0.0, b) - np.where(a == b, 0.0, a)))
     both = np.isfinite(a) & np.isfinite(b)
@@ -137,14 +137,14 @@ def compare(rows: Sequence[Row], others: Sequence[Row], column: str) -> Pair:
 
 def typical_of(rows: Sequence[Row], column: str) -> IntervalEstimate | None:
     """Return the typical error over the cases of a group that have it, with its interval."""
-    found = {key: x for key, x in errors_by_case(rows, column).items() if np.isfinite(x)}
-    return estimate(_table(list(found), list(found.values()))) if found else None
+    errors = {key: x for key, x in errors_by_case(rows, column).items() if np.isfinite(x)}
+    return estimate(_table(list(errors), list(errors.values()))) if errors else None
 
 
 def typical_value(rows: Sequence[Row], column: str) -> float | None:
     """Return the typical error over the cases of a group that have it, without an interval."""
-    found = {key: x for key, x in errors_by_case(rows, column).items() if np.isfinite(x)}
-    return _typical(_table(list(found), list(found.values()))) if found else None
+    errors = {key: x for key, x in errors_by_case(rows, column).items() if np.isfinite(x)}
+    return _typical(_table(list(errors), list(errors.values()))) if errors else None
 
 
 def estimate(table: Array) -> IntervalEstimate:
@@ -161,13 +161,13 @@ def _typical(table: Array) -> float:
 
 def errors_by_case(rows: Sequence[Row], column: str) -> dict[tuple[str, int], float]:
     """Return an error by trajectory and seed: infinite for a failed case, absent without one."""
-    found: dict[tuple[str, int], float] = {}
+    errors: dict[tuple[str, int], float] = {}
     for row in rows:
         trajectory, seed = (row[name] for name in PAIR_COLUMNS)
         value = row.get(column) if row["status"] == "ok" else np.inf
         if value is not None:
-            found[str(trajectory), int(seed or 0)] = float(value)
-    return found
+            errors[str(trajectory), int(seed or 0)] = float(value)
+    return errors
 
 
 def _ratio(a: Array, b: Array) -> IntervalEstimate:
@@ -175,8 +175,8 @@ def _ratio(a: Array, b: Array) -> IntervalEstimate:
 
     def ratio(one: Array, other: Array) -> Array:
         with np.errstate(divide="ignore"):
-            found: Array = typical(one) / typical(other)
-        return found
+            ratios: Array = typical(one) / typical(other)
+        return ratios
 
     ends = interval(ratio, a, b)
     value = _typical(a) / _typical(b)

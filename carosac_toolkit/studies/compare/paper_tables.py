@@ -55,12 +55,12 @@ class Sheet:
 
 def sheets(blocks: Sequence[PairedBlock]) -> list[Sheet]:
     """Return all tables of a study: errors of each block, and its paired differences."""
-    found = []
+    tables = []
     for block in blocks:
-        found.append(_errors(block))
+        tables.append(_errors(block))
         if differing(block):
-            found.append(_differences(block))
-    return found
+            tables.append(_differences(block))
+    return tables
 
 
 def explanation(blocks: Sequence[PairedBlock]) -> str:
@@ -116,8 +116,8 @@ def text_tables(blocks: Sequence[PairedBlock], width: int) -> str:
 
 def text_errors(blocks: Sequence[PairedBlock], width: int) -> str:
     """Format the typical errors within a width."""
-    found = [_errors(block) for block in blocks]
-    return "\n\n".join(f"{wrapped(one.title, width)}\n\n{_text(one, width)}" for one in found)
+    tables = [_errors(block) for block in blocks]
+    return "\n\n".join(f"{wrapped(one.title, width)}\n\n{_text(one, width)}" for one in tables)
 
 
 def differing(block: PairedBlock) -> list[str]:

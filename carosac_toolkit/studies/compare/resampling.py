@@ -43,8 +43,8 @@ def typical(table: Array) -> Array:
     middle, some = (0.5 * (low + high))[:, 0], (count > 0)[:, 0]
     total = np.where(some, middle, 0.0).sum(axis=1)
     paths = some.sum(axis=1)
-    found: Array = np.where(paths > 0, total / np.maximum(paths, 1), np.nan)
-    return found
+    means: Array = np.where(paths > 0, total / np.maximum(paths, 1), np.nan)
+    return means
 
 
 def interval(
@@ -94,12 +94,12 @@ def interval(
         for table in kept:
             drawn = drawn[_with_all_paths(table, drawn)]
         values.append(statistic(*(table[drawn] for table in kept)))
-    found = np.concatenate(values)
-    if np.isnan(found).any():
+    samples = np.concatenate(values)
+    if np.isnan(samples).any():
         return None
     tail = _tail(confidence, seeds)
-    low = np.quantile(found, tail, method="lower")
-    return float(low), float(np.quantile(found, 1.0 - tail, method="higher"))
+    low = np.quantile(samples, tail, method="lower")
+    return float(low), float(np.quantile(samples, 1.0 - tail, method="higher"))
 
 
 def _with_all_paths(table: Array, drawn: NDArray[np.int64]) -> NDArray[np.bool_]:

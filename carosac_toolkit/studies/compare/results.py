@@ -53,10 +53,10 @@ class StudyResults:
     @cached_property
     def groups(self) -> list[list[Row]]:
         """Rows of each robot, controller, estimator, suite and perturbation, in order."""
-        found: dict[tuple[Any, ...], list[Row]] = {}
+        by_group: dict[tuple[Any, ...], list[Row]] = {}
         for row in self.rows:
-            found.setdefault(tuple(row[name] for name in GROUP_COLUMNS), []).append(row)
-        return list(found.values())
+            by_group.setdefault(tuple(row[name] for name in GROUP_COLUMNS), []).append(row)
+        return list(by_group.values())
 
     @cached_property
     def summary(self) -> list[dict[str, Any]]:

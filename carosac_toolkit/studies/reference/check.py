@@ -106,13 +106,13 @@ def agreement(rows: Sequence[Row], others: Sequence[Row]) -> SuiteAgreement:
 
 def _by_way(rows: Sequence[Row]) -> dict[Way, list[Row]]:
     """Return the rows of each part, robot, controller and estimator."""
-    found: dict[Way, list[Row]] = {}
+    by_way: dict[Way, list[Row]] = {}
     for row in rows:
         part, robot, controller, estimator = (
             str(row[name]) for name in ("part", "robot", "controller", "estimator")
         )
-        found.setdefault((part, robot, controller, estimator), []).append(row)
-    return found
+        by_way.setdefault((part, robot, controller, estimator), []).append(row)
+    return by_way
 
 
 def _statuses(rows: Sequence[Row], others: Sequence[Row]) -> list[tuple[tuple[str, int], str, str]]:

@@ -112,20 +112,20 @@ def read_record(folder: Path) -> dict[str, Any]:
     """
     path = folder / RECORD
     try:
-        found = json.loads(_text(path))
+        content = json.loads(_text(path))
     except ValueError as error:
         raise InvalidFile(path, [f"this is no JSON: {error}"]) from error
-    schema = found.get("schema") if isinstance(found, dict) else None
+    schema = content.get("schema") if isinstance(content, dict) else None
     if schema != REFERENCE_SCHEMA:
         raise InvalidFile(path, [f"schema: got {schema!r}; allowed: {REFERENCE_SCHEMA!r}"])
     faults = [
-        f"{name}: got {found.get(name)!r}; allowed: a text"
+        f"{name}: got {content.get(name)!r}; allowed: a text"
         for name in ("suite", "digest")
-        if not isinstance(found.get(name), str)
+        if not isinstance(content.get(name), str)
     ]
     if faults:
         raise InvalidFile(path, faults)
-    return dict(found)
+    return dict(content)
 
 
 def _text(path: Path) -> str:

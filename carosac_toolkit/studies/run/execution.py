@@ -112,11 +112,11 @@ def run_attempt(case: Case, task: WorkerTask) -> Row:
     Raises:
         UnfitWorker: The function cannot be imported here.
     """
-    found = _found_here(task.function)
+    case_function = _found_here(task.function)
     start = time.perf_counter()
     try:
         with TimeLimit(task.timeout):
-            values = checked_values(found(case, *_own_folder(task)))
+            values = checked_values(case_function(case, *_own_folder(task)))
         return make_row(case, "ok", values=values, wall_time=time.perf_counter() - start)
     except CaseTimeout:
         reason = f"stopped after {task.timeout:g} s"
@@ -135,11 +135,11 @@ def run_attempt_together(cases: Sequence[Case], function: str, timeout: float) -
     Raises:
         UnfitWorker: The function cannot be imported here.
     """
-    found = _found_here(function)
+    batch_function = _found_here(function)
     start = time.perf_counter()
     try:
         with TimeLimit(timeout):
-            values = [checked_values(row) for row in found(cases)]
+            values = [checked_values(row) for row in batch_function(cases)]
         wall_time = (time.perf_counter() - start) / len(cases)
         return [
             make_row(case, "ok", values=row, wall_time=wall_time)

@@ -128,8 +128,8 @@ def read_rows(folder: str | Path) -> list[Row]:
         InvalidFile: A file in it is broken; the message names it.
     """
     order = [entry[0] for entry in _read_manifest(Path(folder))["cases"]]
-    found = read_parts(Path(folder))
-    return in_common_columns(found[name] for name in order if name in found)
+    by_case = read_parts(Path(folder))
+    return in_common_columns(by_case[name] for name in order if name in by_case)
 
 
 def free_folder(base: Path, cases: Sequence[Case]) -> Path:

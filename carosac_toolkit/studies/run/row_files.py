@@ -78,16 +78,16 @@ def read_parts(folder: Path) -> dict[str, Row]:
         InvalidFile: A part is broken.
     """
     for attempt in range(READ_ATTEMPTS):
-        found: dict[str, Row] = {}
+        by_case: dict[str, Row] = {}
         try:
             for path in part_files(folder):
                 for row in read_part(path):
-                    found.setdefault(str(row["case"]), row)
-            return found
+                    by_case.setdefault(str(row["case"]), row)
+            return by_case
         except FileNotFoundError:  # a running study has just merged parts: look again
             if attempt == READ_ATTEMPTS - 1:
                 raise
-    return found
+    return by_case
 
 
 def merge_parts(folder: Path, known: Collection[str]) -> None:

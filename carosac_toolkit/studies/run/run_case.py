@@ -95,8 +95,10 @@ def run_case(case: Case) -> dict[str, Any]:
     recorded = replays(plugins.load("drivers", name))
     path = None if recorded else path_of(case, robot)
     start = robot.home_position if path is None else path.sample(np.zeros(1)).position[0]
-    given = given_to_driver(case, condition, period_of(controller), tuple(float(x) for x in start))
-    driver = build_part("drivers", name, plant, case, "driver_settings", given)
+    driver_settings = given_to_driver(
+        case, condition, period_of(controller), tuple(float(x) for x in start)
+    )
+    driver = build_part("drivers", name, plant, case, "driver_settings", driver_settings)
     estimator = estimator_of(case, robot, driver)
     duration = (
         FINAL_REST_S + path.duration if path else controller.period * len(driver.recording.time)
@@ -128,8 +130,8 @@ def given_to_driver(
     case: Case, condition: Condition, period: float, start: tuple[Any, ...]
 ) -> dict[str, Any]:
     """Return the driver settings that follow from the case; `start` in W [m], one or a row each."""
-    said = (case.suite, period, start, True, condition.wind_force, condition.wind_time)
-    return dict(zip(CASE_DRIVER_SETTINGS, said, strict=True))
+    values = (case.suite, period, start, True, condition.wind_force, condition.wind_time)
+    return dict(zip(CASE_DRIVER_SETTINGS, values, strict=True))
 
 
 def period_of(controller: Any) -> float:
@@ -257,9 +259,9 @@ def build_part(
         asked = own_settings(name, asked)
     offered = given or {}
     if hasattr(plugin, "Settings"):
-        for taken in sorted(set(offered) & set(asked)):
+        for clash in sorted(set(offered) & set(asked)):
             allowed = "none: the case itself says it"
-            raise InvalidField(f"{key}.{taken}", repr(asked[taken]), allowed)
+            raise InvalidField(f"{key}.{clash}", repr(asked[clash]), allowed)
     return build_plugin(
         plugin, robot, where=key, asked=asked, offered=offered, seed=seed, seeds=seeds
     )
