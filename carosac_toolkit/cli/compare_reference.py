@@ -136,7 +136,7 @@ def _finish(
         rows = [row for part in parts for row in part.rows]
         for line in _agreement_notes(agreement(rows, published)):
             print(wrapped(line, width, "* "))
-    provenance = made_with() | {"time": f"{took / 60:.1f} minutes, without what was there already"}
+    provenance = made_with() | {"time": f"{took / 60:.1f} minutes, earlier results excluded"}
     for part in shown:
         print(f"\n{part.task.part.capitalize()}. {text_tables(part.blocks, width)}")
     data: dict[str, Any] = record(suite, shown, provenance, command) | {"minutes": took / 60}

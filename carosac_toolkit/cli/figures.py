@@ -40,11 +40,11 @@ class Options(CommonOptions):
     """Options of ``carosac figures``."""
 
     folders: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")] = ()
-    """Folders of results; without any, only what needs no data is drawn."""
+    """Results folders; without any, only figures that need no data are drawn."""
     formats: tuple[str, ...] = ("png", "pdf")
-    """`png`, `pdf` and `svg`."""
+    """File formats: `png`, `pdf` and `svg`."""
     output: OutputFolder = None
-    """Folder of the figures; by default carosac-results/figures."""
+    """Folder for the figures; by default carosac-results/figures."""
 
 
 def run(options: Options) -> CommandResult:

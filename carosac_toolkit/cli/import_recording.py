@@ -60,19 +60,19 @@ class Options(CommonOptions):
     names: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """For JointState: the joints of the cables, in the order of the robot's cables."""
     length_unit: Literal["m", "cm", "mm"] = "m"
-    """Unit of lengths and commands, and with /s of rates."""
+    """Unit of lengths and commands; rates are in this unit per second."""
     relative: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Lengths are known but for a constant for each cable."""
+    """Lengths are known only up to a constant per cable."""
     stamps: Literal["header", "receive"] = "header"
     """`header`: stamps of the message headers, where there are any; `receive`: when the recorder
     got the message."""
     together: float | None = None
-    """With a topic for each cable: samples that are so near in time [s] are one, at the time of
-    the first topic's."""
+    """With one topic per cable: merge samples whose stamps differ by at most this [s], at the time
+    of the first topic's."""
     definitions: str | None = None
     """Folder with PACKAGE/msg/NAME.msg, for a bag that does not define its message types."""
     robot: str | None = None
-    """Which robot it was: a bundled name or a YAML file; stands in the recording."""
+    """Robot of the recording: a bundled name or a YAML file; kept in the recording."""
 
 
 def run(options: Options) -> CommandResult:
@@ -130,7 +130,7 @@ def _list(bag: Bag) -> CommandResult:
     print(format_table(("topic", "type", "messages", "rate [Hz]", "may be"), rows))
     print("\nName the topics: --lengths /joint_states --pose /mocap/pose --output run.parquet")
     if bag.assumed:
-        print("The bag does not define its message types; those of ROS 2 are taken.")
+        print("The bag does not define its message types; those of ROS 2 are assumed.")
     data = [
         {"topic": topic.name, "type": topic.kind, "messages": topic.count, "rate_Hz": topic.rate}
         for topic in bag.topics.values()

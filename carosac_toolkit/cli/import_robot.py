@@ -45,20 +45,21 @@ class Options(CommonOptions):
     output: OutputFile = None
     """Write the robot file here (.yaml)."""
     complete: str | None = None
-    """YAML in the layout of a robot file with what the other one does not hold; units may be
-    written. What both have is taken from here."""
+    """YAML in the layout of a robot file with the missing fields; units are allowed. Its values
+    replace those of the imported file."""
     settings: Annotated[
         tuple[str, ...], tyro.conf.arg(name="set", metavar="PATH=VALUE"), tyro.conf.UseAppendAction
     ] = ()
-    """A single such field, as in `--set gravity=9.81`; may be given several times."""
+    """A single missing field, as in `--set gravity=9.81`; may be given several times."""
     form: OutputFile = None
-    """Write a form for --complete here, with the missing fields and what each allows."""
+    """Write a form for --complete here, with the missing fields and their allowed values."""
     cable_set: str | None = None
     """CASPR: name of the cable set; by default the file's default."""
     pulleys: bool = True
-    """Take pulleys as pulleys, or else as eyelets where the cable enters."""
+    """Import pulleys as pulleys; otherwise as eyelets at the cables' entry points."""
     inertia_about: Annotated[str | None, tyro.conf.arg(metavar="POINT")] = None
-    """cdpyr: `origin` or `center_of_mass`, the point of the platform that its inertia is about."""
+    """cdpyr: `origin` or `center_of_mass`, the point of the platform to which its inertia
+    refers."""
 
 
 def run(options: Options) -> CommandResult:

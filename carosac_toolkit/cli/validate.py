@@ -55,8 +55,8 @@ class Options(CommonOptions):
     """One past the last sample to score; by default all are scored."""
     output: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for pictures and report; an earlier report in it is replaced. By default a folder in
-    carosac-results/validate that is named after recording, robot and range, numbered where there
-    is another report already."""
+    carosac-results/validate named after recording, robot and range, numbered if it holds another
+    report."""
 
 
 def run(options: Options) -> CommandResult:

@@ -89,21 +89,23 @@ class Options(CommonOptions):
     robot: str | None = None
     """Robot of a recording that names none: bundled, or a YAML file."""
     sag: float = 1.0
-    """Draw the distance of the cables from their chords so many times larger; the page says so."""
+    """Factor by which the distance of the cables from their chords is enlarged; the page says
+    so."""
     plain: tyro.conf.FlagCreatePairsOff[bool] = False
-    """A page that is cheap to draw, for a browser without a GPU: half the pixels along each axis,
-    no floor, no labels at the exits until you choose them."""
+    """Serve a page that is cheap to draw, for a browser without a GPU: half the pixels along each
+    axis, no floor, no labels at the exits until you choose them."""
     priority: tyro.conf.FlagCreatePairsOff[bool] = False
-    """With --live: the loop runs before all ordinary processes; on Linux, and with the right to
-    it."""
+    """With --live: run the loop before all ordinary processes; on Linux, with the permission to do
+    so."""
     html: OutputFile = None
     """Write one HTML file with the robot at rest, or with the replay, and end."""
     host: str = LOOPBACK_ADDRESS
-    """Address to serve at; another than 127.0.0.1 lets other machines see and move things."""
+    """Address to serve at; any other than 127.0.0.1 lets other machines view and control the
+    robot."""
     port: int = DEFAULT_PORT
-    """Port to serve at; the next free one where it is taken."""
+    """Port to serve at; if it is taken, the next free one."""
     duration: float | None = None
-    """End after so long [s]; with --live, of simulated time."""
+    """End after this time [s]; with --live, simulated time."""
 
 
 def run(options: Options) -> CommandResult:
@@ -130,7 +132,11 @@ def _check(options: Options) -> None:
         if value is not None and not 0.0 < value < np.inf:
             raise InvalidField(f"--{name}", str(value), "> 0, finite")
     if options.priority and not options.live:
-        raise InvalidField("--priority", "it without --live", "--live --priority: it is the loop's")
+        raise InvalidField(
+            "--priority",
+            "it without --live",
+            "together with --live: it is the priority of the loop",
+        )
     if options.plain and options.html is not None:
         raise InvalidField("--plain", f"it with --html {options.html}", "--plain or --html")
     check_writable("--html", options.html, (".html", ".htm"))
@@ -277,14 +283,14 @@ def _driver(options: Options, robot: Robot, asked: Any, period: float) -> Simula
     """Make the simulated driver, in real time."""
     plugin = plugins.load("drivers", options.driver)
     if not (isinstance(plugin, type) and issubclass(plugin, SimulatedDriver)):
-        allowed = (
-            "a simulated driver: simulator, quasi_static; what is real is moved by carosac run"
-        )
+        allowed = "a simulated driver: simulator, quasi_static; carosac run moves real robots"
         raise InvalidField("--driver", repr(options.driver), allowed)
     own = own_settings(options.driver, asked)
     for name in RESERVED_DRIVER_SETTINGS:
         if name in own:
-            raise InvalidField("--set", f"driver.{name}={own[name]!r}", "what the options say")
+            raise InvalidField(
+                "--set", f"driver.{name}={own[name]!r}", "nothing: an option of the command sets it"
+            )
     offered = {"suite": options.suite, "period": period, "real_time": True}
     driver: SimulatedDriver = build_plugin(
         plugin, robot, where="driver", asked=own, offered=offered, seed=options.seed

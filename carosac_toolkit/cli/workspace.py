@@ -46,22 +46,22 @@ class Options(CommonOptions):
     robot: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ROBOT")]
     """A bundled robot (`carosac robots` lists them) or a path to a YAML file."""
     box: Literal["workspace", "frame"] = "workspace"
-    """Where to look: the workspace box of the robot's file, or the box around its exit points."""
+    """Box to search: the workspace box of the robot's file, or the box around its exit points."""
     lower: Place = None
     """Lower corner of another box [m]; goes with --upper."""
     upper: Place = None
     """Upper corner of another box [m]."""
     points: int = 20000
-    """About how many positions in the box."""
+    """Approximate number of positions in the box."""
     slice: tuple[str, ...] = ()
     """Planes such as x=0.4 z=2 [m]; by default three through the middle of the box."""
     slice_points: int = 2500
-    """About how many positions on each plane."""
+    """Approximate number of positions on each plane."""
     model: Literal["sag", "straight", "both"] = "sag"
     """Cables that sag, straight ones, or both side by side."""
     rpy_deg: tuple[str, ...] = ()
-    """Orientations with all of which a position must be held, each as ROLL,PITCH,YAW in degrees
-    (6 cables or more); by default that of the home pose."""
+    """Orientations in all of which a position must be held, each as ROLL,PITCH,YAW in degrees (6
+    cables or more); by default that of the home pose."""
     force: Place = None
     """Extra forces to withstand, plus or minus these along x, y, z of the world [N]."""
     moment: Place = None
@@ -71,8 +71,8 @@ class Options(CommonOptions):
     clearance: float = 0.0
     """Least distance between the surfaces of two cables [m]."""
     tensions: Literal["widest", "least"] = "widest"
-    """Tensions that the maps of stiffness, frequency and sag are for: those farthest from their
-    limits, or the least ones, as the controllers choose them."""
+    """Tensions for the maps of stiffness, frequency and sag: those farthest from their limits, or
+    the least ones, as the controllers choose them."""
     output: OutputFolder = None
     """Folder for pictures and tables; by default carosac-results/workspace/ROBOT."""
     pictures: bool = True

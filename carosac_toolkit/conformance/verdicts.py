@@ -62,7 +62,9 @@ def only_clear_errors(doing: str) -> Iterator[None]:
         yield
     except InvalidField as error:
         if error.allowed == "a finite number":
-            raise NotConforming(f"{doing}: it made a number that is not finite: {error}") from error
+            raise NotConforming(
+                f"{doing}: it produced a number that is not finite: {error}"
+            ) from error
         raise
     except CarosacError:
         raise

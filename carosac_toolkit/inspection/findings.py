@@ -69,7 +69,9 @@ def _unstable(report: RobotReport) -> str:
             "the equilibrium is not stable: a motion of negative natural frequency grows instead "
             f"of oscillating, here {', '.join(growing)}"
         )
-    return "the equilibrium is not stable: a natural frequency is zero, nothing turns it back"
+    return (
+        "the equilibrium is not stable: a natural frequency is zero, so nothing restores the pose"
+    )
 
 
 def _inside_pulley(report: RobotReport) -> Iterator[str]:

@@ -172,8 +172,8 @@ def _inertia(
         source = "angular inertia of the platform, said to be about its centre of mass"
     elif centre is None:
         draft.dropped.append(
-            "angular inertia of the platform: without a centre of gravity in the file nobody can "
-            "move it from the origin; give platform.inertia about the centre of mass"
+            "angular inertia of the platform: without a centre of gravity in the file it "
+            "cannot be moved from the origin; give platform.inertia about the centre of mass"
         )
         return
     else:
@@ -294,7 +294,7 @@ def _home(file: SourceFile, pose: object, draft: Draft) -> None:
     linear, angular = pose.get("linear", pose), pose.get("angular", pose)
     position, dcm = _plain(linear, "position"), _plain(angular, "dcm")
     if not (isinstance(position, list) and len(position) == 3 and isinstance(dcm, list)):
-        draft.dropped.append("pose of the platform, in a layout that is not understood")
+        draft.dropped.append("pose of the platform, in an unsupported layout")
         return
     home = {"position": file.numbers(position, "pose.position", 3, "m").tolist()}
     turn = _rotation(file, dcm, "pose.dcm")

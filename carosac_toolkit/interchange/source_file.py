@@ -82,7 +82,7 @@ class SourceFile:
         except ParseError as error:
             raise self.refuse(f"not XML: {error}") from error
         except DefusedXmlException as error:
-            raise self.refuse("XML that defines entities or reads others; not read") from error
+            raise self.refuse("XML with entities of its own or external ones; refused") from error
         except (ValueError, LookupError) as error:
             raise self.refuse(f"not XML: {error}") from error
         return root

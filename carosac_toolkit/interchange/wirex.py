@@ -101,8 +101,8 @@ def _geometry(
     radii = {radius for _, radius, _ in exits}
     if radii == {_DEFAULT_RADIUS}:
         draft.warnings.append(
-            f"all pulleys have radius {_DEFAULT_RADIUS} m, WireX's default: maybe nobody measured "
-            "it (--no-pulleys takes points)"
+            f"all pulleys have radius {_DEFAULT_RADIUS} m, WireX's default: perhaps never "
+            "measured (--no-pulleys takes points)"
         )
     if not pulleys:
         draft.dropped.append("pulleys, as asked for: exit points are eyelets at the base points")
@@ -148,7 +148,7 @@ def _platform(file: SourceFile, robot: Element, draft: Draft) -> None:
     if mass == _DEFAULT_MASS and tuple(centre or ()) == _DEFAULT_CENTRE:
         draft.warnings.append(
             f"mass {_DEFAULT_MASS:g} kg with centre of gravity (0, 1, 0.2) m are WireX's defaults: "
-            "probably nobody measured this platform; give your own with --complete"
+            "probably never measured; give your own with --complete"
         )
     inertia = platform.find("inertiatensor")
     if inertia is not None:

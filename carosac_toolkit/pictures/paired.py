@@ -26,7 +26,8 @@ def comparable(blocks: Sequence[PairedBlock]) -> bool:
 def draw_paired(blocks: Sequence[PairedBlock]) -> Figure:
     """Draw the ratio of each error to that of the baseline, one panel for each block.
 
-    Left of 1 is better than the baseline. Full marks: p after Holm is at most `SIGNIFICANCE_LEVEL`.
+    Left of 1 is better than the baseline. Full marks: the Holm-corrected p is at most
+    `SIGNIFICANCE_LEVEL`.
 
     Args:
         blocks: Of a study; those without a ratio are left out.
@@ -43,7 +44,7 @@ def draw_paired(blocks: Sequence[PairedBlock]) -> Figure:
         _draw_block(axes, block, colors)
     figure.suptitle(
         "Typical error over that of the baseline on the same draws, 95 % intervals;\n"
-        f"full dots: p after Holm is at most {SIGNIFICANCE_LEVEL:g}; on the right: cases won",
+        f"full dots: Holm-corrected p is at most {SIGNIFICANCE_LEVEL:g}; on the right: cases won",
         fontsize=11,
     )
     put_legend(figure, panels[0])

@@ -28,7 +28,7 @@ TABLES_MARKDOWN, TABLES_LATEX, STATISTICS = "tables.md", "tables.tex", "statisti
 STUDY_CAPTIONS = {
     "paired": "Every error over that of the baseline on the same draws, with its interval: left of "
     "1 is better.",
-    "paths": "One case: where the platform origin went, against the reference.",
+    "paths": "One case: path of the platform origin and its reference.",
     "error_over_time": "One case: absolute tracking error per axis; grey: the reference rests.",
     "error_violins": "Distribution of the absolute tracking error over the samples of all "
     "trajectories, first seed.",

@@ -50,7 +50,7 @@ def conclusions(result: ValidationResult) -> list[str]:
 def _no_causes(result: ValidationResult, best: ModelResult) -> str | None:
     """Return why no cause of the error is named, or None if causes may be."""
     if result.warnings:
-        return "Causes of the error are not looked into until lengths and poses fit together."
+        return "Causes of the error are not examined until lengths and poses are consistent."
     if result.samples < CAUSE_SAMPLES_MIN:
         count = f"{result.samples} sample" + ("s" if result.samples > 1 else "")
         return f"Only {count} scored: too few to say anything about causes, or about other poses."
@@ -90,7 +90,7 @@ def _ranking(best: ModelResult, scored: list[ModelResult]) -> Iterator[str]:
     others = ", ".join(f"{m.name} {say_length(_norm(m))}" for m in scored if m is not best)
     if others:
         others = f" (others: {others})"
-        yield f"{best.name} comes nearest: RMSE {say_length(_norm(best))} in norm{others}."
+        yield f"{best.name} is the most accurate: RMSE {say_length(_norm(best))} in norm{others}."
     else:
         yield f"RMSE of {best.name}: {say_length(_norm(best))} in norm."
 
@@ -104,7 +104,7 @@ def _rest_and_motion(result: ValidationResult, best: ModelResult) -> Iterator[st
     moving, resting = best.moving.rmse[3], best.resting.rmse[3]
     ratio = resting / moving if moving > 0.0 else np.inf
     if ratio >= 0.8:
-        saying = "it does not go away when the winches stop"
+        saying = "it remains when the winches stop"
     elif ratio <= 0.4:
         saying = "most of the error comes with the motion"
     else:
@@ -125,7 +125,7 @@ def _sway(result: ValidationResult, best: ModelResult) -> Iterator[str]:
         f"of {1.0 / sway.frequency:.2f} s, which explains {sway.explained:.0%} of its variation: "
     )
     if best.moves:
-        text += "the platform seems to sway in another phase or by another size than in the model"
+        text += "the platform seems to sway with another phase or amplitude than in the model"
     else:
         text += "the platform seems to sway, which no quasi-static model can follow"
     natural = result.natural_frequency
@@ -192,12 +192,12 @@ def _sag(best: ModelResult) -> Iterator[str]:
     if not large:
         verdict = "neither is large enough to explain it"
     elif len(large) == 2:
-        verdict = "without either in the model the error would be another"
+        verdict = "leaving out either would change the error"
     else:
         small = next(name for name in parts if name not in large)
         verdict = f"{large[0]} is large enough to matter, {small} is not"
     yield (
         f"In the model, sag lengthens a cable by {say_length(best.sag)} and tension by "
-        f"{say_length(best.stretch)} on average; the length error left is {say_length(left)}: "
+        f"{say_length(best.stretch)} on average; the remaining length error is {say_length(left)}: "
         f"{verdict}."
     )

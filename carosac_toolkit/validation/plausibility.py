@@ -37,9 +37,7 @@ EXIT_POINT_DISTANCE_MAX_M = 0.01  # [m] from the measured ones
 STATIC_MISFIT_MIN = (
     0.03  # of the distance: misfit from which lengths that hardly change tell an order
 )
-QUATERNION_ORDER_HINT = (
-    "The orientation fits if the quaternion is x y z w: the format wants w x y z."
-)
+QUATERNION_ORDER_HINT = "The orientation fits if the quaternion is x y z w: the format is w x y z."
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -30,7 +30,8 @@ class RestingRobot:
         if not self.rest.converged[0]:
             reason = statics.REASONS[self.rest.status[0]]
             raise CarosacError(
-                f"{robot.name}: no rest at its home position ({reason}); carosac check says more"
+                f"{robot.name}: no equilibrium at its home position ({reason}); "
+                "carosac check says more"
             )
 
     def home(self) -> Picture:
@@ -64,17 +65,17 @@ class RestingRobot:
             return self._stay("these lengths", ("a length that is not positive",), None)
         rest = statics.forward_kinematics(self.robot, length[None], guess=self.rest)
         if not rest.converged[0]:
-            return self._stay("these lengths", ("no pose of rest found",), None)
+            return self._stay("these lengths", ("no equilibrium found",), None)
         if not rest.stable[0]:
-            return self._stay("these lengths", ("the pose of rest is unstable",), None)
+            return self._stay("these lengths", ("the equilibrium is unstable",), None)
         self.rest = rest
-        return self._picture(rest, None, "at rest on these lengths", self._strained(rest))
+        return self._picture(rest, None, "at rest with these lengths", self._strained(rest))
 
     def _faults(self, rest: Equilibrium) -> tuple[str, ...]:
         """Return why a pose cannot be taken; empty if it can."""
         if not rest.converged[0]:
             return (statics.REASONS[rest.status[0]],)
-        faults = [] if rest.stable[0] else ["the pose of rest is unstable"]
+        faults = [] if rest.stable[0] else ["the equilibrium is unstable"]
         faults += [
             f"cable {self.robot.cable_names[i]} would be {rest.unstrained_length[0, i]:.2f} m "
             f"long; its winch holds {self.robot.length_min[i]:g} to {self.robot.length_max[i]:g} m"

@@ -114,9 +114,9 @@ def _study_runs(folder: Path, number: int | None) -> list[RecordedRun]:
     runs = [run for row in kept if (run := _case_run(row)) is not None]
     if not runs:
         why = (
-            "none of its cases kept its course" if not kept else
+            "none of its cases kept its time series" if not kept else
             "its cases were kept without rotations and tensions, by an earlier version; run "
-            "the study anew"
+            "the study again"
         )  # fmt: skip
         raise InvalidFile(folder, [f"this study holds no run to replay: {why}"])
     if number is None:
@@ -190,7 +190,7 @@ def _run_of(
     """Return poses as measured, else as estimated, else at rest on the recorded lengths."""
     poses, source = recording.poses, "measured"
     if poses is None:
-        poses, source = believed, "believed by the estimator"
+        poses, source = believed, "as estimated"
         believed = None
     absolute = recording.metadata.length_kind == "unstrained"
     keep = np.ones(len(recording.time), dtype=bool)
@@ -231,7 +231,7 @@ def _of_target(command: Stamped | None, target: Array | None) -> str:
     """Return the source of the target, or why there is none."""
     if target is not None:
         return "; target: where the commanded lengths would rest"
-    return "" if command is None else "; no target: some commanded lengths have no pose of rest"
+    return "" if command is None else "; no target: some commanded lengths have no equilibrium"
 
 
 def _tensions(recorded: Stamped | None, rest: Any, time: Array, n: int) -> tuple[Array, str]:

@@ -46,7 +46,7 @@ def check_study(study: Study) -> None:
     own = own_settings(study.driver, study.driver_settings)
     for name in sorted(set(CASE_DRIVER_SETTINGS) & set(own)):
         value = repr(own[name])
-        raise InvalidField(f"driver_settings.{name}", value, "none: each case says it")
+        raise InvalidField(f"driver_settings.{name}", value, "none: each case sets it")
     _check_suites(driver, study.driver, study.suites)
     _check_settings("driver_settings", study.driver, driver, own)
     for kind in ("controllers", "estimators"):

@@ -115,7 +115,7 @@ def _pair(results: StudyResults, one: int, two: int, what: _ComparedError) -> st
     labels = results.labels_of(COMPARED_COLUMNS)
     names = [labels[one], labels[two]]
     if size[0] is None or size[1] is None:
-        return f"{names[0]} and {names[1]} succeeded in no case together: no comparison."
+        return f"{names[0]} and {names[1]} share no successful case: no comparison."
     if size[0] > size[1]:  # the ranking is over all cases, this is over those they share
         rows, size, names = rows[::-1], size[::-1], names[::-1]
     low, high = float(size[0] or 0.0), float(size[1] or 0.0)
@@ -165,9 +165,9 @@ def _consistency(results: StudyResults, group: int) -> str | None:
     if low <= mean <= high and square["seeds"] < COVARIANCE_SEEDS_MIN:
         return f"Nothing contradicts {label}: NEES of the pose {mean:.2f}, in the {band}."
     if low <= mean <= high:
-        return f"{label} is as good as it says: NEES of the pose {mean:.2f}, in the {band}."
-    sure = "too sure of itself" if mean > high else "better than it says"
-    return f"{label} is {sure}: NEES of the pose {mean:.3g}, outside the {band}."
+        return f"{label} is consistent: NEES of the pose {mean:.2f}, in the {band}."
+    verdict = "overconfident" if mean > high else "underconfident"
+    return f"{label} is {verdict}: NEES of the pose {mean:.3g}, outside the {band}."
 
 
 def _believer(results: StudyResults, group: int) -> str:
@@ -186,8 +186,8 @@ def _notes(results: StudyResults) -> list[str]:
     failed = sum(line["failures"] for line in results.summary)
     if failed:
         notes.append(
-            f"{failed} of {counted(len(results.rows), 'case')} without a score: errors of a row "
-            "are those of its own other cases; comparisons are over the cases of both."
+            f"{failed} of {counted(len(results.rows), 'case')} without a score: the errors of "
+            "a row are over its other cases, comparisons over the cases that both solved."
         )
     short = sum(line["incomplete"] for line in results.summary)
     if short:

@@ -57,7 +57,7 @@ class Pair:
         typical: Typical error of A, of B, over the scored cases; see `typical`.
         difference: Typical paired difference, A minus B: negative is in favour of A.
         ratio: Typical error of A over that of B; None where that of B is zero.
-        p: Two-sided, of won and lost, exchanged seed by seed; None without a case.
+        p: Two-sided, of won and lost, permutation test over seeds; None without a case.
         p_holm: The same for as many comparisons as stand together; None before that is known.
     """
 

@@ -76,10 +76,10 @@ def explanation(blocks: Sequence[PairedBlock]) -> str:
         "path and noise, minus the baseline, over the cases that both solved; ratio: of the "
         "typical errors in the same cases. Won: cases with the smaller error; a case that failed "
         "is lost. Intervals: cluster bootstrap over the seeds, expanded percentiles. p: two-sided, "
-        "of cases won against lost, labels exchanged seed by seed, adjusted by Holm for all "
+        "of cases won against lost, paired permutation test over seeds, Holm-corrected for all "
         "comparisons of the same error in a table. Bold: smallest, and better than each of the "
-        "others: all intervals of its paired differences exclude zero, and p after Holm is at "
-        f"most {SIGNIFICANCE_LEVEL:g}."
+        "others: all intervals of its paired differences exclude zero, and the corrected p is "
+        f"at most {SIGNIFICANCE_LEVEL:g}."
     )
     if seeds < INTERVAL_SEEDS_MIN:
         text += f" Intervals need {INTERVAL_SEEDS_MIN} seeds or more; here are {seeds}."
@@ -88,8 +88,9 @@ def explanation(blocks: Sequence[PairedBlock]) -> str:
     )
     if lowest > SIGNIFICANCE_LEVEL:
         text += (
-            f" With {counted(fewest, 'seed')} and {counted(others, 'comparison')} no p is below "
-            f"{lowest:.2g} after Holm: nothing can be shown at the level {SIGNIFICANCE_LEVEL:g}."
+            f" With {counted(fewest, 'seed')} and {counted(others, 'comparison')} no corrected p "
+            f"is below {lowest:.2g}: nothing can be significant at the level "
+            f"{SIGNIFICANCE_LEVEL:g}."
         )
     return text
 

@@ -12,7 +12,7 @@ ERROR_TABLE_CAPTION = (
     "Errors in mm. x, y, z, norm: RMSE of the tracking error, all steps of all cases; std: "
     "standard deviation of the norm from case to case; centre: in the middle half of each side "
     "of the workspace box, boundary: the rest; estimate: RMSE of the estimation error in norm; "
-    "p95: its 95th percentile; turn: RMSE of the believed orientation in mrad; sway: RMS in the "
+    "p95: its 95th percentile; turn: RMSE of the estimated orientation in mrad; sway: RMS in the "
     "3 s after the end; failed: cases without a score; cycle: latency of estimator and "
     "controller, 95th percentile."
 )
@@ -20,8 +20,8 @@ CONSISTENCY_CAPTION = (
     " NEES: normalised estimation error squared, of pose (6) and of pose and twist (12); NIS: "
     "normalised innovation squared; each over its degrees of freedom, mean over all cases: 1 is "
     "right. + is above the band that 95 % of the means of as many independent draws as there are "
-    "seeds lie in: the estimator is too sure of itself; - is below. rejected: cycles in which a "
-    "measurement was not believed."
+    "seeds lie in: the estimator is overconfident; - is below. rejected: cycles in which a "
+    "measurement was rejected."
 )
 ERROR_TABLE_COLUMNS = (
     *AXIS_NAMES, "std", "centre", "boundary", "estimate", "p95", "turn", "sway", "failed",
@@ -87,8 +87,8 @@ def failures(results: StudyResults) -> list[str]:
         if any("no tensions within the limits" in reason for reason, _ in listed):
             robot = line["robot"]
             lines.append(
-                "  paths are drawn in the workspace box of the robot file; where in it the robot "
-                f"can rest says carosac workspace {robot}"
+                "  paths are drawn in the workspace box of the robot file; carosac workspace "
+                f"{robot} shows where in it the robot can rest"
             )
     return lines
 

@@ -106,7 +106,7 @@ class Dispatcher:
             }
         except (OSError, TimeoutError) as error:
             raise LostScheduler(
-                f"the scheduler does not give its results ({error}); run again to go on"
+                f"the scheduler does not return its results ({error}); run again to go on"
             ) from error
         rows = [row for answer in done.values() for row in answer]
         for future, task, key in ended:

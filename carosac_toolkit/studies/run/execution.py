@@ -202,7 +202,7 @@ def _batch_of_task(cases: Sequence[Case], task: WorkerTask) -> list[Row]:
 def crashed_row(case: Case, deaths: int, cause: str = "", wall_time: float = 0.0) -> Row:
     """Return the row of a case whose process died each time."""
     times = f"{deaths} time" + ("s" if deaths != 1 else "")
-    cause = cause or "without a word: killed, out of memory, or left by os._exit"
+    cause = cause or "without a message: killed, out of memory, or left by os._exit"
     reason = f"its process died {times}: {cause}"
     return make_row(case, "crashed", reason=reason, wall_time=wall_time)
 

@@ -260,7 +260,7 @@ def build_part(
     offered = given or {}
     if hasattr(plugin, "Settings"):
         for clash in sorted(set(offered) & set(asked)):
-            allowed = "none: the case itself says it"
+            allowed = "none: the case itself sets it"
             raise InvalidField(f"{key}.{clash}", repr(asked[clash]), allowed)
     return build_plugin(
         plugin, robot, where=key, asked=asked, offered=offered, seed=seed, seeds=seeds

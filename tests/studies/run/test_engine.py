@@ -115,7 +115,7 @@ def test_bad_cases_cost_only_themselves(tmp_path):
         "loops": ("timed_out", "stopped after 0.5 s"),
         "hangs": ("timed_out", ended + found["hangs"][1].partition(ended)[2]),
         "seizes": ("timed_out", ended + found["seizes"][1].partition(ended)[2]),
-        "dies": ("crashed", died + "without a word: killed, out of memory, or left by os._exit"),
+        "dies": ("crashed", died + "without a message: killed, out of memory, or left by os._exit"),
         "faults": ("crashed", died + "Segmentation fault in string_at "
                    + found["faults"][1].partition("string_at ")[2]),
     }  # fmt: skip

@@ -108,10 +108,10 @@ def test_the_band_of_a_mean_is_that_of_as_many_draws_as_there_are_seeds():
 def test_estimators_are_ranked_and_their_nees_is_judged():
     said = " ".join(conclusions(two_estimators()))
     assert "The estimation error of solver is 3 times that of filter: 30.0 mm against 10.0" in said
-    assert "filter is as good as it says: NEES of the pose 1.20, in the 95 % band" in said
+    assert "filter is consistent: NEES of the pose 1.20, in the 95 % band" in said
     above = " ".join(conclusions(two_estimators(square=40.0)))
-    assert "filter is too sure of itself: NEES of the pose 40, outside" in above
-    assert "filter is better than it says" in " ".join(conclusions(two_estimators(square=0.01)))
+    assert "filter is overconfident: NEES of the pose 40, outside" in above
+    assert "filter is underconfident" in " ".join(conclusions(two_estimators(square=0.01)))
     broken = " ".join(conclusions(two_estimators(covariance_faults=2)))
     assert "In 12 cycles the covariance of filter was not positive definite" in broken
 
