@@ -133,8 +133,7 @@ def _finish(
     shown = parts
     if published is not None:
         shown = [with_published(part, published) for part in parts]
-        rows = [row for part in parts for row in part.rows]
-        for line in _agreement_notes(agreement(rows, published)):
+        for line in _notes(agreement([row for part in parts for row in part.rows], published)):
             print(wrapped(line, width, "* "))
     provenance = made_with() | {"time": f"{took / 60:.1f} minutes, earlier results excluded"}
     for part in shown:
@@ -151,14 +150,16 @@ def _finish(
     return CommandResult(data, status=0 if all(part.results.complete for part in parts) else 1)
 
 
-def _agreement_notes(comparison: SuiteAgreement) -> list[str]:
+def _notes(comparison: SuiteAgreement) -> list[str]:
     """Tell whether these results agree with the published ones, before comparing the rest."""
     if not comparison.differences:
         return ["No published case ran here, so that the agreement is unknown."]
     if comparison.faults:
         return ["The numbers of this machine differ from the published ones:", *comparison.faults]
-    largest = f"{100 * comparison.largest:.2f} %"
-    return [f"The cases that ran here agree with the published ones within {largest}."]
+    return [
+        "The cases that ran here agree with the published ones within "
+        f"{100 * comparison.largest:.2f} %."
+    ]
 
 
 def _words(options: Options, suite: ReferenceSuite) -> list[str]:
