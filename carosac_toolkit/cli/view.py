@@ -132,11 +132,7 @@ def _check(options: Options) -> None:
         if value is not None and not 0.0 < value < np.inf:
             raise InvalidField(f"--{name}", str(value), "> 0, finite")
     if options.priority and not options.live:
-        raise InvalidField(
-            "--priority",
-            "it without --live",
-            "together with --live: it is the priority of the loop",
-        )
+        raise InvalidField("--priority", "it without --live", "--live --priority, for the loop")
     if options.plain and options.html is not None:
         raise InvalidField("--plain", f"it with --html {options.html}", "--plain or --html")
     check_writable("--html", options.html, (".html", ".htm"))

@@ -68,7 +68,7 @@ def test_sway_is_named_with_its_period():
     swing[:, 0] = 0.05 * np.sin(2 * np.pi * 0.5 * recording.time)
     text = said(shifted(recording, swing))
     assert "swings by 50 mm with a period of 2.0" in text
-    assert "does not go away when the winches stop" in text
+    assert "it remains when the winches stop" in text
     assert "nearest natural frequency" in text
 
 

@@ -1,4 +1,4 @@
-"""Case of a study: build everything by name, run the loop, score it."""
+"""Case of a study: build everything by name, run the loop, return its row."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit import trajectories
-from carosac_toolkit.base.arrays import Array, evenly
+from carosac_toolkit.base.arrays import evenly
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.rotations import from_matrix
 from carosac_toolkit.live.rehearsal import rehearse
@@ -24,22 +24,19 @@ from carosac_toolkit.robot.file import load_robot, robot_text
 from carosac_toolkit.robot.perturbations import Condition, draw_plant, find_condition
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.case import Case
-from carosac_toolkit.studies.run.estimation_scores import estimation_scores
+from carosac_toolkit.studies.run.scores import score
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
 DEFAULT_DRIVER = "simulator"
 CASE_DRIVER_SETTINGS = (  # what a case says itself
     "suite", "period", "start_position", "set_down", "wind_force", "wind_time",
 )  # fmt: skip
-FINAL_REST_S = (
-    3.0  # [s] after the end of the trajectory that counts as residual sway: over a period
-)
+FINAL_REST_S = 3.0  # after the trajectory, for the residual sway: more than a period
 SERIES_SAMPLES_MAX = 500  # samples kept of a case for pictures
 CASE_SETTINGS = (
     "driver", "speed_max", "acceleration_max", "controller_settings", "estimator_settings",
     "driver_settings", "timeout", "example_seed", "robot_digest",
 )  # fmt: skip
-CENTRE_SHARE = 0.5  # of each side of the workspace box: inside is the centre, outside the boundary
 
 
 class Truth:
@@ -142,78 +139,12 @@ def period_of(controller: Any) -> float:
     return float(period)
 
 
-def score(log: Log, robot: Robot, duration: float, *, replayed: bool = False) -> dict[str, Any]:
-    """Score one run.
-
-    Args:
-        log: What happened.
-        robot: The nominal robot, for its workspace box.
-        duration: Of the trajectory [s]; what comes after is rest.
-        replayed: Whether the driver played a recording, on which no controller tracks anything.
-
-    Returns:
-        Difference of the lengths asked and sent; tracking error (truth minus reference) and
-        estimation error (belief minus truth) as root mean squares per axis and in norm [m], and
-        what `estimation_scores` says; None where nobody knows.
-    """
-    row: dict[str, Any] = {
-        "latency_median_s": float(np.median(log.latency)),
-        "latency_p95_s": float(np.quantile(log.latency, 0.95)),
-        "latency_p99_s": float(np.quantile(log.latency, 0.99)),
-        "command_rmse_m": _rms(log.asked - log.command),
-        "limited": len({cycle for cycle, _ in log.limited}),
-        "completed": log.completed,
-        "steps": len(log.time),
-    } | estimation_scores(log)
-    if log.position is None:
-        return row | _errors("tracking", None) | _errors("estimation", None)
-    row |= _errors("estimation", log.belief_position - log.position)
-    if replayed:
-        return row | _errors("tracking", None)
-    return row | _tracking(log, log.position, robot, duration)
-
-
-def _tracking(log: Log, position: Array, robot: Robot, duration: float) -> dict[str, Any]:
-    """Compare truth and reference."""
-    error = position - log.reference
-    distance = np.linalg.norm(error, axis=-1)
-    middle = 0.5 * (robot.workspace_min + robot.workspace_max)
-    half = 0.5 * CENTRE_SHARE * (robot.workspace_max - robot.workspace_min)
-    central = (np.abs(log.reference - middle) <= half).all(axis=-1)
-    rest = position[log.time > duration]
-    swing = rest - rest.mean(axis=0, keepdims=True) if len(rest) else rest
-    return _errors("tracking", error) | {
-        "tracking_max_m": float(distance.max()),
-        "tracking_centre_m": _rms(distance[central]),
-        "tracking_boundary_m": _rms(distance[~central]),
-        "centre_steps": int(central.sum()),
-        "residual_sway_m": _rms(np.linalg.norm(swing, axis=-1)),
-        "tension_min_N": None if log.tension is None else float(log.tension.min()),
-        "tension_max_N": None if log.tension is None else float(log.tension.max()),
-    }
-
-
 def known_settings(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Refuse unknown settings of a case."""
     unknown = sorted(set(settings) - set(CASE_SETTINGS))
     if unknown:
         raise InvalidField(f"settings.{unknown[0]}", "a name", f"one of {sorted(CASE_SETTINGS)}")
     return settings
-
-
-def _errors(name: str, error: Array | None) -> dict[str, float | None]:
-    """Return root mean squares per axis and in norm [m]."""
-    keys = [f"{name}_rmse_{axis}_m" for axis in ("x", "y", "z", "norm")]
-    if error is None:
-        return dict.fromkeys(keys)
-    per_axis = np.sqrt((error**2).mean(axis=(0, 1)))
-    values = [*per_axis, np.sqrt((per_axis**2).sum())]
-    return {key: float(value) for key, value in zip(keys, values, strict=True)}
-
-
-def _rms(values: Array) -> float | None:
-    """Return the root mean square, or None without values."""
-    return float(np.sqrt((values**2).mean())) if values.size else None
 
 
 def example_series(case: Case, log: Log) -> str | None:

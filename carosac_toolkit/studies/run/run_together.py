@@ -32,8 +32,8 @@ from carosac_toolkit.studies.run.run_case import (
     period_of,
     plugin_name,
     robot_of,
-    score,
 )
+from carosac_toolkit.studies.run.scores import score
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
 

@@ -18,8 +18,8 @@ from carosac_toolkit.studies.run.run_case import (
     Truth,
     robot_digest,
     run_case,
-    score,
 )
+from carosac_toolkit.studies.run.scores import score
 from tests.recordings.synthetic import full_recording
 from tests.robots import simple_robot
 

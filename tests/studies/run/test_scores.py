@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from carosac_toolkit.loop.consistency import Innovations, band
 from carosac_toolkit.studies.compare.findings import conclusions
 from carosac_toolkit.studies.compare.tables import text_table, units
-from carosac_toolkit.studies.run.estimation_scores import ESTIMATION_COLUMNS, estimation_scores
+from carosac_toolkit.studies.run.scores import ESTIMATION_COLUMNS, estimation_scores
 from tests.studies.run.test_run_case import made_up
 from tests.studies.tables import case, good, study
 

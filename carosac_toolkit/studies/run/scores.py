@@ -1,4 +1,4 @@
-"""Accuracy of an estimate in one run, and consistency of its covariance."""
+"""Scores of one run: tracking and estimation errors, consistency of the covariance, latency."""
 
 from __future__ import annotations
 
@@ -16,19 +16,89 @@ from carosac_toolkit.loop.consistency import (
 )
 from carosac_toolkit.loop.loop import Log
 from carosac_toolkit.loop.values import Belief, State
+from carosac_toolkit.robot.robot import Robot
 
 UPPER_QUANTILE = 0.95
 ESTIMATION_COLUMNS = (
     "orientation_rmse_rad", "estimation_p95_m", "orientation_p95_rad", "nees_pose", "nees",
     "nees_pose_p95", "covariance_faults", "nis", "nis_dof", "rejected_share",
 )  # fmt: skip
+CENTRE_SHARE = 0.5  # of each side of the workspace box: inside is the centre, outside the boundary
+
+
+def score(log: Log, robot: Robot, duration: float, *, replayed: bool = False) -> dict[str, Any]:
+    """Score one run.
+
+    Args:
+        log: Log of the run.
+        robot: The nominal robot, for its workspace box.
+        duration: Duration of the trajectory [s]; the platform should rest after it.
+        replayed: Whether the driver played a recording, on which no controller tracks anything.
+
+    Returns:
+        Difference of the lengths asked and sent; tracking error (truth minus reference) and
+        estimation error (belief minus truth) as root mean squares per axis and in norm [m], and
+        the scores of `estimation_scores`; None where unknown.
+    """
+    row: dict[str, Any] = {
+        "latency_median_s": float(np.median(log.latency)),
+        "latency_p95_s": float(np.quantile(log.latency, 0.95)),
+        "latency_p99_s": float(np.quantile(log.latency, 0.99)),
+        "command_rmse_m": _rms(log.asked - log.command),
+        "limited": len({cycle for cycle, _ in log.limited}),
+        "completed": log.completed,
+        "steps": len(log.time),
+    } | estimation_scores(log)
+    if log.position is None:
+        return row | _axis_errors("tracking", None) | _axis_errors("estimation", None)
+    tracking = (
+        _axis_errors("tracking", None)
+        if replayed
+        else _tracking(log, log.position, robot, duration)
+    )
+    return row | _axis_errors("estimation", log.belief_position - log.position) | tracking
+
+
+def _tracking(log: Log, position: Array, robot: Robot, duration: float) -> dict[str, Any]:
+    """Compare truth and reference."""
+    error = position - log.reference
+    distance = np.linalg.norm(error, axis=-1)
+    middle = 0.5 * (robot.workspace_min + robot.workspace_max)
+    half = 0.5 * CENTRE_SHARE * (robot.workspace_max - robot.workspace_min)
+    central = (np.abs(log.reference - middle) <= half).all(axis=-1)
+    rest = position[log.time > duration]
+    swing = rest - rest.mean(axis=0, keepdims=True) if len(rest) else rest
+    return _axis_errors("tracking", error) | {
+        "tracking_max_m": float(distance.max()),
+        "tracking_centre_m": _rms(distance[central]),
+        "tracking_boundary_m": _rms(distance[~central]),
+        "centre_steps": int(central.sum()),
+        "residual_sway_m": _rms(np.linalg.norm(swing, axis=-1)),
+        "tension_min_N": None if log.tension is None else float(log.tension.min()),
+        "tension_max_N": None if log.tension is None else float(log.tension.max()),
+    }
+
+
+def _axis_errors(name: str, error: Array | None) -> dict[str, float | None]:
+    """Return root mean squares per axis and in norm [m]."""
+    keys = [f"{name}_rmse_{axis}_m" for axis in ("x", "y", "z", "norm")]
+    if error is None:
+        return dict.fromkeys(keys)
+    per_axis = np.sqrt((error**2).mean(axis=(0, 1)))
+    values = [*per_axis, np.sqrt((per_axis**2).sum())]
+    return {key: float(value) for key, value in zip(keys, values, strict=True)}
+
+
+def _rms(values: Array) -> float | None:
+    """Return the root mean square, or None without values."""
+    return float(np.sqrt((values**2).mean())) if values.size else None
 
 
 def estimation_scores(log: Log) -> dict[str, Any]:
     """Score the beliefs of one run, all cycles of all worlds alike.
 
     Args:
-        log: What happened.
+        log: Log of the run.
 
     Returns:
         All of `ESTIMATION_COLUMNS`, None where it is not known:
@@ -47,7 +117,7 @@ def estimation_scores(log: Log) -> dict[str, Any]:
         row |= _innovation_scores(log.innovations)
     if log.position is None or log.rotation is None:
         return row
-    error = _errors(log, log.position, log.rotation)
+    error = _state_errors(log, log.position, log.rotation)
     distance, angle = (np.linalg.norm(error[:, k : k + 3], axis=1) for k in (0, 3))
     row |= {
         "orientation_rmse_rad": float(np.sqrt((angle**2).mean())),
@@ -59,7 +129,7 @@ def estimation_scores(log: Log) -> dict[str, Any]:
     return row | _consistency(error, log.belief_covariance.reshape(-1, STATE_SIZE, STATE_SIZE))
 
 
-def _errors(log: Log, position: Array, rotation: Array) -> Array:
+def _state_errors(log: Log, position: Array, rotation: Array) -> Array:
     """Return the errors of all beliefs in the order of their covariance, (T B, 12), or (T B, 6)."""
 
     def flat(values: Array | None, *shape: int) -> Array | None:
