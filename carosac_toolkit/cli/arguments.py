@@ -28,7 +28,7 @@ def parse_options(module: ModuleType, name: str, words: Sequence[str]) -> Any:
     Args:
         module: The command, with its ``Options``.
         name: Its name.
-        words: What stands after it on the command line.
+        words: Words after it on the command line.
 
     Returns:
         An instance of the command's ``Options``.

@@ -59,9 +59,9 @@ def _table(
 
     Args:
         report: The robot.
-        known: What was calibrated, by name.
+        known: Calibrated parameters by name.
         columns: Titles by the pattern of the parameter's name.
-        title: Of the first column.
+        title: Title of the first column.
     """
     cables = report.robot.cable_names
     header, cells = [title], [list(cables)]

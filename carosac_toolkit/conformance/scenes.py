@@ -33,8 +33,8 @@ class ConformanceScene:
 
     Attributes:
         path: From home a little into the workspace.
-        beliefs: Where a perfect estimator would believe it to be, a few millimetres off.
-        measurements: Of its cable lengths alone.
+        beliefs: Beliefs of a perfect estimator, a few millimetres off.
+        measurements: Measurements of its cable lengths alone.
     """
 
     path: Trajectory
@@ -51,7 +51,7 @@ def make_scene(robot: Robot, *, offset: float = 0.003) -> ConformanceScene:
 
     Args:
         robot: Robot description.
-        offset: How far the beliefs are off along each axis [m].
+        offset: Error of the beliefs along each axis [m].
 
     Raises:
         InvalidField: The robot cannot rest there, so that nothing can be checked with it.

@@ -26,10 +26,10 @@ class CalibratedParameter(NamedTuple):
     """Parameter that a calibration estimated.
 
     Attributes:
-        name: As in `carosac_toolkit.robot.parameters`.
-        value: Of the robot; NaN where one number was estimated for cables that now differ.
+        name: Name as in `carosac_toolkit.robot.parameters`.
+        value: Value of the robot; NaN where one number was estimated for cables that now differ.
         sigma: One standard deviation.
-        unit: Of both.
+        unit: Unit of both.
     """
 
     name: str
@@ -42,11 +42,11 @@ class SensorReport(NamedTuple):
     """Sensor data of the robot file.
 
     Attributes:
-        offset: What length sensors read at unstrained length 0 [m], (n,); None: not calibrated.
-        scale: What they read more per unstrained length, (n,); None: not calibrated.
-        delay: By how much their readings lead poses [s]; None: not calibrated.
-        tilt: Of the frame of measured poses about x and y of W [rad], (2,); None: it is W.
-        turn: Of that frame about z, before the tilt [rad].
+        offset: Reading of length sensors at unstrained length 0 [m], (n,); None: not calibrated.
+        scale: Reading per unstrained length, (n,); None: not calibrated.
+        delay: Lead of their readings over poses [s]; None: not calibrated.
+        tilt: Tilt of the frame of measured poses about x and y of W [rad], (2,); None: it is W.
+        turn: Rotation of that frame about z, before the tilt [rad].
     """
 
     offset: Array | None
@@ -62,7 +62,7 @@ class RobotReport:
 
     Attributes:
         robot: The robot.
-        equilibrium: How it hangs at home, B = 1; look at `feasible` first.
+        equilibrium: Equilibrium at home, B = 1; look at `feasible` first.
         shape: Points along each cable at home in W [m], shape (n, samples, 3); straight lines
             where there is no equilibrium.
         sag: Largest distance of each cable to its chord at home [m], shape (n,); NaN where there

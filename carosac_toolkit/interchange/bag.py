@@ -45,7 +45,7 @@ class Bag:
     Attributes:
         paths: Its files.
         topics: By name.
-        assumed: Whether message types are those of ROS 2, as the bag does not define them.
+        assumed: True if message types are those of ROS 2, as the bag does not define them.
     """
 
     def __init__(self, reader: Any, paths: Sequence[Path], assumed: bool) -> None:

@@ -65,12 +65,12 @@ def numbers(
     """Return the numbers of a topic.
 
     Args:
-        bag: Where the topic is.
+        bag: Bag of the topic.
         spec: ``/topic`` or ``/topic.field``; the field may be a number, a list of numbers, or a
             number in each message of a list, such as ``/winches.drives.length``.
-        option: Which option asked for it.
-        stamps: Which clock is preferred, `header` or `receive`.
-        names: Of a topic with names (JointState), which to take, in this order.
+        option: Option that named it.
+        stamps: Preferred clock, `header` or `receive`.
+        names: Columns to take of a topic with names (JointState), in this order.
 
     Raises:
         InvalidField: No such topic or field, or messages that do not go together.
@@ -102,9 +102,9 @@ def poses(bag: Bag, spec: str, *, stamps: str, frames: Sequence[str] = ()) -> To
     """Return positions and quaternions w x y z of a topic, shape (K, 7); ROS orders them x y z w.
 
     Args:
-        bag: Where the topic is.
+        bag: Bag of the topic.
         spec: ``/topic`` or ``/topic.field``.
-        stamps: Which clock is preferred.
+        stamps: Preferred clock.
         frames: Parent and child frame, for a topic of many transforms (tf).
 
     Raises:

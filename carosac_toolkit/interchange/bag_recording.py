@@ -40,12 +40,12 @@ class Topics:
         pose: A topic of poses, or None.
         imu: A topic of ``sensor_msgs/Imu``, or None.
         frames: Parent and child frame, where `pose` is a topic of many transforms.
-        names: Of a topic with names, such as JointState: those of the cables, in their order.
+        names: Names of the cables in a topic with names, such as JointState, in their order.
         together: Stamps of the topics of single cables that are one sample [s], or None.
-        stamps: Which clock is preferred, `header` or `receive`.
-        length_unit: Of lengths, commands and rates per second.
+        stamps: Preferred clock, `header` or `receive`.
+        length_unit: Unit of lengths, commands and rates per second.
         length_kind: `unstrained` or `relative`.
-        robot: Which robot it was, for the metadata.
+        robot: Robot of the recording, for the metadata.
     """
 
     lengths: tuple[str, ...]
@@ -80,8 +80,8 @@ class Imported:
     Attributes:
         recording: Time 0 is the first stamp of all.
         channels: Samples by channel, as they were in the bag.
-        notes: What was left out, or put together.
-        warnings: What looks wrong.
+        notes: Omissions and merges.
+        warnings: Likely mistakes.
     """
 
     recording: Recording

@@ -55,10 +55,10 @@ def complete(
     """Add to a draft what its format does not hold.
 
     Args:
-        draft: What the file says; it is changed.
+        draft: Draft of the file; it is changed.
         fragment: YAML in the layout of the robot file, of any of its fields. Empty ones do not
             count, so that a form may be filled in bit by bit.
-        name: What to call the fragment in messages and provenance.
+        name: Name of the fragment in messages and provenance.
         pairs: ``PATH=VALUE``, single fields.
 
     Raises:

@@ -21,9 +21,9 @@ class Draft:
     Attributes:
         source: Program and files, for people.
         data: In the layout of the robot file, as far as it is known.
-        provenance: Where each number comes from, by path or the start of it.
-        dropped: What the files hold and a robot file does not.
-        warnings: What looks wrong.
+        provenance: Source of each number, by path or the start of it.
+        dropped: Contents of the files that a robot file cannot hold.
+        warnings: Likely mistakes.
     """
 
     source: str
@@ -36,7 +36,7 @@ class Draft:
         """Set a value, with its mappings on the way, and where it comes from.
 
         Args:
-            path: Of the field.
+            path: Path of the field.
             value: Numbers in SI.
             source: Its provenance; none for a text.
         """
@@ -58,7 +58,7 @@ class Draft:
         """Put exit points, anchor points and the chains that join them, one of each a cable.
 
         Args:
-            names: Of the cables.
+            names: Names of the cables.
             exits: Position in W [m], pulley radius [m] (0: an eyelet) and direction of travel
                 into the pulley in W.
             anchors: Positions in P [m].
@@ -87,9 +87,9 @@ class Draft:
         """Put tension limits [N]: once if all cables share them, else at each chain.
 
         Args:
-            low: Of each cable; None where the file has none.
-            high: Of each cable.
-            what: What they are in the file.
+            low: Lower limit of each cable; None if the file has none.
+            high: Upper limit of each cable.
+            what: Name of the limits in the file.
         """
         pairs = list(zip(low, high, strict=True))
         if len(set(pairs)) == 1:

@@ -23,7 +23,7 @@ class SourceFile:
 
     Attributes:
         path: The file.
-        faults: What was found so far.
+        faults: Faults found so far.
     """
 
     def __init__(self, path: Path) -> None:

@@ -30,7 +30,7 @@ def draw_paired(blocks: Sequence[PairedBlock]) -> Figure:
     `SIGNIFICANCE_LEVEL`.
 
     Args:
-        blocks: Of a study; those without a ratio are left out.
+        blocks: Blocks of a study; those without a ratio are left out.
     """
     shown = [block for block in blocks if _rows(block)]
     most = max(len(_rows(block)) for block in shown)

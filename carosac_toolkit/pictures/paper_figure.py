@@ -27,8 +27,8 @@ class FigureSource:
     """Folder that one of our commands wrote.
 
     Attributes:
-        kind: Which of them.
-        folder: Where.
+        kind: Command that wrote it.
+        folder: Path of the folder.
     """
 
     kind: SourceKind
@@ -40,8 +40,8 @@ class Drawn:
     """Figure, and the source of its numbers.
 
     Attributes:
-        figure: It.
-        source: Where its numbers are; None where it has none.
+        figure: The figure.
+        source: Source of its numbers; None if it has none.
         more: Part of the file name that tells it from others of the same kind.
     """
 
@@ -56,9 +56,9 @@ class PaperFigure:
 
     Attributes:
         place: Its place among all figures.
-        name: Of its file.
-        what: What it shows.
-        command: What makes the data that it needs.
+        name: Name of its file.
+        what: Content of the figure.
+        command: Command that makes its data.
         draw: Draws it from the sources that there are; none where they do not suffice.
     """
 

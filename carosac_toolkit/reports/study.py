@@ -51,8 +51,8 @@ def write_report(
     """Draw the pictures and write tables and ``report.html`` into the folder of the study.
 
     Args:
-        results: What was found.
-        said: Sentences on it.
+        results: Results of the study.
+        said: Conclusions, as sentences.
         words: The command that repeats it.
         blocks: Its paired comparisons; by default those with the first of each block.
 

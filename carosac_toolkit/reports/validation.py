@@ -48,10 +48,10 @@ class Context:
 
     Attributes:
         recording: Name or path of the recording, as it was given.
-        metadata: What it says about itself.
+        metadata: Metadata of the recording.
         words: The command that repeats the validation.
         file: The recording's file.
-        guess: How the robot was guessed, or empty.
+        guess: Reason for the guessed robot, or empty.
     """
 
     recording: str
@@ -95,9 +95,9 @@ def write_report(
 
     Args:
         folder: Made if need be; files of an earlier report in it are replaced.
-        result: What was found.
-        said: Sentences on it.
-        context: Where it comes from.
+        result: Result of the validation.
+        said: Conclusions, as sentences.
+        context: Origin of the result.
 
     Returns:
         The files, the report last.

@@ -65,7 +65,7 @@ def find_mix_ups(
         robot: Robot description, n cables.
         length: Measured [m], shape (S, n), S >= 1.
         pose: Measured at the same times.
-        zeros_known: Whether lengths far from the distance are wrong. If not, their zeros may be
+        zeros_known: True if lengths far from the distance are wrong. If not, their zeros may be
             anywhere, and only other units and other orders are looked for.
 
     Returns:

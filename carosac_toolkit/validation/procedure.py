@@ -44,7 +44,7 @@ def validate(
     Args:
         recording: With measured poses and lengths, as it was recorded: what the robot says of its
             sensors (`carosac_toolkit.recordings.encoders`) is applied here.
-        robot: What the models are built for, with as many cables as the recording.
+        robot: Robot of the models, with as many cables as the recording.
         models: Names of estimators, or ``module:Class``; each once.
         start: First sample to score.
         stop: One past the last; None: to the end.

@@ -25,25 +25,25 @@ class ModelResult:
     other field None.
 
     Attributes:
-        name: As it was asked for.
+        name: Name as given.
         reason: Why it has no scores, or None where it has.
-        pose: What it believed.
-        moves: Whether it believes in a twist: a model of the motion, not of rest.
-        converged: Where it says that it found a pose, shape (S,); it keeps its last one elsewhere.
-        scores: Of all samples.
-        moving: Of those in motion.
-        resting: Of those at rest.
+        pose: Estimated poses.
+        moves: True if it estimates a twist: a model of motion, not of rest.
+        converged: True where it reports a solution, shape (S,); elsewhere it keeps its last pose.
+        scores: Scores of all samples.
+        moving: Scores of the samples in motion.
+        resting: Scores of the samples at rest.
         rmse_with_failures: In norm, over all S samples, kept poses included [m].
         length_error: Measured minus predicted unstrained length [m], shape (S, n). Predicted is the
             length at the *measured* pose of a straight cable (chord and wrapped arc) or, for a
             model with tensions, of a hanging cable that pulls with the model's tension there, so
             that sag and stretch count; NaN where there is none or the cable is slack.
-        length_scores: Of `length_error`.
+        length_scores: Scores of `length_error`.
         sag: Mean over samples and cables of the length as it hangs less the chord [m]; None for a
             model without tensions.
         stretch: Mean elongation of cable and run [m]; None for a model without tensions.
         delay: Apparent delay, from the samples in motion.
-        rmse_without_delay: What `moving` would be, in norm, without that delay [m].
+        rmse_without_delay: RMSE of `moving`, in norm, corrected for that delay [m].
         sway: Swing of the error at rest, or None where the rests are too short.
         update_time: Median wall time of an update [s].
     """
@@ -104,18 +104,18 @@ class ValidationResult:
         robot: The robot that the models were given.
         start: First sample that could be scored.
         stop: One past the last.
-        seed: Of everything random in the models.
-        index: Which samples have a measured pose, shape (S,).
-        time: Of these samples [s], shape (S,).
+        seed: Seed of everything random in the models.
+        index: Indices of the samples with a measured pose, shape (S,).
+        time: Time of these samples [s], shape (S,).
         measured: Measured poses at these times.
-        resting: Whether the winches rest, shape (S,).
+        resting: True where the winches rest, shape (S,).
         rests: First and one past the last of these samples for each rest.
         models: By name, in the order asked for.
-        natural_frequency: What statics predicts at the rests [Hz], medians, slowest first, (6,);
+        natural_frequency: Predictions of statics at the rests [Hz], medians, slowest first, (6,);
             None where there is no rest or no stable equilibrium.
         exit_point_distance: Largest distance of an exit point measured in the run from the
             robot's [m], or None where none was measured.
-        warnings: What shows that lengths and poses do not belong together, such as wrong units;
+        warnings: Evidence that lengths and poses do not belong together, such as wrong units;
             empty for a plausible recording.
     """
 

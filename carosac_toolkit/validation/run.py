@@ -25,8 +25,8 @@ class ModelRun:
         position: Platform origin in W [m], shape (K, 3).
         rotation: Rotation from P to W, shape (K, 3, 3).
         tension: At the platform [N], shape (K, n), NaN where it had none; None: it has no forces.
-        converged: Whether the model itself found a pose, shape (K,).
-        moves: Whether it believed in a twist.
+        converged: True where the model itself found a pose, shape (K,).
+        moves: True if it estimated a twist.
         seconds: Wall time of each update [s], shape (K,); the first is the reset.
     """
 

@@ -17,12 +17,12 @@ class PoseScores:
     """Pose error of a model over some samples; axes in order x, y, z of W, then the norm.
 
     Attributes:
-        samples: How many were scored; every other number is NaN where it is 0.
+        samples: Number of scored samples; every other number is NaN where it is 0.
         bias: Mean of model minus measured position [m], shape (3,).
         rmse: Root mean square [m], shape (4,).
         mae: Mean of the absolute value [m], shape (4,).
         max: Largest absolute value [m], shape (4,).
-        orientation_rmse: Of the angle of R_measured^T R_model [rad].
+        orientation_rmse: Root mean square of the angle of R_measured^T R_model [rad].
         orientation_max: [rad].
     """
 

@@ -21,9 +21,9 @@ def add_gizmo(page: Page, position: Array, rotation: Array | None = None, *,
 
     Args:
         page: The page.
-        position: Where it is in W [m], shape (3,).
+        position: Position in W [m], shape (3,).
         rotation: From it to W, shape (3, 3); by default its axes are those of W.
-        rotations: Whether it turns.
+        rotations: True to let it rotate.
     """
     turn = np.eye(3) if rotation is None else rotation
     return page.server.scene.add_transform_controls(

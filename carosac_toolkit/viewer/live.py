@@ -33,11 +33,11 @@ class Instant:
         time: By the driver's clock [s].
         position: True platform origin in W [m], shape (3,).
         rotation: True rotation from P to W, shape (3, 3).
-        reference: Where the platform should be now in W [m], shape (3,).
-        believed: Where the estimator believes it in W [m], shape (3,).
+        reference: Reference position now in W [m], shape (3,).
+        believed: Estimated position in W [m], shape (3,).
         tension: True [N], shape (n,), or None.
         unstrained_length: True [m], shape (n,), or None.
-        points: Of the cables in W [m], shape (n, samples, 3), where the plant knows them.
+        points: Points of the cables in W [m], shape (n, samples, 3), where the plant knows them.
         limited: Names of the limits that have changed the command.
         overruns: Ticks that the loop has missed up to now.
     """
@@ -62,8 +62,8 @@ class LiveWatch:
         driver: Simulated, with a plant and the count of overruns.
         instants: Takes instants at once, and says when one is due.
         cycles: Up to now.
-        limits: How often each limit changed a command, by cycles.
-        latencies: Of estimator and controller, the latest cycles [s].
+        limits: Number of cycles in which each limit changed a command.
+        latencies: Latencies of estimator and controller in the latest cycles [s].
     """
 
     driver: Any
@@ -138,7 +138,7 @@ class LivePage:
 
         Args:
             page: The page.
-            target: That is moved; where it refuses to go, the page says why and it stays.
+            target: Target that is moved; if it refuses to move, the page says why.
             moved: Told of each new target in W [m], shape (3,).
         """
         self._target, self._moved = target, moved
@@ -192,10 +192,10 @@ def follow(
     Args:
         instants: Gets what the page shows.
         driver: Simulated, in real time.
-        estimator: Of the loop.
-        controller: Of the loop.
-        target: That is followed.
-        duration: How long [s]; None: until interrupted.
+        estimator: Estimator of the loop.
+        controller: Controller of the loop.
+        target: Target to follow.
+        duration: Duration [s]; None: until interrupted.
 
     Returns:
         What the loop did, and the error that has ended it.

@@ -32,11 +32,11 @@ class Page:
     """Server of one page. Close it.
 
     Attributes:
-        robot: What is shown.
+        robot: Robot to show.
         rate: Pictures a second, at most.
-        plain: Whether it is cheap to draw.
+        plain: True if it is cheap to draw.
         server: `viser.ViserServer`.
-        scene: Where the robot is drawn.
+        scene: Scene of the robot.
         plots: Beside it.
         publisher: Draws the pictures that `offer` gets.
         picture: The last one that was drawn, or None.
@@ -49,13 +49,13 @@ class Page:
         """Start the server.
 
         Args:
-            robot: What is shown.
-            title: Of the page.
+            robot: Robot to show.
+            title: Title of the page.
             host: Address to listen at.
             port: To listen at; the next free one where it is taken.
             rate: Pictures a second, at most.
-            followed: What the target of a picture is, in a word.
-            plain: Whether it should be cheap to draw, for a browser without a GPU.
+            followed: Word for the target of a picture.
+            plain: True for a page that is cheap to draw, for a browser without a GPU.
         """
         self.robot, self.rate, self._followed, self.plain = robot, rate, followed, plain
         self.server = start_server(host, port, title)

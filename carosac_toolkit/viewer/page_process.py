@@ -36,13 +36,13 @@ class PageOptions:
     """Settings of the page's process.
 
     Attributes:
-        robot: What is shown.
-        title: Of the page.
+        robot: Robot to show.
+        title: Title of the page.
         host: Address to serve at.
         port: To serve at, or the next free one.
         enlarged: Factor on the sag that is drawn.
         rate: Pictures a second, at most.
-        plain: Whether it should be cheap to draw.
+        plain: True for a page that is cheap to draw.
     """
 
     robot: Robot
@@ -58,7 +58,7 @@ class PageProcess:
     """Page that shows instants and returns targets. Close it.
 
     Attributes:
-        url: Where the page is.
+        url: Address of the page.
         instants: Sends the latest instant, from a thread; closed by `follow`.
         drawn: Pictures that the page has drawn; known after `close`.
     """
@@ -67,7 +67,7 @@ class PageProcess:
         """Start the process, and wait until it serves.
 
         Args:
-            options: What is shown, and where.
+            options: Settings of the page.
             moved: Told of each new target in W [m], shape (3,).
 
         Raises:

@@ -24,12 +24,12 @@ class Picture:
         rotation: From P to W, shape (3, 3).
         points: Along each cable in W [m], shape (n, samples, 3).
         tension: At the platform [N], shape (n,); NaN where unknown.
-        straight: Cables whose shape nobody knows, drawn straight, shape (n,).
-        target: Where the platform should be in W [m], shape (3,), or None.
-        believed: Where an estimator believes it in W [m], shape (3,), or None.
-        held: Whether this is the last feasible pose, as what was asked for is none.
-        status: What to say of it.
-        problem: Whether that is bad news.
+        straight: Cables of unknown shape, drawn straight, shape (n,).
+        target: Reference position in W [m], shape (3,), or None.
+        believed: Estimated position in W [m], shape (3,), or None.
+        held: True if this is the last feasible pose, as the requested one is not.
+        status: Status line.
+        problem: True if the status reports a problem.
     """
 
     time: float
@@ -81,12 +81,12 @@ def take_picture(
         time: [s].
         unstrained_length: [m], shape (n,), or None.
         tension: At the platform [N], shape (n,), or None; by default that of the shape.
-        target: Where the platform should be in W [m], shape (3,), or None.
-        believed: Where an estimator believes it in W [m], shape (3,), or None.
+        target: Reference position in W [m], shape (3,), or None.
+        believed: Estimated position in W [m], shape (3,), or None.
         held: As `Picture.held`.
         status: As `Picture.status`.
         problem: As `Picture.problem`.
-        points: Of the cables in W [m], shape (n, samples, 3), where somebody knows them.
+        points: Points of the cables in W [m], shape (n, samples, 3), if known.
     """
     straight = np.zeros(robot.n, dtype=bool)
     known = tension

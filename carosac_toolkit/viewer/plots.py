@@ -28,7 +28,7 @@ class Plots:
     """Two charts of a page. Call from one thread at a time.
 
     Attributes:
-        whole: Whether they show a whole run with a dot for now, and not the last seconds.
+        whole: True if they show a whole run with a dot for now, and not the last seconds.
     """
 
     def __init__(self, gui: Any, robot: Robot, followed: str, *, plain: bool = False) -> None:
@@ -37,8 +37,8 @@ class Plots:
         Args:
             gui: `viser.GuiApi`.
             robot: The robot.
-            followed: What the platform should reach, in a word.
-            plain: Whether they are drawn less often.
+            followed: Word for the target of the platform.
+            plain: True if they are drawn less often.
         """
         self._robot = robot
         self._refresh = PLAIN_REFRESH_INTERVAL_S if plain else REFRESH_INTERVAL_S

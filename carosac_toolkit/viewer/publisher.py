@@ -20,9 +20,9 @@ class Publisher(Generic[T]):
     The one who offers never waits for the drawing.
 
     Attributes:
-        drawn: How many were drawn.
-        dropped: How many were replaced by a newer one before they were drawn.
-        error: What `draw` raised; nothing is drawn after it.
+        drawn: Number of pictures drawn.
+        dropped: Number of pictures replaced by a newer one before they were drawn.
+        error: Exception raised by `draw`; nothing is drawn after it.
     """
 
     def __init__(

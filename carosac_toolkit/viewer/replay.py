@@ -27,11 +27,11 @@ class Replay:
     """Connection of a page with runs.
 
     Attributes:
-        run: That is played.
-        ghost: That is played beside it, or None.
+        run: Run that is played.
+        ghost: Run that is played beside it, or None.
         now: Time of the run [s].
-        playing: Whether time passes.
-        over: Whether `play` shall end.
+        playing: True while time passes.
+        over: True to end `play`.
     """
 
     def __init__(self, page: Page, runs: Sequence[RecordedRun], ghost: int | None = None) -> None:

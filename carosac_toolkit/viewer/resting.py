@@ -42,7 +42,7 @@ class RestingRobot:
         """Move to a position, if the robot can rest there.
 
         Args:
-            position: Of the platform origin in W [m], shape (3,).
+            position: Platform origin in W [m], shape (3,).
             rotation: From P to W, shape (3, 3); only with six cables or more.
         """
         held = None if self.robot.n < 6 or rotation is None else rotation[None]

@@ -34,14 +34,14 @@ class RecordedRun:
 
     Attributes:
         name: For people.
-        robot: Of its cables.
+        robot: Robot of the run.
         time: From its start [s], shape (T,).
         position: Platform origin in W [m], shape (T, 3).
         rotation: From P to W, shape (T, 3, 3).
         tension: At the platform [N], shape (T, n); NaN where unknown.
-        target: Where the platform should have been in W [m], shape (T, 3), or None.
-        believed: Where an estimator believed it in W [m], shape (T, 3), or None.
-        source: Where poses, tensions and target come from, in words.
+        target: Reference positions in W [m], shape (T, 3), or None.
+        believed: Estimated positions in W [m], shape (T, 3), or None.
+        source: Sources of poses, tensions and target, in words.
     """
 
     name: str

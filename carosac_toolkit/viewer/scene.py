@@ -38,9 +38,9 @@ class RobotScene:
 
     Attributes:
         enlarged: Factor on the distance of the cables from their chords.
-        trails: Whether the ways of platform and target are drawn.
-        labels: Whether cables are named, with their tensions.
-        own_trails: Whether trails are the ways of the pictures shown up to now; else somebody
+        trails: True if the ways of platform and target are drawn.
+        labels: True if cables are named, with their tensions.
+        own_trails: True if trails are the ways of the pictures shown up to now; else somebody
             calls `draw_way`.
     """
 
@@ -53,8 +53,8 @@ class RobotScene:
         Args:
             scene: `viser.SceneApi`.
             robot: The robot, n cables.
-            name: Where it is in the tree of the scene.
-            ghost: Whether this is a second run beside another.
+            name: Node in the tree of the scene.
+            ghost: True if this is a second run beside another.
             plain: Cheap to draw: without floor, labels only once somebody wants them, exit
                 points as dots, cables and trails of fewer points, trails less often.
         """

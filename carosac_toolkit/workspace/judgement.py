@@ -29,7 +29,7 @@ class Verdicts:
     Attributes:
         rest: Equilibria with the tensions of the largest margin; where `rest.converged` is False
             there is none and only position and, with n >= 6, rotation mean something.
-        margin: How far the tensions can be kept from their limits [N], shape (B,), the least over
+        margin: Distance of the tensions from their limits [N], shape (B,), the least over
             the required wrenches; negative: by so much the limits would have to be widened.
             Minus infinity where nothing balances, NaN where it was not computed.
         limit: The `Limit` that keeps each pose out, `Limit.INSIDE` where none does, shape (B,).
@@ -83,8 +83,8 @@ def judge(
         position: Platform origin in W [m], shape (B, 3).
         rotation: Rotation from P to W, shape (B, 3, 3); None: the home rotation with n >= 6. With
             n < 6 it must be None: the rotation is found.
-        settings: What is asked of a pose; None: the defaults.
-        lines: Where each line of neighbouring poses begins; see `widest_rest.hold`.
+        settings: Demands on a pose; None: the defaults.
+        lines: Start of each line of neighbouring poses; see `widest_rest.hold`.
 
     Returns:
         A verdict for each pose. It does not depend on the other poses of the batch, apart from

@@ -25,7 +25,7 @@ class Region:
     Attributes:
         robot: The robot.
         grid: The positions.
-        settings: What was asked of a pose.
+        settings: Demands on a pose.
         verdicts: One for each position of `grid.positions`; with several orientations the worst.
     """
 
@@ -163,7 +163,7 @@ def compute(
     Args:
         robot: Robot description, n cables.
         grid: Positions; see `box_grid` and `slice_grid`.
-        settings: What is asked of a pose; None: the defaults.
+        settings: Demands on a pose; None: the defaults.
         orientations: Rotations from P to W, each (3, 3), with all of which a position must be held
             (n >= 6 only); None: the home rotation, or with n < 6 the one that is found.
 

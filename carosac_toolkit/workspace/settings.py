@@ -16,7 +16,7 @@ class WorkspaceSettings:
     """Demands on a pose; tension limits, winch lengths and stability are always demanded.
 
     Attributes:
-        sag: Whether cables hang under their own weight; False: straight elastic cables.
+        sag: True if cables hang under their own weight; False: straight elastic cables.
         force: Extra forces to be withstood besides the weight, at the platform origin: any within
             plus or minus these along x, y, z of W [N].
         moment: The same of extra moments about x, y, z of W [N m].

@@ -29,10 +29,10 @@ class Compared:
     """Group of a study beside the baseline, by its errors.
 
     Attributes:
-        label: What tells it from the others.
+        label: Label that distinguishes it from the others.
         names: Controller, estimator and suite.
-        cases: That were run.
-        failures: Of these, without a score.
+        cases: Number of cases run.
+        failures: Number of these without a score.
         typical: Typical value of each error over the cases [m].
         pairs: Against the baseline; empty for the baseline itself.
         best: Errors in which it is better than each of the others, beyond doubt.
@@ -71,7 +71,7 @@ class PairedBlock:
         perturbation: The condition that its plants are drawn from.
         baseline: Label of what the others are compared with.
         seeds: Independent draws.
-        trajectories: Of each seed.
+        trajectories: Number of trajectories of each seed.
         compared: In the order of the study.
     """
 
@@ -91,7 +91,7 @@ def paired_blocks(results: StudyResults, baseline: str | None = None) -> list[Pa
     """Compare every group with the baseline of its robot and condition.
 
     Args:
-        results: Of the study.
+        results: Results of the study.
         baseline: Label as `labels_by` gives for `COMPARED_COLUMNS`; by default the first
             group of each block.
 

@@ -49,7 +49,7 @@ class Pair:
 
     Attributes:
         cases: Cases of both, without those in which this error means nothing.
-        scored: Of these, cases in which both have the error.
+        scored: Number of these in which both have the error.
         seeds: Different seeds of these cases.
         failed: Cases without a score of A and of B.
         won: Cases in which the error of A is smaller, or B alone failed.
@@ -109,8 +109,8 @@ def compare(rows: Sequence[Row], others: Sequence[Row], column: str) -> Pair:
     that succeeded without this error are left out, such as paths that never come near the boundary.
 
     Args:
-        rows: Of A, on one robot and condition.
-        others: Of B, on the same.
+        rows: Rows of A, on one robot and condition.
+        others: Rows of B, on the same.
         column: Name of the error, which is smaller for the better one.
     """
     mine, theirs = errors_by_case(rows, column), errors_by_case(others, column)

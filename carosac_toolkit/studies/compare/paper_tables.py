@@ -39,7 +39,7 @@ class Sheet:
     """Table of cells as text without any mark-up.
 
     Attributes:
-        title: What it is of.
+        title: Subject of the table.
         header: Column titles, with units.
         rows: Cells.
         left: Columns on the left that hold names.
@@ -142,8 +142,8 @@ def markdown(blocks: Sequence[PairedBlock], origin: str = "") -> str:
     """Return all tables as Markdown.
 
     Args:
-        blocks: Of the study.
-        origin: How they were made, as a last paragraph.
+        blocks: Blocks of the study.
+        origin: Origin of the numbers, as a last paragraph.
     """
     parts = [f"**{sheet.title}**\n\n{markdown_table(sheet)}" for sheet in sheets(blocks)]
     return "\n\n".join(filter(None, [*parts, explanation(blocks), origin])) + "\n"
@@ -153,8 +153,8 @@ def latex(blocks: Sequence[PairedBlock], origin: str = "") -> str:
     r"""Return all tables as LaTeX, to be read with ``\input``; they need the package booktabs.
 
     Args:
-        blocks: Of the study.
-        origin: How they were made, as a comment.
+        blocks: Blocks of the study.
+        origin: Origin of the numbers, as a comment.
     """
     head = ["% \\usepackage{booktabs}", *(f"% {line}" for line in origin.splitlines())]
     notes = f"% {explanation(blocks)}"

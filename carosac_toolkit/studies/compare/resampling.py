@@ -65,9 +65,9 @@ def interval(
     Args:
         statistic: Called with one table of shape (R, S, T) for each of `tables`.
         tables: Shape (S, T), NaN where there is no case; one row per seed.
-        confidence: Of the interval.
-        resamples: How many.
-        seed: Of the resampling.
+        confidence: Confidence level of the interval.
+        resamples: Number of resamples.
+        seed: Seed of the resampling.
 
     Returns:
         Lower and upper end; None with fewer than `INTERVAL_SEEDS_MIN` seeds, in all or on a
@@ -124,7 +124,7 @@ def sign_flip_p(
         outcomes: 1, 0 or -1 for a case that the first of the two won, that nobody won, or that it
             lost, shape (S, T), one row per seed; NaN where there is no case.
         draws: Random exchanges with more seeds than `EXACT_TEST_SEEDS_MAX`.
-        seed: Of these.
+        seed: Seed of these exchanges.
 
     Returns:
         p, or None without a case.

@@ -44,7 +44,7 @@ class StudyResults:
 
     Attributes:
         rows: One per case, in the order of the cases.
-        folder: Where they are kept.
+        folder: Folder that holds them.
     """
 
     rows: tuple[Row, ...]

@@ -41,24 +41,25 @@ class Study:
         controllers: Names, or ``module:Class``.
         estimators: Names, or ``module:Class``; ``truth`` is what a simulated driver knows.
         suites: Sensor suites that the driver has.
-        trajectories: Of the catalogue, `carosac_toolkit.trajectories.NAMES`; on the driver
+        trajectories: Names of the catalogue, `carosac_toolkit.trajectories.NAMES`; on the driver
             `replay` all of these are ``recorded`` instead, the path of the recording.
         perturbations: Conditions that the plants are drawn from.
-        seeds: How many draws, 0, 1, 2 and so on; or which.
+        seeds: Number of draws, with seeds 0, 1, 2 and so on; or a list of seeds.
         driver: Name, or ``module:Class``.
-        speed_max: Of the trajectories [m/s].
-        acceleration_max: Of the trajectories [m/s^2].
+        speed_max: Largest speed of the trajectories [m/s].
+        acceleration_max: Largest acceleration of the trajectories [m/s^2].
         controller_settings: By the name of a controller, fields of its own settings.
         estimator_settings: By the name of an estimator, fields of its own settings.
         driver_settings: Fields of the driver's own settings.
         output: Folder of the results; a second run with the same folder goes on. None is
             ``carosac-results/compare``, numbered where another study is there already.
         scheduler: Address of a dask scheduler, or None for processes of this machine.
-        workers: How many processes; 0 is this one; None is as many as there are cores.
-        timeout: How long a case may run [s].
+        workers: Number of processes; 0 runs in this one; None is one per core.
+        timeout: Time limit of a case [s].
         retry: Statuses of finished cases to run again: ``failed``, ``crashed``, ``timed_out``.
-        batch: How many seeds run together in one simulation, where driver, controller and estimator
-            can; 1 is each alone. The rows are the same to rounding, but without latencies.
+        batch: Number of seeds that run together in one simulation, if driver, controller and
+            estimator can; 1 is each alone. The rows are the same to rounding, but without
+            latencies.
     """
 
     robots: Sequence[str] = ("carosac",)
@@ -141,7 +142,7 @@ class Study:
         """Check everything, run the missing cases of the folder, and score.
 
         Args:
-            progress: Whether to tell on standard error how far it is.
+            progress: True to report progress on standard error.
 
         Raises:
             CarosacError: As `check` and `run_cases`.

@@ -48,7 +48,7 @@ class ReferenceSuite:
 
     Attributes:
         name: With its version.
-        definition: As in its file: names and numbers.
+        definition: Content of its file: names and numbers.
     """
 
     name: str

@@ -44,7 +44,7 @@ class PartResults:
     """Results of one part of a suite on one robot.
 
     Attributes:
-        task: What was run.
+        task: Task that was run.
         results: Its rows, with those of others where they were asked for.
     """
 

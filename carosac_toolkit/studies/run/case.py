@@ -33,7 +33,7 @@ class Case:
         suite: Name of the sensor suite.
         trajectory: Name of the trajectory.
         perturbation: Name of the condition that the plant is drawn from.
-        seed: Which draw of everything random, >= 0.
+        seed: Number of the draw of everything random, >= 0.
         settings: All else that decides the result, as JSON values: name of the driver, limits,
             duration [s], settings of controller and estimator. ``timeout`` [s] overrides the
             study's time limit for this case.

@@ -55,7 +55,7 @@ def local_client(workers: int) -> Iterator[Any]:
     Nothing listens on any network but the loopback interface.
 
     Args:
-        workers: How many.
+        workers: Number of workers.
     """
     import dask
     from distributed import Client, LocalCluster

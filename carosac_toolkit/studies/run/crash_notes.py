@@ -18,10 +18,10 @@ class Death:
     """End of earlier attempts at a case.
 
     Attributes:
-        attempts: How many attempts ended with the process.
-        timed_out: Whether the last one was ended because it did not stop when its time was up.
-        cause: What is known of the cause; empty where nothing is.
-        wall_time: What the last attempt took, as far as known [s].
+        attempts: Number of attempts that ended with the process.
+        timed_out: True if the last one was ended because it did not stop when its time was up.
+        cause: Known cause; empty if unknown.
+        wall_time: Duration of the last attempt, as far as known [s].
     """
 
     attempts: int

@@ -26,7 +26,7 @@ class Dispatcher:
 
     Args:
         client: Client of the scheduler.
-        tasks: What to do.
+        tasks: Tasks to run.
         say: Tells the user a line.
     """
 

@@ -55,25 +55,25 @@ def run_cases(
         cases: The cases, all different.
         function: Case function, as ``module:name``: takes a `Case` and returns a flat dict of
             finite numbers, text, true/false and None. It runs in another process in general.
-        folder: Where the rows go. A folder that holds fewer cases of the same study is extended.
+        folder: Folder for the rows. A folder that holds fewer cases of the same study is extended.
         scheduler: Address of a dask scheduler to use, such as ``tcp://host:8786``. Its workers
             need one thread each (``--nthreads 1``) and the same version of the toolkit.
         workers: Number of worker processes on this machine; 0 runs all cases in this process,
             which shares the fate of a case that dies. By default as many as there are cores, and 0
             for a handful of cases.
-        timeout: How long a case may run [s]; a case's own ``settings["timeout"]`` goes before.
+        timeout: Time limit of a case [s]; a case's own ``settings["timeout"]`` takes precedence.
             It then has 5 s, or once more its time if that is less, before its process is ended.
-        attempts: How many times a case may cost its process before it is given up.
+        attempts: Number of times that a case may kill its process before it is given up.
         retry: Statuses of finished cases to run again: ``"failed"``, ``"crashed"``,
             ``"timed_out"``.
         again: Identities of finished cases to run again, whatever came of them.
         batching: How cases run together; None: each alone. Where one of a batch fails, or its
             process dies, all of it run alone.
-        own_files: Whether the case function takes the study's folder as a second argument, for
+        own_files: True if the case function takes the study's folder as a second argument, for
             files of its own. Workers of a scheduler must see the same folder then.
         share: Tells how much of the work is done, 0 to 1, where cases are few and long; without
             it the finished cases tell.
-        progress: Whether to tell on standard error how far the study is.
+        progress: True to report progress on standard error.
 
     Raises:
         InvalidField: An argument is not allowed.

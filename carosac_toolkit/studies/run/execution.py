@@ -37,8 +37,8 @@ class WorkerTask:
         identities: Their identities by the sender's reckoning.
         function: The case function, as ``module:name``.
         together: The function that runs several, as ``module:name``.
-        timeout: How long each case may run [s].
-        attempts: How many times the process of one case may die.
+        timeout: Time limit of each case [s].
+        attempts: Number of times that the process of one case may die.
         notes: Folder of the notes, on a file system that sender and worker may or may not share.
         own_folder: Folder for the function's own files, which it takes as its second argument;
             empty: it takes none.
@@ -72,7 +72,7 @@ class WorkerAnswer:
     """Answer of a worker.
 
     Attributes:
-        identity: Of the task.
+        identity: Identity of the task.
         rows: A row for each case; none where several could not run together.
     """
 

@@ -19,8 +19,8 @@ class Progress:
     Args:
         total: Number of cases of the study.
         done: Rows that are there already.
-        quiet: Whether to say nothing.
-        stream: Where to write; standard error by default.
+        quiet: True to report nothing.
+        stream: Output stream; standard error by default.
         share: Tells how much of the work is done, 0 to 1; None: as many as cases are finished.
     """
 

@@ -42,8 +42,8 @@ def make_row(
         status: ``"ok"``; ``"failed"``: it raised; ``"timed_out"``: it ran longer than allowed;
             ``"crashed"``: its process died each time.
         reason: Why it is not ok.
-        wall_time: What the run took [s].
-        values: What the case function returned, as `checked_values` lets it through.
+        wall_time: Wall time of the run [s].
+        values: Values of the case function, as `checked_values` lets it through.
     """
     row: Row = {"case": case.identity, "status": status, "reason": _shortened(reason)}
     row |= {name: getattr(case, name) for name in (*CASE_COLUMNS, "seed")}

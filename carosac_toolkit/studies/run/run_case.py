@@ -28,7 +28,7 @@ from carosac_toolkit.studies.run.scores import score
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
 DEFAULT_DRIVER = "simulator"
-CASE_DRIVER_SETTINGS = (  # what a case says itself
+CASE_DRIVER_SETTINGS = (  # set by the case itself
     "suite", "period", "start_position", "set_down", "wind_force", "wind_time",
 )  # fmt: skip
 FINAL_REST_S = 3.0  # after the trajectory, for the residual sway: more than a period
@@ -175,12 +175,12 @@ def build_part(
     """Make a plug-in by name, with its own settings.
 
     Args:
-        kind: Of the plug-in.
-        name: Of the plug-in, or of a variant of it.
-        robot: What it is for; several for a driver of a batch.
+        kind: Kind of the plug-in.
+        name: Name of the plug-in, or of a variant of it.
+        robot: Robot that it is built for; several for a driver of a batch.
         case: Whose settings count, and whose seed.
-        key: Where its settings are among those of the case.
-        given: Settings that the case itself says, as far as it has them.
+        key: Key of its settings among those of the case.
+        given: Settings that the case itself sets, as far as the plug-in has them.
         seeds: For a driver of a batch, one for each robot.
     """
     plugin = plugins.load(kind, plugin_name(name))

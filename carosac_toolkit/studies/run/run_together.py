@@ -58,7 +58,7 @@ def run_together(cases: Sequence[Case]) -> list[dict[str, Any]]:
     """Run and score cases of one group.
 
     Args:
-        cases: Of one `group_of`, which differ in their seeds.
+        cases: Cases of one `group_of`, which differ in their seeds.
 
     Returns:
         A row for each, as `run_case`; the latencies are None.

@@ -33,7 +33,7 @@ def score(log: Log, robot: Robot, duration: float, *, replayed: bool = False) ->
         log: Log of the run.
         robot: The nominal robot, for its workspace box.
         duration: Duration of the trajectory [s]; the platform should rest after it.
-        replayed: Whether the driver played a recording, on which no controller tracks anything.
+        replayed: True if the driver played a recording, on which no controller tracks anything.
 
     Returns:
         Difference of the lengths asked and sent; tracking error (truth minus reference) and

@@ -25,7 +25,7 @@ class TimeLimit:
     `time.sleep` included, stops only when that call returns.
 
     Args:
-        seconds: How long the block may run [s].
+        seconds: Time limit of the block [s].
     """
 
     def __init__(self, seconds: float) -> None:
