@@ -131,7 +131,7 @@ def _over_time(sources: Sequence[FigureSource]) -> list[Drawn]:
     return []
 
 
-PAPER_FIGURES = (
+FIGURES = (
     PaperFigure(
         place=1, name="simulated_and_real_path", command=VALIDATE_COMMAND,
         draw=_validated(draw_paths), what="path in space, simulated against real",

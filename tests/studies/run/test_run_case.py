@@ -106,7 +106,7 @@ def test_another_sensor_changes_neither_plant_nor_encoders():
 
 def test_what_the_case_says_cannot_be_overridden():
     settings = FAST | {"driver_settings": {"suite": "lengths+pose"}}
-    with pytest.raises(InvalidField, match=r"driver_settings.suite: .*the case itself says it"):
+    with pytest.raises(InvalidField, match=r"driver_settings.suite: .*the case itself sets it"):
         run_case(case(settings=settings))
 
 

@@ -22,7 +22,11 @@ CASES = some_cases(40, duration=0.05)
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch):
-    for name, seconds in {"PATIENCE": 3.0, "NOTICE": 0.5, "INTERVAL": 0.2, "ANSWER": 2.0}.items():
+    durations = {
+        "CLUSTER_PATIENCE_S": 3.0, "NOTICE_AFTER_S": 0.5, "QUERY_INTERVAL_S": 0.2,
+        "ANSWER_TIMEOUT_S": 2.0,
+    }  # fmt: skip
+    for name, seconds in durations.items():
         monkeypatch.setattr(worker_presence, name, seconds)
 
 
