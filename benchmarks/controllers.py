@@ -352,7 +352,7 @@ def endurance(name: str, steps: int = STEPS) -> tuple[str, ...]:
 
 def draw_sweep(rows: Sequence[dict[str, Any]], names: Sequence[str]) -> None:
     """Tracking error and sway under wrong parameters."""
-    from carosac_toolkit.pictures.drawing import COLORS, new_figure
+    from carosac_toolkit.pictures.drawing import SERIES_COLORS, new_figure
 
     figure = new_figure(9.0, 6.0)
     grid = figure.subplots(2, len(ROBOTS), sharex=True)
@@ -370,7 +370,7 @@ def draw_sweep(rows: Sequence[dict[str, Any]], names: Sequence[str]) -> None:
                     for wrong in WRONG
                 ]  # fmt: skip
                 place = np.arange(len(WRONG)) + (k - 0.5 * (len(names) - 1)) * width
-                axes.bar(place, values, width, color=COLORS[k], label=name)
+                axes.bar(place, values, width, color=SERIES_COLORS[k], label=name)
             axes.set_yscale("log")
             axes.set_ylabel(label)
             axes.grid(axis="y", alpha=0.3)

@@ -14,8 +14,12 @@ import sys
 from pathlib import Path
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.studies.reference.cases import LATEST, ReferenceSuite
-from carosac_toolkit.studies.reference.check import FLOOR, SHARE, agreement
+from carosac_toolkit.studies.reference.cases import LATEST_SUITE, ReferenceSuite
+from carosac_toolkit.studies.reference.check import (
+    DIFFERENCE_MIN_M,
+    MACHINE_DIFFERENCE_RATIO,
+    agreement,
+)
 from carosac_toolkit.studies.reference.results import (
     RECORD,
     RESULTS,
@@ -34,13 +38,14 @@ def check(folder: Path, committed: Path = COMMITTED) -> list[str]:
     Raises:
         CarosacError: There are no results, or they are of another definition.
     """
-    suite = ReferenceSuite.load(LATEST)
+    suite = ReferenceSuite.load(LATEST_SUITE)
     check_same(suite, folder)
     check_same(suite, committed)
     found = agreement(read_rows(folder), read_rows(committed))
     print(
         f"{len(found.differences)} typical errors compared; the largest difference is "
-        f"{100 * found.largest:.2g} %, allowed are {100 * SHARE:g} % or {1e3 * FLOOR:g} mm"
+        f"{100 * found.largest:.2g} %, allowed are {100 * MACHINE_DIFFERENCE_RATIO:g} % or "
+        f"{1e3 * DIFFERENCE_MIN_M:g} mm"
     )
     return [*found.faults, *(f"{', '.join(way)}: missing in {folder}" for way in found.missing)]
 
@@ -51,7 +56,7 @@ def update(folder: Path, committed: Path = COMMITTED) -> None:
     Raises:
         CarosacError: It is none, or not of the whole suite.
     """
-    suite = ReferenceSuite.load(LATEST)
+    suite = ReferenceSuite.load(LATEST_SUITE)
     check_same(suite, folder)
     wanted = {
         (task.part, task.robot, c, e)

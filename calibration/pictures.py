@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calibration.estimate import ParameterEstimate
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.pictures.drawing import COLORS, new_figure
+from carosac_toolkit.pictures.drawing import SERIES_COLORS, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -124,7 +124,7 @@ def draw_residuals(
     kept = residual[~left_out]
     reach = 1.15e3 * float(np.abs(kept).max(initial=1e-6))
     for i, name in enumerate(cable_names):
-        color, good = COLORS[i % len(COLORS)], ~left_out[:, i]
+        color, good = SERIES_COLORS[i % len(SERIES_COLORS)], ~left_out[:, i]
         over, beside = grid[i]
         values = residual[:, i] * 1e3
         over.plot(where[good], values[good], ".", color=color, ms=3.5)
@@ -159,7 +159,7 @@ def draw_learnt(estimate: ParameterEstimate) -> Figure:
     first.set(xlabel="1 sigma after / before", xlim=(0.0, max(1.05, float(left.max(initial=0.0)))))
     first.set_yticks(place, names, fontsize=8)
     first.invert_yaxis()
-    second.barh(place, moved, color=COLORS[0], alpha=0.75)
+    second.barh(place, moved, color=SERIES_COLORS[0], alpha=0.75)
     second.axvline(1.0, color="#808080", lw=0.8)
     second.set(xlabel="moved by, in sigmas before")
     for axes in (first, second):

@@ -19,7 +19,7 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies import Case, Row, run_cases
 from carosac_toolkit.studies.run.cluster import usable_cores
 from carosac_toolkit.studies.run.folder import free_folder
-from carosac_toolkit.studies.run.rows import STATUSES
+from carosac_toolkit.studies.run.rows import CASE_STATUSES
 from carosac_toolkit.studies.run.run_case import digest_of, robot_digest, robot_of
 from learned.changes import changed, concerned, label_of
 from learned.curve import COLUMNS, CURVE, read_curve
@@ -30,7 +30,7 @@ FUNCTION = "learned.training_study:train_case"
 CPU = "cpu"  # of studies that do not say where
 NONE = "none"  # of what a case of a study has and a training has not
 TIME_LIMIT = 30 * 24 * 3600.0  # [s] of one training
-AGAIN = tuple(name for name in STATUSES if name != "ok")
+AGAIN = tuple(name for name in CASE_STATUSES if name != "ok")
 RANDOM_SHARE = 0.2  # of shortened trainings, at most, is random
 
 

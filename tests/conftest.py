@@ -59,9 +59,9 @@ def blank_pictures(monkeypatch):
 
     from carosac_toolkit.pictures import comparison, validation
 
-    for module in (comparison, validation):
-        blank = dict.fromkeys(module.PICTURES, lambda _: Figure())
-        monkeypatch.setattr(module, "PICTURES", blank)
+    for module, name in ((comparison, "COMPARISON_PICTURES"), (validation, "VALIDATION_PICTURES")):
+        blank = dict.fromkeys(getattr(module, name), lambda _: Figure())
+        monkeypatch.setattr(module, name, blank)
 
 
 @pytest.fixture(scope="session")

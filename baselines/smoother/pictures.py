@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from baselines.smoother.result import Smoothed
-from carosac_toolkit.pictures.drawing import COLORS, MEASURED, REST, new_figure
+from carosac_toolkit.pictures.drawing import MEASURED_COLOR, REST_COLOR, SERIES_COLORS, new_figure
 from carosac_toolkit.validation.phases import find_phases
 
 if TYPE_CHECKING:
@@ -22,17 +22,19 @@ def draw_estimate(result: Smoothed, robot: str) -> Figure:
     for i, (left, right) in enumerate(panels):
         _shade(result, left)
         _shade(result, right)
-        left.plot(result.time, result.position[:, i], color=COLORS[1], lw=1.2, label="smoothed")
+        left.plot(
+            result.time, result.position[:, i], color=SERIES_COLORS[1], lw=1.2, label="smoothed"
+        )
         right.fill_between(
-            result.time, -band[:, i], band[:, i], color=COLORS[1], alpha=0.2, lw=0,
+            result.time, -band[:, i], band[:, i], color=SERIES_COLORS[1], alpha=0.2, lw=0,
             label="two sigmas",
         )  # fmt: skip
         if result.measured is not None and result.compared is not None:
             when, place = result.measured.time, result.measured.position[:, i]
-            left.plot(when, place, ".", color=MEASURED, ms=3.0, label="measured, not used")
+            left.plot(when, place, ".", color=MEASURED_COLOR, ms=3.0, label="measured, not used")
             error = (result.compared.position[:, i] - place) * 1e3
             right.plot(
-                when, error, ".-", color=COLORS[0], ms=3.0, lw=0.8,
+                when, error, ".-", color=SERIES_COLORS[0], ms=3.0, lw=0.8,
                 label="smoothed minus measured",
             )  # fmt: skip
             widest = 1.3 * max(float(np.abs(error).max()), 0.5)
@@ -55,9 +57,9 @@ def draw_unknowns(result: Smoothed, robot: str) -> Figure:
     for axes in (above, below):
         _shade(result, axes)
     for i, axis in enumerate("xy"):
-        above.plot(result.time, result.wind[:, i], color=COLORS[i], lw=1.0, label=axis)
+        above.plot(result.time, result.wind[:, i], color=SERIES_COLORS[i], lw=1.0, label=axis)
     for i in range(result.length_bias.shape[1]):
-        color, bias = COLORS[i % len(COLORS)], result.length_bias[:, i] * 1e3
+        color, bias = SERIES_COLORS[i % len(SERIES_COLORS)], result.length_bias[:, i] * 1e3
         sigma = result.length_bias_sigma[:, i] * 1e3
         below.plot(result.time, bias, color=color, lw=1.0, label=f"cable {i + 1}")
         below.fill_between(
@@ -76,5 +78,5 @@ def _shade(result: Smoothed, axes: Any) -> None:
     """Shade the times at which the winches rest."""
     time = result.time
     for first, end in find_phases(time, result.recording.unstrained_length).rests:
-        axes.axvspan(time[first], time[end - 1], color=REST, lw=0)
+        axes.axvspan(time[first], time[end - 1], color=REST_COLOR, lw=0)
     axes.grid(alpha=0.25)

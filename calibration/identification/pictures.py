@@ -8,7 +8,7 @@ import numpy as np
 
 from calibration.identification.result import Identification
 from calibration.pictures import COLOR_AFTER, COLOR_BEFORE
-from carosac_toolkit.pictures.drawing import COLORS, REST, new_figure
+from carosac_toolkit.pictures.drawing import REST_COLOR, SERIES_COLORS, new_figure
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.validation.phases import find_phases
 
@@ -25,7 +25,7 @@ def draw_motion(result: Identification, recording: Recording) -> Figure:
     limit = recording.time[min(result.train.stop, len(recording.time) - 1)]
     for i, axes in enumerate(rows):
         for first, end in rests:
-            axes.axvspan(recording.time[first], recording.time[end - 1], color=REST, lw=0)
+            axes.axvspan(recording.time[first], recording.time[end - 1], color=REST_COLOR, lw=0)
         if i < 3:
             before = (result.position_before - result.measured.position)[:, i] * 1e3
             axes.plot(time, before, color=COLOR_BEFORE, lw=0.9, label="before")
@@ -36,12 +36,12 @@ def draw_motion(result: Identification, recording: Recording) -> Figure:
             axes.plot(time, angle, color=COLOR_AFTER, lw=1.0)
             axes.set_ylabel("angle after [deg]")
         if result.test is not None:
-            axes.axvline(limit, color=COLORS[0], lw=1.5)
+            axes.axvline(limit, color=SERIES_COLORS[0], lw=1.5)
         axes.grid(alpha=0.25)
     if result.test is not None:
         rows[0].annotate(
             "kept back from here on", (limit, 0.97), xycoords=("data", "axes fraction"),
-            xytext=(6, 0), textcoords="offset points", va="top", fontsize=9, color=COLORS[0],
+            xytext=(6, 0), textcoords="offset points", va="top", fontsize=9, color=SERIES_COLORS[0],
         )  # fmt: skip
     rows[0].legend(fontsize=9, loc="upper left", ncols=2)
     rows[-1].set_xlabel("time [s]")

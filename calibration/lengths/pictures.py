@@ -15,7 +15,12 @@ from calibration.pictures import (
     draw_learnt,
     draw_residuals,
 )
-from carosac_toolkit.pictures.drawing import COLORS, MEASURED, new_figure, put_legend, views
+from carosac_toolkit.pictures.drawing import (
+    SERIES_COLORS,
+    new_figure,
+    put_legend,
+    views,
+)
 from carosac_toolkit.reports.page import png
 
 if TYPE_CHECKING:
@@ -29,7 +34,7 @@ def draw_poses(result: LengthCalibration, suggested: SuggestedPoses | None) -> F
     robot = result.robot
     for axes, (pair, title) in zip(panels, views(robot), strict=False):
         rows = list(pair)
-        axes.plot(*result.position[:, rows].T, ".", color=MEASURED, ms=2.5, label="measured")
+        axes.plot(*result.position[:, rows].T, ".", color=MEASURED_COLOR, ms=2.5, label="measured")
         axes.plot(*robot.exit_points[:, rows].T, "s", color=COLOR_AFTER, ms=6, label="exit points")
         if suggested is not None:
             axes.plot(
@@ -41,8 +46,10 @@ def draw_poses(result: LengthCalibration, suggested: SuggestedPoses | None) -> F
     if suggested is not None:
         number = np.arange(len(suggested.sigma))
         last = panels[-1]
-        last.plot(number, 1e3 * suggested.worst, "o-", color=COLORS[0], label="worst coordinate")
-        last.plot(number, 1e3 * suggested.sigma, "o-", color=COLORS[1], label="mean (RMS)")
+        last.plot(
+            number, 1e3 * suggested.worst, "o-", color=SERIES_COLORS[0], label="worst coordinate"
+        )
+        last.plot(number, 1e3 * suggested.sigma, "o-", color=SERIES_COLORS[1], label="mean (RMS)")
         last.set(xlabel="further poses", ylabel="1 sigma of exit points [mm]", ylim=(0.0, None))
         last.legend(frameon=False, fontsize=8)
         last.grid(alpha=0.25)

@@ -8,12 +8,12 @@ import numpy as np
 
 from calibration.pictures import COLOR_AFTER, COLOR_BEFORE, COLOR_OUTLIER
 from calibration.self_calibration.result import SelfCalibration
-from carosac_toolkit.pictures.drawing import COLORS, new_figure
+from carosac_toolkit.pictures.drawing import SERIES_COLORS, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOR_KNOWN = COLORS[0]
+COLOR_KNOWN = SERIES_COLORS[0]
 
 
 def draw_layout(result: SelfCalibration) -> Figure:
@@ -69,7 +69,7 @@ def draw_left_out(result: SelfCalibration) -> Figure:
         error = 1e3 * np.array([one.error[axis] for one in result.left_out])
         sigma = 1e3 * np.array([one.sigma[axis] for one in result.left_out])
         axes.errorbar(
-            place + shift, error, yerr=sigma, fmt="o", color=COLORS[axis], capsize=3,
+            place + shift, error, yerr=sigma, fmt="o", color=SERIES_COLORS[axis], capsize=3,
             label="xyz"[axis],
         )  # fmt: skip
     axes.axhline(0.0, color="#808080", lw=0.8)

@@ -10,12 +10,12 @@ from calibration.pictures import COLOR_AFTER, COLOR_OUTLIER
 from calibration.tachymeter.observations import READING_NAMES
 from calibration.tachymeter.result import TachymeterResult
 from calibration.tachymeter.survey_fit import BLUNDER_SIGMAS
-from carosac_toolkit.pictures.drawing import COLORS, new_figure
+from carosac_toolkit.pictures.drawing import SERIES_COLORS, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SETUP_COLORS = (*COLORS[2:], COLORS[0])
+SETUP_COLORS = (*SERIES_COLORS[2:], SERIES_COLORS[0])
 COLOR_KNOWN, COLOR_TIE = "#303030", "#a0a0a0"
 SIGMA_MAGNIFICATION = 500.0  # times that sigmas are drawn
 

@@ -1,1 +1,1 @@
-"""The command line ``carosac``: a thin shell over Python calls."""
+"""Command line ``carosac``: a thin shell over Python calls."""

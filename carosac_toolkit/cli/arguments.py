@@ -1,4 +1,4 @@
-"""From the words after a command to its options; a wrong word is one message, as everywhere."""
+"""Reader of the options after a command; a bad one gives a single clear message."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
 
-_WORDS: dict[type, tuple[str, str]] = {
+_TYPE_DESCRIPTIONS: dict[type, tuple[str, str]] = {
     int: ("INT", "a whole number"),
     float: ("FLOAT", "a number"),
     str: ("TEXT", "a text"),
@@ -28,7 +28,7 @@ def parse_options(module: ModuleType, name: str, words: Sequence[str]) -> Any:
     Args:
         module: The command, with its ``Options``.
         name: Its name.
-        words: What stands after it on the command line.
+        words: Words after it on the command line.
 
     Returns:
         An instance of the command's ``Options``.
@@ -51,14 +51,14 @@ def parse_options(module: ModuleType, name: str, words: Sequence[str]) -> Any:
 
 
 def _number_or_nothing(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """How numbers and optional values are read and shown: never as ``{None}|INT``."""
+    """Show and read numbers and optional values plainly, never as ``{None}|INT``."""
     union = get_origin(info.type) in (Union, UnionType)  # the arguments of a tuple are no choices
     kinds = set(get_args(info.type)) if union else {info.type}
     plain = kinds - {NoneType}
     kind = plain.pop() if len(plain) == 1 else None
-    if kind not in _WORDS or (kinds == {kind} and kind not in (int, float)):
+    if kind not in _TYPE_DESCRIPTIONS or (kinds == {kind} and kind not in (int, float)):
         return None
-    metavar, allowed = _WORDS[kind]
+    metavar, allowed = _TYPE_DESCRIPTIONS[kind]
 
     def read(words: list[str]) -> Any:
         try:
@@ -77,7 +77,7 @@ def _number_or_nothing(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any]
 
 @contextlib.contextmanager
 def _one_message(options: type, words: list[str]) -> Iterator[None]:
-    """Turn tyro's boxes into errors of ours; a tyro without the hook keeps its boxes."""
+    """Turn tyro's error boxes into our errors; a tyro without the hook keeps its boxes."""
     errors = getattr(tyro, "_errors", None)  # its hook, since 1.0.17, has no public name yet
     hook: Callable[..., Any] | None = getattr(errors, "on_parse_error", None)
     if hook is None:
@@ -85,7 +85,7 @@ def _one_message(options: type, words: list[str]) -> Iterator[None]:
         return
 
     def refuse(event: Any) -> None:
-        answer = _ANSWERS.get(type(event).__name__)
+        answer = _ERROR_BUILDERS.get(type(event).__name__)
         if answer is not None:
             raise answer(event, options, words)
 
@@ -94,43 +94,43 @@ def _one_message(options: type, words: list[str]) -> Iterator[None]:
 
 
 def _unrecognized(event: Any, options: type, words: list[str]) -> CarosacError:
-    """An option or argument that the command does not have."""
+    """Return the error for an option or argument that the command does not have."""
     token = str(event.tokens[0])
     if not token.startswith("-"):
         return InvalidField("argument", repr(token), f"nothing more; see '{event.prog} --help'")
     known = ["--help", *(f"--{name.replace('_', '-')}" for name in _names(options))]
-    taken = [flag for flag in known if flag not in _positionals(options)]
-    hint = did_you_mean(token.partition("=")[0], taken)
-    return InvalidField("option", repr(token), f"{', '.join(taken)}{hint}")
+    options_only = [flag for flag in known if flag not in _positionals(options)]
+    hint = did_you_mean(token.partition("=")[0], options_only)
+    return InvalidField("option", repr(token), f"{', '.join(options_only)}{hint}")
 
 
 def _missing(event: Any, options: type, words: list[str]) -> CarosacError:
-    """An argument that must be there."""
+    """Return the error for a required argument that is missing."""
     names = [_spelling(entry.arg) for entry in event.missing_arguments]
     return InvalidField(" and ".join(names), "nothing", f"a value; see '{event.prog} --help'")
 
 
 def _bad_value(event: Any, options: type, words: list[str]) -> CarosacError:
-    """An option without its value."""
+    """Return the error for an option without its value."""
     return InvalidField(_spelling(event.argument), "nothing", f"a value; see '{event.prog} --help'")
 
 
 def _invalid_choice(event: Any, options: type, words: list[str]) -> CarosacError:
-    """A value that is none of those there are."""
+    """Return the error for a value that is not among the choices."""
     hint = did_you_mean(event.value, event.choices)
     allowed = f"one of {', '.join(event.choices)}{hint}"
     return InvalidField(_spelling(event.argument), repr(event.value), allowed)
 
 
 def _failure(event: Any, options: type, words: list[str]) -> CarosacError:
-    """A value that cannot be read."""
+    """Return the error for a value that cannot be parsed."""
     if event.argument is None:
         return CarosacError(str(event.message))
     flag = _spelling(event.argument)
     return InvalidField(flag, _written(flag, words), str(event.message))
 
 
-_ANSWERS: dict[str, Callable[[Any, type, list[str]], CarosacError]] = {
+_ERROR_BUILDERS: dict[str, Callable[[Any, type, list[str]], CarosacError]] = {
     "UnrecognizedArgs": _unrecognized,
     "MissingArgs": _missing,
     "BadValue": _bad_value,
@@ -140,14 +140,14 @@ _ANSWERS: dict[str, Callable[[Any, type, list[str]], CarosacError]] = {
 
 
 def _spelling(argument: Any) -> str:
-    """How users write an option; a positional argument goes by its metavar."""
+    """Return the option as users write it; a positional argument by its metavar."""
     if argument.is_positional():
         return str(argument.lowered.metavar)
     return str(argument.lowered.name_or_flags[-1])
 
 
 def _written(flag: str, words: list[str]) -> str:
-    """What the user wrote for an option."""
+    """Return what the user wrote for an option."""
     for k, word in enumerate(words):
         if word == flag and k + 1 < len(words):
             return repr(words[k + 1])
@@ -157,18 +157,18 @@ def _written(flag: str, words: list[str]) -> str:
 
 
 def _names(options: type) -> list[str]:
-    """Names of the options as users write them, but for dashes."""
+    """Return the names of the options as users write them, without dashes."""
     hints = get_type_hints(options, include_extras=True)
-    found = []
+    flags = []
     for field in fields(options):
         marks = getattr(hints[field.name], "__metadata__", ())
-        given = [mark.name for mark in marks if getattr(mark, "name", None)]
-        found.append(given[0] if given else field.name)
-    return found
+        names = [mark.name for mark in marks if getattr(mark, "name", None)]
+        flags.append(names[0] if names else field.name)
+    return flags
 
 
 def _positionals(options: type) -> set[str]:
-    """Flags that fields would have if they were no positional arguments."""
+    """Return the flags that positional arguments would have as options."""
     marker = get_args(tyro.conf.Positional[int])[1]
     hints = get_type_hints(options, include_extras=True)
     return {

@@ -23,7 +23,7 @@ _EXACT_DIGITS = 6  # significant digits of a number without sigma
 
 
 def describe_calibration(report: RobotReport) -> Iterator[str]:
-    """Describe what a robot file knows of sensors and of its own accuracy; nothing without.
+    """Describe the sensors and the accuracy of a robot file; empty if it has neither.
 
     Args:
         report: The robot.
@@ -59,9 +59,9 @@ def _table(
 
     Args:
         report: The robot.
-        known: What was calibrated, by name.
+        known: Calibrated parameters by name.
         columns: Titles by the pattern of the parameter's name.
-        title: Of the first column.
+        title: Title of the first column.
     """
     cables = report.robot.cable_names
     header, cells = [title], [list(cables)]

@@ -49,5 +49,5 @@ def run(options: Options) -> CommandResult:
         print(f"carosac: warning: {warning}", file=sys.stderr)
     if not report.feasible:
         reasons = "\n  ".join(["", *report.problems])
-        print(f"carosac: {robot.name} cannot be at its home position:{reasons}", file=sys.stderr)
+        print(f"carosac: {robot.name} cannot stay at its home position:{reasons}", file=sys.stderr)
     return CommandResult(report.data(), status=0 if report.feasible else 1)

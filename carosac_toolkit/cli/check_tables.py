@@ -151,7 +151,7 @@ def _home(report: RobotReport) -> Iterator[str]:
     frequencies = ", ".join(f"{value:.3g}" for value in report.frequencies)
     yield f"natural frequencies at home [Hz]: {frequencies}"
     if (report.frequencies < 0.0).any():
-        yield "  negative: this motion does not oscillate, it grows; so the robot leaves home"
+        yield "  negative: this motion grows instead of oscillating, so the robot leaves home"
 
 
 def _vector(values: Iterable[float]) -> str:

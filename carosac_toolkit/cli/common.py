@@ -1,4 +1,4 @@
-"""What all commands share: their common options and results.
+"""Options and results that all commands share.
 
 A command is a module named in the entry-point group ``carosac.commands``. The first line of its
 docstring is its summary; it has a frozen dataclass ``Options`` that derives from `CommonOptions`
@@ -18,7 +18,7 @@ import tyro
 
 from carosac_toolkit.base.errors import InvalidField
 
-RATE_MAX = 1000.0  # [Hz]
+LOOP_RATE_MAX_HZ = 1000.0  # [Hz]
 OutputFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 OutputFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR")]
 
@@ -35,7 +35,7 @@ class CommonOptions:
 
 @dataclass(frozen=True)
 class CommandResult:
-    """What a command found.
+    """Result of a command.
 
     Attributes:
         data: The numbers it printed; what ``--json`` writes. numpy values are welcome.
@@ -47,11 +47,11 @@ class CommandResult:
 
 
 def period_of_rate(rate: float) -> float:
-    """Time between two commands as --rate has it [s].
+    """Return the time between two commands of --rate [s].
 
     Raises:
         InvalidField: A rate [Hz] that is none, or above that of any industrial PLC.
     """
-    if not 0.0 < rate <= RATE_MAX:
-        raise InvalidField("--rate", f"{rate} Hz", f"over 0 to {RATE_MAX:g} Hz")
+    if not 0.0 < rate <= LOOP_RATE_MAX_HZ:
+        raise InvalidField("--rate", f"{rate} Hz", f"over 0 to {LOOP_RATE_MAX_HZ:g} Hz")
     return 1.0 / rate

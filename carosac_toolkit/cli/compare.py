@@ -21,24 +21,30 @@ from carosac_toolkit.loop.plugin_settings import chosen_settings
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.reports.study import TABLES_LATEX, TABLES_MARKDOWN, write_report
 from carosac_toolkit.studies.compare.findings import conclusions
-from carosac_toolkit.studies.compare.paired import Block, check_baseline, paired_blocks, ways_of
+from carosac_toolkit.studies.compare.paired import (
+    PairedBlock,
+    check_baseline,
+    paired_blocks,
+    ways_of,
+)
 from carosac_toolkit.studies.compare.paper_tables import text_tables
-from carosac_toolkit.studies.compare.resampling import FEWEST
+from carosac_toolkit.studies.compare.resampling import INTERVAL_SEEDS_MIN
 from carosac_toolkit.studies.compare.results import StudyResults
 from carosac_toolkit.studies.compare.study import (
-    CONTROLLERS,
-    ESTIMATORS,
+    DEFAULT_CONTROLLERS,
+    DEFAULT_ESTIMATORS,
+    DEFAULT_SEEDS,
     QUICK_SEEDS,
-    SEEDS,
     Study,
 )
 from carosac_toolkit.studies.compare.tables import failures, text_table, units
 
-PAIRED_UNITS = (
-    "difference: of the RMSE to that of the baseline in the same case, median over the seeds, mean "
-    f"over the paths, with its 95 % interval (cluster bootstrap, from {FEWEST} seeds on); ratio: "
-    "of such errors; won: cases with the smaller error, failed ones are lost; p: of won and lost, "
-    "labels exchanged seed by seed, after Holm; failed: cases of it and of the baseline."
+PAIRED_TABLE_CAPTION = (
+    "difference: RMSE minus that of the baseline in the same case, median over the seeds, mean "
+    "over the paths, with its 95 % interval (cluster bootstrap, from "
+    f"{INTERVAL_SEEDS_MIN} seeds on); ratio: ratio of these errors; won: cases with the smaller "
+    "error, a failed case counts as lost; p: paired permutation test over seeds of the cases won "
+    "and lost, Holm-corrected; failed: failed cases of this row and of the baseline."
 )
 
 
@@ -58,27 +64,38 @@ def run(options: Options) -> CommandResult:
     width = terminal_width()
     print(wrapped(_what(study), width), flush=True)
     results = study.run()
-    said = conclusions(results)
+    sentences = conclusions(results)
     blocks = paired_blocks(results, options.baseline)
-    _print(results, said, blocks, width)
-    files = write_report(results, said, _words(options, study), blocks)
+    _print(results, sentences, blocks, width)
+    files = write_report(results, sentences, _words(options, study), blocks)
     pictures = sum(file.suffix == ".png" for file in files)
     print(f"\nreport: {results.folder / 'report.html'}, with {pictures} pictures and the rows of")
     print(f"all cases (Parquet) beside it; tables for a paper: {TABLES_MARKDOWN}, {TABLES_LATEX}")
     paired = [block.data() for block in blocks]
-    data = {**results.data(), "paired": paired, "conclusions": said, "output": str(results.folder)}
+    data = {
+        **results.data(),
+        "paired": paired,
+        "conclusions": sentences,
+        "output": str(results.folder),
+    }
     return CommandResult(data, status=0 if results.complete else 1)
 
 
 def _study(options: Options) -> Study:
-    """The study that was asked for."""
-    count = options.seeds if options.seeds is not None else QUICK_SEEDS if options.quick else SEEDS
+    """Return the study that the options ask for."""
+    count = (
+        options.seeds
+        if options.seeds is not None
+        else QUICK_SEEDS
+        if options.quick
+        else DEFAULT_SEEDS
+    )
     if count < 1:
         raise InvalidField("--seeds", str(count), "1 or more")
     if options.seed < 0:
         raise InvalidField("--seed", str(options.seed), "0 or more")
-    controllers = options.controllers or CONTROLLERS
-    estimators = options.estimators or ESTIMATORS
+    controllers = options.controllers or DEFAULT_CONTROLLERS
+    estimators = options.estimators or DEFAULT_ESTIMATORS
     return Study(
         robots=options.robots,
         controllers=controllers,
@@ -101,7 +118,7 @@ def _study(options: Options) -> Study:
 
 
 def _words(options: Options, study: Study) -> list[str]:
-    """The command that repeats this."""
+    """Return the command line that repeats this study."""
     words = ["carosac", "compare"]
     for name in ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations"):
         words += [f"--{name}", *getattr(study, name)]
@@ -114,7 +131,7 @@ def _words(options: Options, study: Study) -> list[str]:
 
 
 def _what(study: Study) -> str:
-    """What is about to be run."""
+    """Describe the study that is about to run."""
     return (
         f"{', '.join(map(str, study.robots))} on driver {study.driver}, plants drawn from "
         f"{', '.join(study.perturbations)}: "
@@ -124,20 +141,22 @@ def _what(study: Study) -> str:
     )
 
 
-def _print(results: StudyResults, said: list[str], blocks: list[Block], width: int) -> None:
-    """Print the tables, what failed, and what it all says."""
+def _print(
+    results: StudyResults, sentences: list[str], blocks: list[PairedBlock], width: int
+) -> None:
+    """Print the tables, the failures and the conclusions."""
     print(f"\n{text_table(results, width)}\n")
     print(wrapped(units(results), width))
     paired = text_tables(blocks, width)
     if paired:
         print(f"\n{paired}\n")
-        print(wrapped(PAIRED_UNITS, width))
-    lost = failures(results)
-    if lost:
+        print(wrapped(PAIRED_TABLE_CAPTION, width))
+    failed = failures(results)
+    if failed:
         print()
-    for line in lost:
+    for line in failed:
         indent = " " * (len(line) - len(line.lstrip()))
         print(wrapped(line.lstrip(), width, indent))
     print()
-    for line in said:
+    for line in sentences:
         print(wrapped(line, width, "* "))

@@ -8,9 +8,9 @@ from typing import Annotated
 import tyro
 
 from carosac_toolkit.cli.common import CommonOptions, OutputFolder
-from carosac_toolkit.studies.compare.study import TRAJECTORIES
-from carosac_toolkit.studies.run.engine import TIMEOUT
-from carosac_toolkit.studies.run.run_case import DRIVER
+from carosac_toolkit.studies.compare.study import DEFAULT_TRAJECTORIES
+from carosac_toolkit.studies.run.engine import DEFAULT_TIMEOUT_S
+from carosac_toolkit.studies.run.run_case import DEFAULT_DRIVER
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,8 +23,8 @@ class Options(CommonOptions):
     """Controllers by name, or `module:Class` for your own; by default straight_line and
     kinematic_solver."""
     estimators: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--estimator"])] = ()
-    """Estimators by name, or `module:Class`; `truth` is what a simulated driver knows; by default
-    kinematic_solver. NAME@LABEL is NAME with settings of its own, here and among the
+    """Estimators by name, or `module:Class`; `truth` is the true state of a simulated driver; by
+    default kinematic_solver. NAME@LABEL is NAME with settings of its own, here and among the
     controllers."""
     suite: str | None = None
     """Run a reference suite, `reference`: it fixes robots, paths, plants, seeds and sensors. With
@@ -34,16 +34,19 @@ class Options(CommonOptions):
     benchmarks/reference."""
     suites: tuple[str, ...] = ("lengths",)
     """Sensor suites of the driver."""
-    trajectories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--trajectory"])] = TRAJECTORIES
+    trajectories: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--trajectory"])] = (
+        DEFAULT_TRAJECTORIES
+    )
     """Trajectories of the catalogue."""
     perturbations: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--perturbation"])] = (
         "nominal-1",
     )
-    """By how much plants differ from the nominal robot."""
+    """Conditions that plants are drawn from: how far they differ from the nominal robot."""
     seeds: int | None = None
-    """How many draws of plant, path and noise, counted up from --seed; by default 10."""
-    driver: str = DRIVER
-    """What is controlled: `simulator`, `quasi_static` (no sway), a recording by `replay`, or
+    """Number of draws of plant, path and noise, with seeds counted up from --seed; by default
+    10."""
+    driver: str = DEFAULT_DRIVER
+    """Driver to control: `simulator`, `quasi_static` (no sway), a recording by `replay`, or
     `module:Class`."""
     speed: float = 1.0
     """Largest speed of the trajectories [m/s]."""
@@ -55,22 +58,23 @@ class Options(CommonOptions):
     """Setting of a plug-in: controller.NAME.FIELD=VALUE, estimator.NAME.FIELD=VALUE or
     driver.FIELD=VALUE, VALUE as JSON or text; may be given several times."""
     baseline: str | None = None
-    """What all others are compared with in pairs: a controller, or `CONTROLLER / ESTIMATOR / SUITE`
-    as far as they differ; by default the first row of the table."""
+    """Baseline of all paired comparisons: a controller, or those parts of `CONTROLLER / ESTIMATOR /
+    SUITE` that differ; by default the first row of the table."""
     quick: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Two draws, unless --seeds says otherwise; with the other defaults, in under a minute. A full
-    run in the same folder goes on from there."""
+    """Two draws, unless --seeds is given: under a minute with the other defaults. A full run in the
+    same folder continues from there."""
     scheduler: str | None = None
     """Address of a dask scheduler, such as tcp://host:8786."""
     workers: int | None = None
-    """Worker processes on this machine; 0 is none but this one; by default one per core."""
+    """Worker processes on this machine; 0 runs all cases in this process; by default one per
+    core."""
     batch: int = 1
-    """How many seeds run together in one simulation, where driver, controller and estimator can:
-    10 together are 2 to 3 times faster on a CPU; the same numbers to rounding, but no latencies."""
-    timeout: float = TIMEOUT
-    """How long a case may run [s]."""
+    """Number of seeds simulated together, if driver, controller and estimator support it: 10
+    together are 2 to 3 times faster on a CPU; the same numbers to rounding, but no latencies."""
+    timeout: float = DEFAULT_TIMEOUT_S
+    """Time limit of a case [s]."""
     retry: tuple[str, ...] = ()
-    """Run again what has ended as `failed`, `crashed` or `timed_out`."""
+    """Run cases again that ended as `failed`, `crashed` or `timed_out`."""
     output: OutputFolder = None
-    """Folder of the results; goes on with the study that is there. By default
-    carosac-results/compare, numbered where another study is there already."""
+    """Results folder; a study already in it is continued. By default carosac-results/compare,
+    numbered if that holds another study."""

@@ -21,8 +21,8 @@ from carosac_toolkit.reports.study import write_report
 from carosac_toolkit.studies.compare.findings import conclusions
 from carosac_toolkit.studies.compare.paper_tables import text_errors, text_tables
 from carosac_toolkit.studies.compare.tables import failures
-from carosac_toolkit.studies.reference.cases import ReferenceSuite, Task
-from carosac_toolkit.studies.reference.check import Agreement, agreement
+from carosac_toolkit.studies.reference.cases import ReferenceSuite, SuiteTask
+from carosac_toolkit.studies.reference.check import SuiteAgreement, agreement
 from carosac_toolkit.studies.reference.results import (
     RECORD,
     RESULTS,
@@ -37,15 +37,15 @@ from carosac_toolkit.studies.reference.results import (
 )
 from carosac_toolkit.studies.run.rows import Row
 
-FREE = (
+ADJUSTABLE_OPTIONS = (
     "suite", "controllers", "estimators", "settings", "against", "quick", "scheduler", "workers",
     "timeout", "retry", "output", "json",
 )  # fmt: skip
-BASE = Path("carosac-results")
+DEFAULT_PARENT_FOLDER = Path("carosac-results")
 
 
 def run_suite(options: Options, name: str) -> CommandResult:
-    """Run a suite, or what an entry needs of it; print and write what was found."""
+    """Run a suite, or the part that an entry needs; print and write the results."""
     _check_fixed(options)
     suite = ReferenceSuite.load(name)
     suite = suite.quick() if options.quick else suite
@@ -66,16 +66,16 @@ def run_suite(options: Options, name: str) -> CommandResult:
 
 
 def _check_fixed(options: Options) -> None:
-    """Refuse options that a suite does not leave open."""
+    """Refuse options that the suite fixes."""
     for field in fields(options):
-        if field.name not in FREE and getattr(options, field.name) != field.default:
+        if field.name not in ADJUSTABLE_OPTIONS and getattr(options, field.name) != field.default:
             value = repr(getattr(options, field.name))
             allowed = "nothing with --suite, which fixes it"
             raise InvalidField(f"--{field.name}", value, allowed)
 
 
-def _tasks(options: Options, suite: ReferenceSuite) -> list[Task]:
-    """The studies to run."""
+def _tasks(options: Options, suite: ReferenceSuite) -> list[SuiteTask]:
+    """Return the studies to run."""
     known = suite.definition["parts"].values()
     names = {
         axis: [*getattr(options, axis), *(name for part in known for name in part[axis])]
@@ -89,14 +89,14 @@ def _tasks(options: Options, suite: ReferenceSuite) -> list[Task]:
 
 
 def _folder(options: Options, suite: ReferenceSuite) -> Path:
-    """Where results go that were not sent anywhere: entries apart from the whole suite."""
+    """Return the default results folder; entries are kept apart from the whole suite."""
     entries = (*options.controllers, *options.estimators, *options.settings)
     words = [re.sub(r"[^\w.=-]+", "_", name) for name in entries]
-    return BASE / "-".join([suite.name, *words])
+    return DEFAULT_PARENT_FOLDER / "-".join([suite.name, *words])
 
 
-def _what(suite: ReferenceSuite, tasks: Sequence[Task]) -> str:
-    """What is about to be run."""
+def _what(suite: ReferenceSuite, tasks: Sequence[SuiteTask]) -> str:
+    """Describe the suite that is about to run."""
     cases = sum(len(task.study.cases()) for task in tasks)
     return (
         f"Suite {suite.name}, definition {suite.digest}: {counted(cases, 'case')} in "
@@ -105,7 +105,7 @@ def _what(suite: ReferenceSuite, tasks: Sequence[Task]) -> str:
     )
 
 
-def _run(task: Task, folder: Path, options: Options, suite: ReferenceSuite) -> PartResults:
+def _run(task: SuiteTask, folder: Path, options: Options, suite: ReferenceSuite) -> PartResults:
     """Run one study and print its table."""
     width = terminal_width()
     place = folder / task.part / task.robot
@@ -133,14 +133,14 @@ def _finish(
     shown = parts
     if published is not None:
         shown = [with_published(part, published) for part in parts]
-        for line in _said(agreement([row for part in parts for row in part.rows], published)):
+        for line in _notes(agreement([row for part in parts for row in part.rows], published)):
             print(wrapped(line, width, "* "))
-    made = made_with() | {"time": f"{took / 60:.1f} minutes, without what was there already"}
+    provenance = made_with() | {"time": f"{took / 60:.1f} minutes, earlier results excluded"}
     for part in shown:
         print(f"\n{part.task.part.capitalize()}. {text_tables(part.blocks, width)}")
-    data: dict[str, Any] = record(suite, shown, made, command) | {"minutes": took / 60}
+    data: dict[str, Any] = record(suite, shown, provenance, command) | {"minutes": took / 60}
     origin = "\n".join([f"    {name}: {text}" for name, text in
-                        {"command": command, **made}.items() if text])  # fmt: skip
+                        {"command": command, **provenance}.items() if text])  # fmt: skip
     texts = {RESULTS: write_rows(parts), TABLES: tables(suite, shown, origin)}
     write_files(folder, {name: text.encode() for name, text in texts.items()})
     write_json(folder / RECORD, data)
@@ -150,21 +150,24 @@ def _finish(
     return CommandResult(data, status=0 if all(part.results.complete for part in parts) else 1)
 
 
-def _said(found: Agreement) -> list[str]:
-    """Whether what ran here and was published agrees, so that the rest can be compared."""
-    if not found.differences:
-        return ["Nothing that was published ran here: nothing tells whether both agree."]
-    if found.faults:
-        return ["This machine finds other numbers than were published:", *found.faults]
-    return [f"What ran here and was published agrees within {100 * found.largest:.2f} %."]
+def _notes(comparison: SuiteAgreement) -> list[str]:
+    """Tell whether these results agree with the published ones, before comparing the rest."""
+    if not comparison.differences:
+        return ["No published case ran here, so that the agreement is unknown."]
+    if comparison.faults:
+        return ["The numbers of this machine differ from the published ones:", *comparison.faults]
+    return [
+        "The cases that ran here agree with the published ones within "
+        f"{100 * comparison.largest:.2f} %."
+    ]
 
 
 def _words(options: Options, suite: ReferenceSuite) -> list[str]:
-    """The command that repeats this."""
+    """Return the command line that repeats this run."""
     words = ["carosac", "compare", "--suite", suite.name.removesuffix("-quick")]
     words += ["--quick"] if options.quick else []
     for name in ("controllers", "estimators"):
-        given = getattr(options, name)
-        words += [f"--{name}", *given] if given else []
+        names = getattr(options, name)
+        words += [f"--{name}", *names] if names else []
     words += ["--against", options.against] if options.against is not None else []
     return words + [word for text in options.settings for word in ("--set", text)]

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
     from carosac_toolkit.pictures.paper_figure import Drawn, PaperFigure
 
-FORMATS = ("png", "pdf", "svg")
-FOLDER = Path("carosac-results") / "figures"
-DPI = 200
+FIGURE_FORMATS = ("png", "pdf", "svg")
+DEFAULT_FIGURES_FOLDER = Path("carosac-results") / "figures"
+FIGURE_DPI = 200
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,24 +40,24 @@ class Options(CommonOptions):
     """Options of ``carosac figures``."""
 
     folders: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")] = ()
-    """Folders of results; without any, only what needs no data is drawn."""
+    """Results folders; without any, only figures that need no data are drawn."""
     formats: tuple[str, ...] = ("png", "pdf")
-    """`png`, `pdf` and `svg`."""
+    """File formats: `png`, `pdf` and `svg`."""
     output: OutputFolder = None
-    """Folder of the figures; by default carosac-results/figures."""
+    """Folder for the figures; by default carosac-results/figures."""
 
 
 def run(options: Options) -> CommandResult:
-    """Draw what can be drawn, and say what cannot."""
+    """Draw the figures whose data is there, and name the missing ones."""
     from carosac_toolkit.pictures.paper_figure import find_sources
 
     for name in options.formats:
-        if name not in FORMATS:
-            raise InvalidField("--formats", repr(name), f"some of {list(FORMATS)}")
+        if name not in FIGURE_FORMATS:
+            raise InvalidField("--formats", repr(name), f"some of {list(FIGURE_FORMATS)}")
     if not options.formats:
-        raise InvalidField("--formats", "none", f"some of {list(FORMATS)}")
+        raise InvalidField("--formats", "none", f"some of {list(FIGURE_FORMATS)}")
     sources = find_sources(options.folders)
-    folder = options.output or FOLDER
+    folder = options.output or DEFAULT_FIGURES_FOLDER
     done: list[dict[str, Any]] = []
     skipped: list[dict[str, str]] = []
     for wanted in all_figures():
@@ -71,13 +71,13 @@ def run(options: Options) -> CommandResult:
 
 
 def all_figures() -> list[PaperFigure]:
-    """The figures of all installed packages, in the order of the paper."""
-    found = [
+    """Return the figures of all installed packages, in the order of the paper."""
+    figures = [
         figure
         for name in plugins.names("figures")
         for figure in plugins.load("figures", name).FIGURES
     ]
-    return sorted(found, key=lambda figure: figure.place)
+    return sorted(figures, key=lambda figure: figure.place)
 
 
 def _write(
@@ -93,9 +93,9 @@ def _write(
 
 
 def _rendered(figure: Figure, suffix: str) -> bytes:
-    """A figure as a file; vector files hold no date, so that equal figures are equal files."""
+    """Render a figure; vector files hold no date, so that equal figures give equal files."""
     stream = io.BytesIO()
-    more: dict[str, Any] = {"dpi": DPI}
+    more: dict[str, Any] = {"dpi": FIGURE_DPI}
     if suffix != "png":
         more["metadata"] = {"Date": None} if suffix == "svg" else {"CreationDate": None}
     figure.savefig(stream, format=suffix, **more)
@@ -103,7 +103,7 @@ def _rendered(figure: Figure, suffix: str) -> bytes:
 
 
 def _print(done: Sequence[dict[str, Any]], skipped: Sequence[dict[str, str]], folder: Path) -> None:
-    """Say what was drawn from what, and what is missing."""
+    """Print the source of each figure, and what is missing."""
     width = terminal_width()
     for one in done:
         origin = f", from {one['source']}" if one["source"] is not None else ""
@@ -114,6 +114,6 @@ def _print(done: Sequence[dict[str, Any]], skipped: Sequence[dict[str, str]], fo
 
 
 def _missing(skipped: Sequence[dict[str, str]]) -> Iterator[str]:
-    """What is missing, and what makes it."""
+    """Return what is missing, and the command that makes it."""
     for one in skipped:
         yield f"skipped {one['name']} ({one['what']}): its data is made by {one['command']}"

@@ -22,7 +22,7 @@ from carosac_toolkit.base.tables import format_table
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
 from carosac_toolkit.interchange.bag import Bag, Topic, open_bag
 from carosac_toolkit.interchange.bag_channels import (
-    IMU,
+    IMU_TYPE,
     LENGTH_TYPES,
     POSE_TYPES,
     TF_TYPES,
@@ -30,7 +30,7 @@ from carosac_toolkit.interchange.bag_channels import (
 )
 from carosac_toolkit.interchange.bag_recording import Imported, Topics, read_bag
 
-_CHANNELS = ("tension", "command", "rates", "pose", "imu", "output")
+_OTHER_CHANNELS = ("tension", "command", "rates", "pose", "imu", "output")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,19 +60,19 @@ class Options(CommonOptions):
     names: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ()
     """For JointState: the joints of the cables, in the order of the robot's cables."""
     length_unit: Literal["m", "cm", "mm"] = "m"
-    """Unit of lengths and commands, and with /s of rates."""
+    """Unit of lengths and commands; rates are in this unit per second."""
     relative: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Lengths are known but for a constant for each cable."""
+    """Lengths are known only up to a constant per cable."""
     stamps: Literal["header", "receive"] = "header"
     """`header`: stamps of the message headers, where there are any; `receive`: when the recorder
     got the message."""
     together: float | None = None
-    """With a topic for each cable: samples that are so near in time [s] are one, at the time of
-    the first topic's."""
+    """With one topic per cable: merge samples whose stamps differ by at most this [s], at the time
+    of the first topic's."""
     definitions: str | None = None
     """Folder with PACKAGE/msg/NAME.msg, for a bag that does not define its message types."""
     robot: str | None = None
-    """Which robot it was: a bundled name or a YAML file; stands in the recording."""
+    """Robot of the recording: a bundled name or a YAML file; kept in the recording."""
 
 
 def run(options: Options) -> CommandResult:
@@ -82,7 +82,7 @@ def run(options: Options) -> CommandResult:
         raise InvalidField("BAG", "nothing", "a bag; see 'carosac import recording --help'")
     definitions = Path(options.definitions) if options.definitions else None
     with open_bag([Path(bag) for bag in options.bag], definitions=definitions) as bag:
-        asked = [name for name in _CHANNELS if getattr(options, name)]
+        asked = [name for name in _OTHER_CHANNELS if getattr(options, name)]
         if not options.lengths and not asked:
             return _list(bag)
         imported = read_bag(bag, _topics(options))
@@ -94,7 +94,7 @@ def run(options: Options) -> CommandResult:
 
 
 def _topics(options: Options) -> Topics:
-    """What the options ask for."""
+    """Return the topics that the options name."""
     if options.frames and len(options.frames) != 2:
         raise InvalidField("--frames", " ".join(options.frames), "two: PARENT CHILD")
     if options.frames and options.pose is None:
@@ -121,7 +121,7 @@ def _topics(options: Options) -> Topics:
 
 
 def _list(bag: Bag) -> CommandResult:
-    """All topics, and what they may be."""
+    """List all topics and their possible uses."""
     rows = [
         (topic.name, topic.kind, topic.count, "" if topic.rate is None else f"{topic.rate:.1f}",
          _use(bag, topic))
@@ -130,7 +130,7 @@ def _list(bag: Bag) -> CommandResult:
     print(format_table(("topic", "type", "messages", "rate [Hz]", "may be"), rows))
     print("\nName the topics: --lengths /joint_states --pose /mocap/pose --output run.parquet")
     if bag.assumed:
-        print("The bag does not define its message types; those of ROS 2 are taken.")
+        print("The bag does not define its message types; those of ROS 2 are assumed.")
     data = [
         {"topic": topic.name, "type": topic.kind, "messages": topic.count, "rate_Hz": topic.rate}
         for topic in bag.topics.values()
@@ -139,9 +139,9 @@ def _list(bag: Bag) -> CommandResult:
 
 
 def _use(bag: Bag, topic: Topic) -> str:
-    """Which option a message type fits; of unknown ones the fields with numbers."""
+    """Name the option that fits a message type; for unknown types the numeric fields."""
     kind = topic.kind
-    if kind == IMU:
+    if kind == IMU_TYPE:
         return "--imu"
     if kind in TF_TYPES:
         return "--pose, with --frames"
@@ -154,7 +154,7 @@ def _use(bag: Bag, topic: Topic) -> str:
 
 
 def _say(imported: Imported) -> None:
-    """Channels, clocks and what was left out."""
+    """Print channels, clocks and omissions."""
     rates = imported.recording.rates
     rows = [
         (
@@ -190,7 +190,7 @@ def _say(imported: Imported) -> None:
 
 
 def _data(imported: Imported) -> dict[str, Any]:
-    """What ``--json`` writes."""
+    """Return the numbers that ``--json`` writes."""
     recording = imported.recording
     return {
         "duration_s": recording.duration,

@@ -45,20 +45,21 @@ class Options(CommonOptions):
     output: OutputFile = None
     """Write the robot file here (.yaml)."""
     complete: str | None = None
-    """YAML in the layout of a robot file with what the other one does not hold; units may be
-    written. What both have is taken from here."""
+    """YAML in the layout of a robot file with the missing fields; units are allowed. Its values
+    replace those of the imported file."""
     settings: Annotated[
         tuple[str, ...], tyro.conf.arg(name="set", metavar="PATH=VALUE"), tyro.conf.UseAppendAction
     ] = ()
-    """A single such field, as in `--set gravity=9.81`; may be given several times."""
+    """A single missing field, as in `--set gravity=9.81`; may be given several times."""
     form: OutputFile = None
-    """Write a form for --complete here, with the missing fields and what each allows."""
+    """Write a form for --complete here, with the missing fields and their allowed values."""
     cable_set: str | None = None
     """CASPR: name of the cable set; by default the file's default."""
     pulleys: bool = True
-    """Take pulleys as pulleys, or else as eyelets where the cable enters."""
+    """Import pulleys as pulleys; otherwise as eyelets at the cables' entry points."""
     inertia_about: Annotated[str | None, tyro.conf.arg(metavar="POINT")] = None
-    """cdpyr: `origin` or `center_of_mass`, the point of the platform that its inertia is about."""
+    """cdpyr: `origin` or `center_of_mass`, the point of the platform to which its inertia
+    refers."""
 
 
 def run(options: Options) -> CommandResult:
@@ -108,7 +109,7 @@ def _incomplete(completed: Completed, options: Options) -> CommandResult:
 
 
 def _say(completed: Completed) -> None:
-    """What was taken, replaced and dropped, and what looks wrong."""
+    """Print what was taken, replaced and dropped, and any warnings."""
     draft = completed.draft
     print(f"{draft.source}: {len(draft.data['chains'])} cables\n")
     ours = f"{draft.source}: "
@@ -124,15 +125,15 @@ def _say(completed: Completed) -> None:
 
 
 def _straight_lengths(robot: Robot) -> list[float]:
-    """Lengths at home of straight cables, with the arcs on pulleys [m]."""
+    """Return the lengths of straight cables at home, with the arcs on pulleys [m]."""
     from carosac_toolkit.physics.cable import straight_line
 
-    found = straight_line.inverse_kinematics(robot, robot.home_position[None])
-    return [float(length) for length in found[0]]
+    cables = straight_line.inverse_kinematics(robot, robot.home_position[None])
+    return [float(length) for length in cables[0]]
 
 
 def _data(completed: Completed, lengths: list[float] | None) -> dict[str, object]:
-    """What ``--json`` writes."""
+    """Return the numbers that ``--json`` writes."""
     draft = completed.draft
     return {
         "source": draft.source,

@@ -15,7 +15,7 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField, did_you_mean
 from carosac_toolkit.base.version import __version__
 from carosac_toolkit.loop.plugins import entry_points_of, load
 
-_USAGE = """usage: carosac {group}COMMAND [options]
+_USAGE_TEMPLATE = """usage: carosac {group}COMMAND [options]
 
 Estimation and control of cable-driven parallel robots whose cables sag.
 
@@ -66,8 +66,8 @@ def _dispatch(words: list[str]) -> int:
 
 
 def _help(asked: bool, group: str = "") -> int:
-    """List the commands; without being asked for it, it is the answer to bad input."""
-    print(_USAGE.format(group=group.replace(".", " "), commands=_summaries(group)))
+    """List the commands; bad input without a command gets this list too."""
+    print(_USAGE_TEMPLATE.format(group=group.replace(".", " "), commands=_summaries(group)))
     return 0 if asked else 2
 
 
@@ -77,7 +77,7 @@ def _commands() -> dict[str, EntryPoint]:
 
 
 def _command(words: list[str]) -> tuple[str | None, list[str]]:
-    """Name of the command that words ask for, and the words after it.
+    """Return the command that the words name, and the words after it.
 
     The entry point ``calibrate.lengths`` is the command ``carosac calibrate lengths``. A group of
     commands without one of them, or with a call for help, has no name.

@@ -1,4 +1,4 @@
-"""No command overwrites what it reads, writes two things to one path, or fails to write at the end.
+"""Checks that no command overwrites its input, writes a path twice, or fails to write at the end.
 
 Works on the fields of any ``Options``: each of type `Path` is an output, a folder where its metavar
 is DIR; each text that is the path of something there is an input.
@@ -17,7 +17,7 @@ from carosac_toolkit.base.files import check_writable, try_folder
 
 
 class _Named(NamedTuple):
-    """A path and the option or argument that gave it."""
+    """Path and the option or argument that named it."""
 
     option: str
     path: Path
@@ -34,8 +34,8 @@ def check_outputs(options: Any) -> None:
         InvalidField: An output is an input, is given twice, or cannot be written.
     """
     hints = get_type_hints(type(options), include_extras=True)
-    outputs = [found for f in fields(options) for found in _outputs(f, hints[f.name], options)]
-    inputs = [found for f in fields(options) for found in _inputs(f, hints[f.name], options)]
+    outputs = [named for f in fields(options) for named in _outputs(f, hints[f.name], options)]
+    inputs = [named for f in fields(options) for named in _inputs(f, hints[f.name], options)]
     for k, output in enumerate(outputs):
         _check_clash(output, inputs, outputs[:k])
         if output.folder:
@@ -68,7 +68,7 @@ def _check_folder(output: _Named) -> None:
 
 
 def same_file(one: Path, other: Path) -> bool:
-    """Whether two paths lead to one place, through links and whether it is there or not."""
+    """Return whether two paths lead to one place, through links, existing or not."""
     try:
         return os.path.samefile(one, other)
     except OSError:
@@ -76,7 +76,7 @@ def same_file(one: Path, other: Path) -> bool:
 
 
 def _outputs(field: Field[Any], hint: Any, options: Any) -> Iterator[_Named]:
-    """The output that a field holds."""
+    """Yield the output that a field holds."""
     value = getattr(options, field.name)
     if isinstance(value, Path):
         folder = any(getattr(part, "metavar", None) == "DIR" for part in get_args(hint))
@@ -84,7 +84,7 @@ def _outputs(field: Field[Any], hint: Any, options: Any) -> Iterator[_Named]:
 
 
 def _inputs(field: Field[Any], hint: Any, options: Any) -> Iterator[_Named]:
-    """The inputs that a field holds; a name of something bundled is none."""
+    """Yield the existing inputs that a field holds; bundled names are skipped."""
     value = getattr(options, field.name)
     for text in value if isinstance(value, list | tuple) else [value]:
         if isinstance(text, str) and os.path.exists(text):
@@ -92,7 +92,7 @@ def _inputs(field: Field[Any], hint: Any, options: Any) -> Iterator[_Named]:
 
 
 def _spelling(field: Field[Any], hint: Any) -> str:
-    """How users write an option; a positional argument goes by its metavar."""
+    """Return the option as users write it; a positional argument by its metavar."""
     from tyro.conf import Positional
 
     marker = get_args(Positional[int])[1]

@@ -55,8 +55,8 @@ class Options(CommonOptions):
     """One past the last sample to score; by default all are scored."""
     output: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder for pictures and report; an earlier report in it is replaced. By default a folder in
-    carosac-results/validate that is named after recording, robot and range, numbered where there
-    is another report already."""
+    carosac-results/validate named after recording, robot and range, numbered if it holds another
+    report."""
 
 
 def run(options: Options) -> CommandResult:
@@ -65,51 +65,51 @@ def run(options: Options) -> CommandResult:
     if options.output is not None:
         check_folder("--output", options.output)
     recording = load_recording(path)
-    found = find_robot(recording, path, options.robot)
+    robot_choice = find_robot(recording, path, options.robot)
     context = Context(
         recording=options.recording,
         metadata=recording.metadata,
-        words=_words(options, found.name),
+        words=_words(options, robot_choice.name),
         file=path,
-        guess=_guess(found),
+        guess=_guess(robot_choice),
     )
-    folder = options.output or free_folder(_default_folder(options, path, found), context)
+    folder = options.output or free_folder(_default_folder(options, path, robot_choice), context)
     check_folder("--output", folder)
     result = validate(
-        recording, found.robot, options.models,
+        recording, robot_choice.robot, options.models,
         start=options.start, stop=options.stop, seed=options.seed,
     )  # fmt: skip
-    said = conclusions(result)
-    _print(context, recording, result, said)
-    files = write_report(folder, result, said, context)
+    sentences = conclusions(result)
+    _print(context, recording, result, sentences)
+    files = write_report(folder, result, sentences, context)
     pictures = sum(file.suffix == ".png" for file in files)
     print(f"\nreport: {folder / 'report.html'} and {pictures} pictures beside it")
-    data = {"recording": options.recording, "robot_source": found.source, **result.data()}
-    return CommandResult({**data, "conclusions": said}, status=_status(result))
+    data = {"recording": options.recording, "robot_source": robot_choice.source, **result.data()}
+    return CommandResult({**data, "conclusions": sentences}, status=_status(result))
 
 
 def _status(result: ValidationResult) -> int:
-    """Exit status; failed models are named on standard error."""
+    """Return the exit status; failed models are named on standard error."""
     failed = [model for model in result.models.values() if model.scores is None]
     for model in failed:
         print(f"carosac: {model.name} failed: {model.reason}", file=sys.stderr)
     return 1 if failed or result.warnings else 0
 
 
-def _guess(found: FoundRobot) -> str:
-    """How the robot was guessed, or nothing where it was not."""
-    if found.source != "exit points":
+def _guess(robot_choice: FoundRobot) -> str:
+    """Explain how the robot was guessed; empty if it was not."""
+    if robot_choice.source != "exit points":
         return ""
-    others = f", and those of {', '.join(found.others)}" if found.others else ""
+    others = f", and those of {', '.join(robot_choice.others)}" if robot_choice.others else ""
     return f"a guess: the recording names no robot, but its exit points are this one's{others}"
 
 
-def _default_folder(options: Options, path: Path, found: FoundRobot) -> Path:
-    """Where a report goes that was not sent anywhere."""
+def _default_folder(options: Options, path: Path, robot_choice: FoundRobot) -> Path:
+    """Return the default folder of the report."""
     parts = [path.stem]
     if path.suffix and options.recording not in list_recordings():
         parts.append(path.suffix[1:])
-    parts.append(found.robot.name)
+    parts.append(robot_choice.robot.name)
     if options.start or options.stop is not None:
         parts += [str(options.start), "end" if options.stop is None else str(options.stop)]
     name = re.sub(r"[^\w.-]+", "_", "-".join(parts))
@@ -117,7 +117,7 @@ def _default_folder(options: Options, path: Path, found: FoundRobot) -> Path:
 
 
 def _words(options: Options, robot: str) -> list[str]:
-    """The command that repeats this."""
+    """Return the command line that repeats this validation."""
     words = ["carosac", "validate", options.recording, "--robot", robot]
     words += ["--models", *options.models, "--start", str(options.start)]
     words += ["--stop", str(options.stop)] if options.stop is not None else []
@@ -125,9 +125,9 @@ def _words(options: Options, robot: str) -> list[str]:
 
 
 def _print(
-    context: Context, recording: Recording, result: ValidationResult, said: list[str]
+    context: Context, recording: Recording, result: ValidationResult, sentences: list[str]
 ) -> None:
-    """Print warnings, tables and what they say, within the width of the terminal."""
+    """Print warnings, tables and conclusions within the width of the terminal."""
     width = terminal_width()
     rate = recording.rates["unstrained_length"]
     at = f" at {rate:.3g} Hz" if rate else ""
@@ -146,5 +146,5 @@ def _print(
     print("\n" + wrapped(part_units(result), width), end="\n\n")
     print(fit(PART_HEADER, part_rows(result), PART_GROUPS, width), end="\n\n")
     print(fit(CAUSE_HEADER, cause_rows(result), CAUSE_GROUPS, width), end="\n\n")
-    for line in said:
+    for line in sentences:
         print(wrapped(line, width, "* "))

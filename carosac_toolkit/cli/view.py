@@ -1,4 +1,4 @@
-"""See a robot in the browser: at rest, in a live simulation, or in a recorded run.
+"""View a robot in the browser: at rest, in a live simulation, or in a recorded run.
 
 At rest, to drag the target or move cable lengths: carosac view scampi
 
@@ -40,11 +40,21 @@ from carosac_toolkit.robot.file import list_robots, load_robot
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.run_case import own_settings
 from carosac_toolkit.viewer.live import LiveWatch, follow
-from carosac_toolkit.viewer.page import LOOPBACK, MOST_ENLARGED, PORT, Page, is_loopback
+from carosac_toolkit.viewer.page import (
+    DEFAULT_PORT,
+    LOOPBACK_ADDRESS,
+    SAG_FACTOR_MAX,
+    Page,
+    is_loopback,
+)
 from carosac_toolkit.viewer.page_process import PageOptions, PageProcess
 
-ROBOT_FILES = (".yaml", ".yml")
-TAKEN = ("suite", "period", "real_time")  # settings of the driver that options say
+ROBOT_FILE_SUFFIXES = (".yaml", ".yml")
+RESERVED_DRIVER_SETTINGS = (
+    "suite",
+    "period",
+    "real_time",
+)  # settings of the driver that options say
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,21 +89,23 @@ class Options(CommonOptions):
     robot: str | None = None
     """Robot of a recording that names none: bundled, or a YAML file."""
     sag: float = 1.0
-    """Draw the distance of the cables from their chords so many times larger; the page says so."""
+    """Factor by which the distance of the cables from their chords is enlarged; the page says
+    so."""
     plain: tyro.conf.FlagCreatePairsOff[bool] = False
-    """A page that is cheap to draw, for a browser without a GPU: half the pixels along each axis,
-    no floor, no labels at the exits until you choose them."""
+    """Serve a page that is cheap to draw, for a browser without a GPU: half the pixels along each
+    axis, no floor, no labels at the exits until you choose them."""
     priority: tyro.conf.FlagCreatePairsOff[bool] = False
-    """With --live: the loop runs before all ordinary processes; on Linux, and with the right to
-    it."""
+    """With --live: run the loop before all ordinary processes; on Linux, with the permission to do
+    so."""
     html: OutputFile = None
     """Write one HTML file with the robot at rest, or with the replay, and end."""
-    host: str = LOOPBACK
-    """Address to serve at; another than 127.0.0.1 lets other machines see and move things."""
-    port: int = PORT
-    """Port to serve at; the next free one where it is taken."""
+    host: str = LOOPBACK_ADDRESS
+    """Address to serve at; any other than 127.0.0.1 lets other machines view and control the
+    robot."""
+    port: int = DEFAULT_PORT
+    """Port to serve at; if it is taken, the next free one."""
     duration: float | None = None
-    """End after so long [s]; with --live, of simulated time."""
+    """End after this time [s]; with --live, simulated time."""
 
 
 def run(options: Options) -> CommandResult:
@@ -110,17 +122,17 @@ def run(options: Options) -> CommandResult:
 
 
 def _check(options: Options) -> None:
-    """Refuse numbers that are none, and combinations that mean nothing."""
+    """Refuse invalid numbers, and combinations that make no sense."""
     if len(options.what) not in (1, 2):
         raise InvalidField("WHAT [GHOST]", f"{len(options.what)} names", "one or two")
-    if not 1.0 <= options.sag <= MOST_ENLARGED:
-        raise InvalidField("--sag", str(options.sag), f"1 to {MOST_ENLARGED:g}")
+    if not 1.0 <= options.sag <= SAG_FACTOR_MAX:
+        raise InvalidField("--sag", str(options.sag), f"1 to {SAG_FACTOR_MAX:g}")
     for name in ("speed", "acceleration", "duration"):
         value = getattr(options, name)
         if value is not None and not 0.0 < value < np.inf:
             raise InvalidField(f"--{name}", str(value), "> 0, finite")
     if options.priority and not options.live:
-        raise InvalidField("--priority", "it without --live", "--live --priority: it is the loop's")
+        raise InvalidField("--priority", "it without --live", "--live --priority, for the loop")
     if options.plain and options.html is not None:
         raise InvalidField("--plain", f"it with --html {options.html}", "--plain or --html")
     check_writable("--html", options.html, (".html", ".htm"))
@@ -133,12 +145,12 @@ def _check(options: Options) -> None:
 
 
 def _is_robot(what: str) -> bool:
-    """Whether a name is that of a robot."""
-    return what in list_robots() or Path(what).suffix.lower() in ROBOT_FILES
+    """Return whether a name is that of a robot."""
+    return what in list_robots() or Path(what).suffix.lower() in ROBOT_FILE_SUFFIXES
 
 
 def _statics(options: Options, robot: Robot) -> CommandResult:
-    """A robot at rest."""
+    """Serve a robot at rest."""
     from carosac_toolkit.viewer.resting import RestingRobot
     from carosac_toolkit.viewer.statics_page import StaticsPage
 
@@ -154,7 +166,7 @@ def _statics(options: Options, robot: Robot) -> CommandResult:
 
 
 def _still(options: Options, page: Page) -> CommandResult:
-    """A file with the robot at rest."""
+    """Write a file with the robot at rest."""
     from carosac_toolkit.viewer.export import still_html, write_html
     from carosac_toolkit.viewer.resting import RestingRobot
 
@@ -172,12 +184,12 @@ def _still(options: Options, page: Page) -> CommandResult:
 
 
 def _enlarged(options: Options) -> str:
-    """What to say of sag that is not drawn to scale."""
+    """Return a note on sag that is not drawn to scale."""
     return "" if options.sag == 1.0 else f", drawn {options.sag:g} times larger"
 
 
 def _replay(options: Options) -> CommandResult:
-    """Recorded runs."""
+    """Play or write recorded runs."""
     from carosac_toolkit.viewer.export import replay_html, write_html
     from carosac_toolkit.viewer.replay import Replay
     from carosac_toolkit.viewer.runs import load_runs, same_robot
@@ -212,7 +224,7 @@ def _replay(options: Options) -> CommandResult:
 
 
 def _live(options: Options, robot: Robot) -> CommandResult:
-    """A live simulation."""
+    """Run a live simulation."""
     chosen = chosen_settings(
         options.settings, controllers=[options.controller], estimators=[options.estimator]
     )
@@ -248,7 +260,7 @@ def _live(options: Options, robot: Robot) -> CommandResult:
 def _ended(
     page: PageProcess, driver: SimulatedDriver, watch: LiveWatch, error: CarosacError | None
 ) -> CommandResult:
-    """Say how a live simulation went."""
+    """Report how a live simulation ended."""
     data = {
         "url": page.url, "cycles": watch.cycles, "overruns": driver.overruns,
         "latency_p99_s": float(np.quantile(watch.latencies, 0.99)) if watch.latencies else None,
@@ -264,17 +276,17 @@ def _ended(
 
 
 def _driver(options: Options, robot: Robot, asked: Any, period: float) -> SimulatedDriver:
-    """The simulated driver, in real time."""
+    """Make the simulated driver, in real time."""
     plugin = plugins.load("drivers", options.driver)
     if not (isinstance(plugin, type) and issubclass(plugin, SimulatedDriver)):
-        allowed = (
-            "a simulated driver: simulator, quasi_static; what is real is moved by carosac run"
-        )
+        allowed = "a simulated driver: simulator, quasi_static; carosac run moves real robots"
         raise InvalidField("--driver", repr(options.driver), allowed)
     own = own_settings(options.driver, asked)
-    for name in TAKEN:
+    for name in RESERVED_DRIVER_SETTINGS:
         if name in own:
-            raise InvalidField("--set", f"driver.{name}={own[name]!r}", "what the options say")
+            raise InvalidField(
+                "--set", f"driver.{name}={own[name]!r}", "nothing: an option of the command sets it"
+            )
     offered = {"suite": options.suite, "period": period, "real_time": True}
     driver: SimulatedDriver = build_plugin(
         plugin, robot, where="driver", asked=own, offered=offered, seed=options.seed
@@ -283,19 +295,19 @@ def _driver(options: Options, robot: Robot, asked: Any, period: float) -> Simula
 
 
 def _page(options: Options, robot: Robot, title: str) -> closing[Page]:
-    """A page for as long as the block lasts."""
+    """Serve a page until the block ends."""
     page = Page(robot, title, host=options.host, port=options.port, plain=options.plain)
     page.enlarged.value = options.sag
     return closing(page)
 
 
 def _announce(url: str, words: str) -> None:
-    """Say where the page is."""
+    """Print the address of the page."""
     print(f"open {url} in a browser: {words}; Ctrl-C ends", flush=True)
 
 
 def _serve(options: Options) -> None:
-    """Wait for Ctrl-C, or so long."""
+    """Wait for Ctrl-C, or until the time is up."""
     end = None if options.duration is None else time.monotonic() + options.duration
     try:
         while end is None or time.monotonic() < end:
@@ -305,5 +317,5 @@ def _serve(options: Options) -> None:
 
 
 def _drawn(page: Page) -> dict[str, int]:
-    """How many pictures were drawn."""
+    """Print how many pictures were drawn."""
     return {"pictures": page.publisher.drawn}

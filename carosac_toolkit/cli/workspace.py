@@ -31,7 +31,7 @@ from carosac_toolkit.cli.position_option import Place
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.workspace.grid import AXES, Grid, box_grid, box_of, slice_grid
+from carosac_toolkit.workspace.grid import GRID_AXES, Grid, box_grid, box_of, slice_grid
 from carosac_toolkit.workspace.limits import cable_of, words_of
 from carosac_toolkit.workspace.maps import Maps, maps
 from carosac_toolkit.workspace.region import Region, compute
@@ -46,22 +46,22 @@ class Options(CommonOptions):
     robot: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ROBOT")]
     """A bundled robot (`carosac robots` lists them) or a path to a YAML file."""
     box: Literal["workspace", "frame"] = "workspace"
-    """Where to look: the workspace box of the robot's file, or the box around its exit points."""
+    """Box to search: the workspace box of the robot's file, or the box around its exit points."""
     lower: Place = None
     """Lower corner of another box [m]; goes with --upper."""
     upper: Place = None
     """Upper corner of another box [m]."""
     points: int = 20000
-    """About how many positions in the box."""
+    """Approximate number of positions in the box."""
     slice: tuple[str, ...] = ()
     """Planes such as x=0.4 z=2 [m]; by default three through the middle of the box."""
     slice_points: int = 2500
-    """About how many positions on each plane."""
+    """Approximate number of positions on each plane."""
     model: Literal["sag", "straight", "both"] = "sag"
     """Cables that sag, straight ones, or both side by side."""
     rpy_deg: tuple[str, ...] = ()
-    """Orientations with all of which a position must be held, each as ROLL,PITCH,YAW in degrees
-    (6 cables or more); by default that of the home pose."""
+    """Orientations in all of which a position must be held, each as ROLL,PITCH,YAW in degrees (6
+    cables or more); by default that of the home pose."""
     force: Place = None
     """Extra forces to withstand, plus or minus these along x, y, z of the world [N]."""
     moment: Place = None
@@ -71,8 +71,8 @@ class Options(CommonOptions):
     clearance: float = 0.0
     """Least distance between the surfaces of two cables [m]."""
     tensions: Literal["widest", "least"] = "widest"
-    """Tensions that the maps of stiffness, frequency and sag are for: those farthest from their
-    limits, or the least ones, as the controllers choose them."""
+    """Tensions for the maps of stiffness, frequency and sag: those farthest from their limits, or
+    the least ones, as the controllers choose them."""
     output: OutputFolder = None
     """Folder for pictures and tables; by default carosac-results/workspace/ROBOT."""
     pictures: bool = True
@@ -92,40 +92,40 @@ def run(options: Options) -> CommandResult:
     folder = options.output or Path("carosac-results") / "workspace" / robot.name
     check_folder("--output", folder)
     models = ("sag", "straight") if options.model == "both" else (options.model,)
-    found: dict[str, tuple[Region, list[Region]]] = {}
+    regions: dict[str, tuple[Region, list[Region]]] = {}
     for model in models:
         asked = replace(settings, sag=model == "sag")
         whole = compute(robot, grid, settings=asked, orientations=turns)
         slices = [compute(robot, p, settings=asked, orientations=turns) for p in planes]
-        found[model] = (whole, slices)
-    _print(found, lower, upper)
-    files = _write(options, folder, found)
+        regions[model] = (whole, slices)
+    _print(regions, lower, upper)
+    files = _write(options, folder, regions)
     print(f"\n{len(files)} files in {folder}: {', '.join(file.name for file in files)}")
-    first = found[models[0]][0]
+    first = regions[models[0]][0]
     data = {
         "robot": robot.name,
         "box_m": [lower, upper],
         **first.data(),
-        "models": {model: region.data() for model, (region, _) in found.items()},
+        "models": {model: region.data() for model, (region, _) in regions.items()},
         "slices": {
             model: [{"plane": _name(r.grid), **r.data()} for r in slices]
-            for model, (_, slices) in found.items()
+            for model, (_, slices) in regions.items()
         },
     }
-    if len(found) == 2:
-        data["sag_changes"] = _changes(found)
+    if len(regions) == 2:
+        data["sag_changes"] = _changes(regions)
     return CommandResult(data, status=0 if first.verdicts.inside.any() else 1)
 
 
 def _count(option: str, value: int) -> int:
-    """A number of positions that makes sense."""
+    """Refuse a number of positions outside its range."""
     if not 1 <= value <= 10_000_000:
         raise InvalidField(option, value, "1 to 10000000")
     return value
 
 
 def _box(options: Options, robot: Robot) -> tuple[Array, Array]:
-    """The box to look at."""
+    """Return the box to search."""
     if options.lower is None and options.upper is None:
         return box_of(robot, options.box)
     if options.lower is None or options.upper is None:
@@ -138,7 +138,7 @@ def _box(options: Options, robot: Robot) -> tuple[Array, Array]:
 
 
 def _settings(options: Options) -> WorkspaceSettings:
-    """What is asked of a pose."""
+    """Return the demands on a pose."""
     tilt = options.tilt_max_deg
     if tilt is not None and not 0.0 <= tilt <= 180.0:
         raise InvalidField("--tilt-max-deg", f"{tilt} deg", "0 to 180 deg")
@@ -151,7 +151,7 @@ def _settings(options: Options) -> WorkspaceSettings:
 
 
 def _orientations(options: Options, robot: Robot) -> list[Array] | None:
-    """Rotations from roll, pitch and yaw."""
+    """Return the rotations of roll, pitch and yaw."""
     from scipy.spatial.transform import Rotation
 
     if not options.rpy_deg:
@@ -171,11 +171,13 @@ def _orientations(options: Options, robot: Robot) -> list[Array] | None:
 
 
 def _planes(options: Options, lower: Array, upper: Array) -> list[Grid]:
-    """The slices."""
+    """Return the grids of the slices."""
     count = _count("--slice-points", options.slice_points)
     if not options.slice:
         middle = 0.5 * (lower + upper)
-        return [slice_grid(lower, upper, a, float(middle[k]), count) for k, a in enumerate(AXES)]
+        return [
+            slice_grid(lower, upper, a, float(middle[k]), count) for k, a in enumerate(GRID_AXES)
+        ]
     planes = []
     for text in options.slice:
         axis, _, value = text.partition("=")
@@ -183,21 +185,21 @@ def _planes(options: Options, lower: Array, upper: Array) -> list[Grid]:
             place = float(value)
         except ValueError:
             place = float("nan")
-        if axis not in tuple(AXES) or not np.isfinite(place):
+        if axis not in tuple(GRID_AXES) or not np.isfinite(place):
             raise InvalidField("--slice", repr(text), "x=, y= or z= with a number, such as z=2")
         planes.append(slice_grid(lower, upper, axis, place, count))
     return planes
 
 
 def _name(grid: Grid) -> str:
-    """The plane of a slice."""
+    """Return the name of a slice's plane."""
     across = int(np.argmin(grid.shape))
-    return f"{AXES[across]}={grid.axes[across][0]:.6g}"
+    return f"{GRID_AXES[across]}={grid.axes[across][0]:.6g}"
 
 
-def _print(found: dict[str, tuple[Region, list[Region]]], lower: Array, upper: Array) -> None:
-    """Print what was found."""
-    for model, (region, slices) in found.items():
+def _print(regions: dict[str, tuple[Region, list[Region]]], lower: Array, upper: Array) -> None:
+    """Print volumes, limits and the effect of sag."""
+    for model, (region, slices) in regions.items():
         title = "with sag" if model == "sag" else "straight cables"
         print(f"{title}: {region.sentence()}.\n")
         size = region.grid.cell * len(region.verdicts.margin)
@@ -231,8 +233,8 @@ def _print(found: dict[str, tuple[Region, list[Region]]], lower: Array, upper: A
                 )
             )
         print()
-    if len(found) == 2:
-        change = _changes(found)
+    if len(regions) == 2:
+        change = _changes(regions)
         by = change["margin_change_N"]
         text = (
             f"sag takes {change['lost']} positions ({change['lost_m3']:.3g} m^3) away from the "
@@ -248,13 +250,13 @@ def _print(found: dict[str, tuple[Region, list[Region]]], lower: Array, upper: A
 
 
 def _vector(values: Array) -> str:
-    """Write a vector."""
+    """Format a vector."""
     return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"
 
 
-def _changes(found: dict[str, tuple[Region, list[Region]]]) -> dict[str, Any]:
-    """How sag changes the workspace."""
-    sag, straight = found["sag"][0], found["straight"][0]
+def _changes(regions: dict[str, tuple[Region, list[Region]]]) -> dict[str, Any]:
+    """Compare the workspaces with and without sag."""
+    sag, straight = regions["sag"][0], regions["straight"][0]
     one, other = sag.verdicts.inside, straight.verdicts.inside
     lost, gained, both = int((other & ~one).sum()), int((one & ~other).sum()), one & other
     change = sag.verdicts.margin[both] - straight.verdicts.margin[both]
@@ -271,7 +273,7 @@ def _changes(found: dict[str, tuple[Region, list[Region]]]) -> dict[str, Any]:
 
 
 def _write(
-    options: Options, folder: Path, found: dict[str, tuple[Region, list[Region]]]
+    options: Options, folder: Path, regions: dict[str, tuple[Region, list[Region]]]
 ) -> list[Path]:
     """Write pictures and tables."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -282,8 +284,8 @@ def _write(
             draw(temporary)
         files.append(folder / name)
 
-    for model, (whole, slices) in found.items():
-        end = f"-{model}" if len(found) == 2 else ""
+    for model, (whole, slices) in regions.items():
+        end = f"-{model}" if len(regions) == 2 else ""
         for name, figure in _figures(options, whole, slices) if options.pictures else ():
             save(f"{name}{end}.png", lambda path, f=figure: f.savefig(path, dpi=130))
         table = columns(whole, _maps(options, whole))
@@ -292,7 +294,7 @@ def _write(
 
 
 def _figures(options: Options, whole: Region, slices: list[Region]) -> Iterator[tuple[str, Any]]:
-    """The pictures of one model, by name."""
+    """Return the pictures of one model by name."""
     from carosac_toolkit.pictures.workspace import draw_maps, draw_slices, draw_space
 
     yield "slices", draw_slices(slices)
@@ -303,5 +305,5 @@ def _figures(options: Options, whole: Region, slices: list[Region]) -> Iterator[
 
 
 def _maps(options: Options, region: Region) -> Maps:
-    """The maps of one region."""
+    """Compute the maps of one region."""
     return maps(region.robot, region.verdicts, settings=region.settings, tensions=options.tensions)

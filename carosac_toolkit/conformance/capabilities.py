@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from typing import Any, get_type_hints
 
-from carosac_toolkit.conformance.verdicts import SEED, Factory, require
+from carosac_toolkit.conformance.verdicts import CHECK_SEED, Factory, require
 from carosac_toolkit.loop.drive_state import DriveState
 from carosac_toolkit.loop.protocols import (
     FaultSource,
@@ -34,7 +34,7 @@ CAPABILITIES: tuple[type, ...] = (
 
 def capabilities_fit(factory: Factory, robot: Robot) -> None:
     """Each optional member that the guard asks for has the shape of its protocol."""
-    driver = factory(robot, seed=SEED)
+    driver = factory(robot, seed=CHECK_SEED)
     driver.connect()
     if not isinstance(driver, Supervisor):  # a guard is behind no other, so nobody asks
         for capability in CAPABILITIES:

@@ -1,4 +1,4 @@
-"""What every controller must do."""
+"""Checks that every controller must pass."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.conformance.scenes import (
-    Playback,
+    LengthPlayback,
     make_scene,
     other_robot,
     stacked,
     wide_numbers,
 )
 from carosac_toolkit.conformance.verdicts import (
-    BATCH_TOLERANCE,
-    SEED,
+    BATCH_TOLERANCE_M,
+    CHECK_SEED,
     Check,
     Factory,
     only_clear_errors,
@@ -34,8 +34,8 @@ from carosac_toolkit.robot.robot import Robot
 
 
 def period_and_horizon(factory: Factory, robot: Robot) -> None:
-    """`period` is positive and finite, `horizon` finite and not negative."""
-    controller = factory(robot, seed=SEED)
+    """Require a positive, finite `period` and a finite `horizon` >= 0."""
+    controller = factory(robot, seed=CHECK_SEED)
     for name, allowed in (("period", "> 0"), ("horizon", ">= 0")):
         value: Any = getattr(controller, name, None)
         number = isinstance(value, float | int) and not isinstance(value, bool)
@@ -44,9 +44,9 @@ def period_and_horizon(factory: Factory, robot: Robot) -> None:
 
 
 def command_fits(factory: Factory, robot: Robot) -> None:
-    """It returns a `Command` of its belief's time, with one positive length per cable."""
+    """Require a `Command` of the belief's time, with one positive length per cable."""
     scene = make_scene(robot)
-    controller = factory(robot, seed=SEED)
+    controller = factory(robot, seed=CHECK_SEED)
     controller.reset(scene.beliefs[0])
     references = scene.references(controller.period, controller.horizon)
     for belief, reference in zip(scene.beliefs, references, strict=True):
@@ -63,25 +63,25 @@ def command_fits(factory: Factory, robot: Robot) -> None:
 
 
 def reset_forgets(factory: Factory, robot: Robot) -> None:
-    """After `reset` the same inputs give the same commands, bit by bit."""
-    controller = factory(robot, seed=SEED)
+    """Require the same commands, bit by bit, for the same inputs after `reset`."""
+    controller = factory(robot, seed=CHECK_SEED)
     first = _commands(controller, robot)
     again = _commands(controller, robot)
     require_same(first, again, "reset(): the same inputs gave other commands than before")
 
 
 def same_seed_same_commands(factory: Factory, robot: Robot) -> None:
-    """Two made with the same seed agree, whatever else draws random numbers."""
-    one = _commands(factory(robot, seed=SEED), robot)
+    """Require equal seeds to give equal commands, whatever else draws random numbers."""
+    one = _commands(factory(robot, seed=CHECK_SEED), robot)
     np.random.random(7)  # noqa: NPY002 - somebody else's draw
-    other = _commands(factory(robot, seed=SEED), robot)
+    other = _commands(factory(robot, seed=CHECK_SEED), robot)
     require_same(one, other, "seed: two controllers made with the same seed disagreed")
 
 
 def extremes_stay_finite(factory: Factory, robot: Robot) -> None:
-    """Far, fast and turned inputs give finite lengths or a clear error."""
+    """Require finite lengths or a clear error for far, fast and rotated inputs."""
     scene = make_scene(robot)
-    controller = factory(robot, seed=SEED)
+    controller = factory(robot, seed=CHECK_SEED)
     calm = scene.references(controller.period, controller.horizon)[0]
     start = scene.beliefs[0]
     upside_down = np.diag([1.0, -1.0, -1.0])[None]
@@ -104,31 +104,31 @@ def extremes_stay_finite(factory: Factory, robot: Robot) -> None:
 
 
 def bare_belief_is_enough(factory: Factory, robot: Robot) -> None:
-    """A belief of a pose alone works, or what is missing is said."""
+    """Require a belief of a pose alone to suffice, or an error that says what is missing."""
     scene = make_scene(robot)
-    controller = factory(robot, seed=SEED)
+    controller = factory(robot, seed=CHECK_SEED)
     reference = scene.references(controller.period, controller.horizon)[0]
     refuses("a belief without twist, covariance, tension and memory",
             lambda: _once(controller, scene.beliefs[0], reference))  # fmt: skip
 
 
 def other_robot_refused(factory: Factory, robot: Robot) -> None:
-    """One made for another number of cables ends in a clear error, in the loop at the latest."""
+    """Require a clear error for another number of cables, in the loop at the latest."""
     scene = make_scene(robot)
 
     def misuse() -> None:
-        controller = factory(other_robot(robot), seed=SEED)
+        controller = factory(other_robot(robot), seed=CHECK_SEED)
         estimator = _Fixed(scene.beliefs[0])
-        run(Playback(scene.measurements), estimator, controller, scene.path, duration=0.1)
+        run(LengthPlayback(scene.measurements), estimator, controller, scene.path, duration=0.1)
 
     refused = refuses(f"a robot of {robot.n + 1} cables", misuse)
     require(refused, f"made for {robot.n + 1} cables, it commanded {robot.n}")
 
 
 def batch_equals_loop(factory: Factory, robot: Robot) -> None:
-    """A batch of two gives what two batches of one give, or is refused."""
+    """Require a batch of two to equal two batches of one, or to be refused."""
     scene = make_scene(robot)
-    period, horizon = (getattr(factory(robot, seed=SEED), x) for x in ("period", "horizon"))
+    period, horizon = (getattr(factory(robot, seed=CHECK_SEED), x) for x in ("period", "horizon"))
     references = scene.references(period, horizon)
     pairs = [(scene.beliefs[k], references[k]) for k in (1, 3)]
     (one, ahead), (other, further) = pairs
@@ -140,14 +140,14 @@ def batch_equals_loop(factory: Factory, robot: Robot) -> None:
     together: list[Array] = []
 
     def batched() -> None:
-        command = _once(factory(robot, seed=SEED), both, stacked(ahead, further))
+        command = _once(factory(robot, seed=CHECK_SEED), both, stacked(ahead, further))
         together.append(command.unstrained_length)
 
     if refuses("a batch of two", batched):
         return
-    alone = [_once(factory(robot, seed=SEED), *pair).unstrained_length for pair in pairs]
+    alone = [_once(factory(robot, seed=CHECK_SEED), *pair).unstrained_length for pair in pairs]
     message = "a batch of two and two batches of one"
-    require_close(together[0], np.concatenate(alone), message, BATCH_TOLERANCE)
+    require_close(together[0], np.concatenate(alone), message, BATCH_TOLERANCE_M)
 
 
 CONTROLLER_CHECKS: dict[str, Check] = {
@@ -166,7 +166,7 @@ CONTROLLER_CHECKS: dict[str, Check] = {
 
 
 class _Fixed:
-    """An estimator that always believes the same."""
+    """Estimator that always returns the same belief."""
 
     def __init__(self, belief: Belief) -> None:
         self._belief = belief
@@ -179,14 +179,14 @@ class _Fixed:
 
 
 def _once(controller: Any, belief: Belief, reference: Reference) -> Command:
-    """One command after a reset."""
+    """Return one command after a reset."""
     controller.reset(belief)
     command: Command = controller.command(belief, reference)
     return command
 
 
 def _commands(controller: Any, robot: Robot) -> list[Array]:
-    """Lengths along a scene, after a reset."""
+    """Return the lengths along a scene, after a reset."""
     scene = make_scene(robot)
     controller.reset(scene.beliefs[0])
     references = scene.references(controller.period, controller.horizon)
@@ -195,5 +195,5 @@ def _commands(controller: Any, robot: Robot) -> list[Array]:
 
 
 def _kind(value: object) -> str:
-    """Name of a value's type."""
+    """Return the name of a value's type."""
     return type(value).__name__

@@ -10,9 +10,9 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.conformance.capabilities import capabilities_fit
-from carosac_toolkit.conformance.scenes import PERIOD, other_robot
+from carosac_toolkit.conformance.scenes import DEFAULT_PERIOD_S, other_robot
 from carosac_toolkit.conformance.verdicts import (
-    SEED,
+    CHECK_SEED,
     Check,
     Factory,
     only_clear_errors,
@@ -32,12 +32,12 @@ SETTLED_DIFFERENCE_M = 0.02  # between lengths sent and lengths measured 2 s lat
 
 def not_before_connect(factory: Factory, robot: Robot) -> None:
     """Before `connect` and after `close`, `measure`, `command` and `wait` are clear errors."""
-    driver = factory(robot, seed=SEED)
+    driver = factory(robot, seed=CHECK_SEED)
     some = Command(time=np.zeros(1), unstrained_length=np.full((1, robot.n), 5.0))
     calls: dict[str, Callable[[], object]] = {
         "measure()": driver.measure,
         "command()": lambda: driver.command(some),
-        "wait()": lambda: driver.wait(PERIOD),
+        "wait()": lambda: driver.wait(DEFAULT_PERIOD_S),
     }
     for when in ("before connect()", "after close()"):
         for name, call in calls.items():
@@ -49,7 +49,7 @@ def not_before_connect(factory: Factory, robot: Robot) -> None:
 
 def stop_and_close_any_time(factory: Factory, robot: Robot) -> None:
     """`stop` and `close` are safe before `connect`, twice, and after `close`."""
-    driver = factory(robot, seed=SEED)
+    driver = factory(robot, seed=CHECK_SEED)
     try:
         driver.stop("never connected")
         driver.close()
@@ -79,7 +79,7 @@ def measurement_fits(factory: Factory, robot: Robot) -> None:
         require(now > last, f"measure().time: got {now} s after {last} s; allowed: later")
         last = now
         driver.command(_hold(measurement))
-        driver.wait(PERIOD)
+        driver.wait(DEFAULT_PERIOD_S)
     driver.close()
 
 
@@ -151,18 +151,18 @@ def stop_comes_to_rest(factory: Factory, robot: Robot) -> None:
         return
     first = driver.measure().unstrained_length
     lengths: list[Array] = []
-    step = SPEED_SHARE * robot.speed_max * PERIOD
-    braking = int(np.ceil((robot.speed_max / robot.acceleration_max).max() / PERIOD)) + 50
+    step = SPEED_SHARE * robot.speed_max * DEFAULT_PERIOD_S
+    braking = int(np.ceil((robot.speed_max / robot.acceleration_max).max() / DEFAULT_PERIOD_S)) + 50
     for k in range(30 + braking):
         if k == 30:
             driver.stop("conformance check")
         asked = first + step * (k + 1)
         command = Command(time=driver.measure().time, unstrained_length=asked)
         lengths.append(driver.command(command).unstrained_length)
-        driver.wait(PERIOD)
+        driver.wait(DEFAULT_PERIOD_S)
     driver.close()
-    speed = np.diff(np.stack(lengths), axis=0) / PERIOD
-    acceleration = np.diff(speed, axis=0) / PERIOD
+    speed = np.diff(np.stack(lengths), axis=0) / DEFAULT_PERIOD_S
+    acceleration = np.diff(speed, axis=0) / DEFAULT_PERIOD_S
     _within("speed", speed, robot.speed_max, "m/s")
     _within("acceleration", acceleration, robot.acceleration_max, "m/s^2")
     low, high = np.min(lengths, axis=0), np.max(lengths, axis=0)
@@ -170,7 +170,7 @@ def stop_comes_to_rest(factory: Factory, robot: Robot) -> None:
     require(inside, f"stop(): lengths from {low.min():.3f} m to {high.max():.3f} m were sent; "
             "allowed: within length_min and length_max")  # fmt: skip
     moving = float(np.abs(speed[-10:]).max())
-    seconds = braking * PERIOD
+    seconds = braking * DEFAULT_PERIOD_S
     require(moving < 1e-6, f"stop(): {seconds:.1f} s later lengths are still sent that move at "
             f"{moving:.3g} m/s; allowed: 0 m/s")  # fmt: skip
 
@@ -178,12 +178,12 @@ def stop_comes_to_rest(factory: Factory, robot: Robot) -> None:
 def wait_says_when_it_ends(factory: Factory, robot: Robot) -> None:
     """`wait` returns True while it goes on, and False at the end of data or after `stop`."""
     driver = _connected(factory, robot)
-    more = driver.wait(PERIOD)
+    more = driver.wait(DEFAULT_PERIOD_S)
     require(more is True, f"wait(): got {more!r} at the first cycle; allowed: True")
     if not replays(driver):
         driver.stop("conformance check")
     for _ in range(CYCLES_MAX):
-        if not driver.wait(PERIOD):
+        if not driver.wait(DEFAULT_PERIOD_S):
             driver.close()
             return
     driver.close()
@@ -192,7 +192,7 @@ def wait_says_when_it_ends(factory: Factory, robot: Robot) -> None:
 
 def connecting_again_starts_over(factory: Factory, robot: Robot) -> None:
     """After `close`, `connect` gives the same measurements again."""
-    driver = factory(robot, seed=SEED)
+    driver = factory(robot, seed=CHECK_SEED)
     first = _lengths(driver, robot)
     again = _lengths(driver, robot)
     require_same(first, again, "connect(): the same commands gave other measurements than before")
@@ -200,9 +200,9 @@ def connecting_again_starts_over(factory: Factory, robot: Robot) -> None:
 
 def same_seed_same_data(factory: Factory, robot: Robot) -> None:
     """Two made with the same seed agree, whatever else draws random numbers."""
-    one = _lengths(factory(robot, seed=SEED), robot)
+    one = _lengths(factory(robot, seed=CHECK_SEED), robot)
     np.random.random(7)  # noqa: NPY002 - somebody else's draw
-    other = _lengths(factory(robot, seed=SEED), robot)
+    other = _lengths(factory(robot, seed=CHECK_SEED), robot)
     require_same(one, other, "seed: two drivers made with the same seed disagreed")
 
 
@@ -226,7 +226,7 @@ DRIVER_CHECKS: dict[str, Check] = {
 
 def _connected(factory: Factory, robot: Robot) -> Any:
     """Return a driver that is connected."""
-    driver = factory(robot, seed=SEED)
+    driver = factory(robot, seed=CHECK_SEED)
     with only_clear_errors("connect()"):
         driver.connect()
     return driver
@@ -239,8 +239,8 @@ def _hold(measurement: Measurement) -> Command:
 
 def _settle(driver: Any, command: Command, duration: float) -> Command:
     """Ask for the same lengths for a while."""
-    for _ in range(round(duration / PERIOD)):
-        driver.wait(PERIOD)
+    for _ in range(round(duration / DEFAULT_PERIOD_S)):
+        driver.wait(DEFAULT_PERIOD_S)
         command = driver.command(command)
     return command
 
@@ -253,9 +253,9 @@ def _lengths(driver: Any, robot: Robot) -> list[Array]:
         for k in range(10):
             measurement = driver.measure()
             lengths.append(np.array(measurement.unstrained_length))
-            asked = lengths[0] + 0.1 * SPEED_SHARE * robot.speed_max * PERIOD * k
+            asked = lengths[0] + 0.1 * SPEED_SHARE * robot.speed_max * DEFAULT_PERIOD_S * k
             driver.command(Command(time=measurement.time, unstrained_length=asked))
-            if not driver.wait(PERIOD):
+            if not driver.wait(DEFAULT_PERIOD_S):
                 break
     except CarosacError as error:
         raise AssertionError(f"slow commands near the start were refused: {error}") from error

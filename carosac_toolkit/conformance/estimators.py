@@ -1,4 +1,4 @@
-"""What every estimator must do."""
+"""Checks that every estimator must pass."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.conformance.scenes import Playback, make_scene, wide_numbers
+from carosac_toolkit.conformance.scenes import LengthPlayback, make_scene, wide_numbers
 from carosac_toolkit.conformance.verdicts import (
-    BATCH_TOLERANCE,
-    SEED,
+    BATCH_TOLERANCE_M,
+    CHECK_SEED,
     Check,
     Factory,
     only_clear_errors,
@@ -27,8 +27,8 @@ from carosac_toolkit.robot.robot import Robot
 
 
 def belief_fits(factory: Factory, robot: Robot) -> None:
-    """It returns a `Belief` of the measurement's time and batch, all finite."""
-    estimator = factory(robot, seed=SEED)
+    """Require a finite `Belief` of the measurement's time and batch."""
+    estimator = factory(robot, seed=CHECK_SEED)
     for belief, measurement in _beliefs(estimator, make_scene(robot).measurements):
         kind = type(belief).__name__
         require(isinstance(belief, Belief), f"got {kind}; allowed: Belief")
@@ -43,8 +43,8 @@ def belief_fits(factory: Factory, robot: Robot) -> None:
 
 
 def reset_forgets(factory: Factory, robot: Robot) -> None:
-    """After `reset` the same measurements give the same beliefs, bit by bit."""
-    estimator = factory(robot, seed=SEED)
+    """Require the same beliefs, bit by bit, for the same measurements after `reset`."""
+    estimator = factory(robot, seed=CHECK_SEED)
     measurements = make_scene(robot).measurements
     first = _poses(estimator, measurements)
     again = _poses(estimator, measurements)
@@ -52,16 +52,16 @@ def reset_forgets(factory: Factory, robot: Robot) -> None:
 
 
 def same_seed_same_beliefs(factory: Factory, robot: Robot) -> None:
-    """Two made with the same seed agree, whatever else draws random numbers."""
+    """Require equal seeds to give equal beliefs, whatever else draws random numbers."""
     measurements = make_scene(robot).measurements
-    one = _poses(factory(robot, seed=SEED), measurements)
+    one = _poses(factory(robot, seed=CHECK_SEED), measurements)
     np.random.random(7)  # noqa: NPY002 - somebody else's draw
-    other = _poses(factory(robot, seed=SEED), measurements)
+    other = _poses(factory(robot, seed=CHECK_SEED), measurements)
     require_same(one, other, "seed: two estimators made with the same seed disagreed")
 
 
 def extremes_stay_finite(factory: Factory, robot: Robot) -> None:
-    """Impossible lengths, repeated and late measurements give finite beliefs or a clear error."""
+    """Require finite beliefs or a clear error for impossible, repeated and late measurements."""
     first = make_scene(robot).measurements[0]
     lengths = first.unstrained_length
     strange = (
@@ -74,37 +74,37 @@ def extremes_stay_finite(factory: Factory, robot: Robot) -> None:
     )  # fmt: skip
     for measurement in strange:
         for series in ((first, measurement), (measurement,)):
-            estimator = factory(robot, seed=SEED)
+            estimator = factory(robot, seed=CHECK_SEED)
             with wide_numbers():
                 refuses("extreme but valid measurement", partial(_run, estimator, series))
 
 
 def other_robot_refused(factory: Factory, robot: Robot) -> None:
-    """A measurement of another number of cables ends in a clear error."""
+    """Require a clear error for a measurement of another number of cables."""
     lengths = make_scene(robot).measurements[0].unstrained_length
     measurement = Measurement(time=np.zeros(1), unstrained_length=np.c_[lengths, lengths[:, -1:]])
 
     def misuse() -> None:
-        factory(robot, seed=SEED).reset(measurement)
+        factory(robot, seed=CHECK_SEED).reset(measurement)
 
     refused = refuses(f"lengths of {robot.n + 1} cables", misuse)
     require(refused, f"made for {robot.n} cables, it took lengths of {robot.n + 1}")
 
 
 def lengths_are_enough(factory: Factory, robot: Robot) -> None:
-    """It runs on a driver that measures lengths alone and knows no truth, or says what it lacks."""
+    """Require a driver of lengths alone, without truth, to suffice, or a clear error."""
     scene = make_scene(robot)
 
     hold = _Hold(scene.measurements[0].unstrained_length)
 
     def live() -> None:
-        run(Playback(scene.measurements), factory(robot, seed=SEED), hold, scene.path)
+        run(LengthPlayback(scene.measurements), factory(robot, seed=CHECK_SEED), hold, scene.path)
 
     refuses("a driver without truth, poses, tensions and IMU", live)
 
 
 def batch_equals_loop(factory: Factory, robot: Robot) -> None:
-    """A batch of two gives what two batches of one give, or is refused."""
+    """Require a batch of two to equal two batches of one, or to be refused."""
     measurements = make_scene(robot).measurements
     series = (measurements[:3], measurements[1:4])
     both = tuple(
@@ -117,15 +117,15 @@ def batch_equals_loop(factory: Factory, robot: Robot) -> None:
     together: list[Array] = []
 
     def batched() -> None:
-        together.extend(_poses(factory(robot, seed=SEED), both))
+        together.extend(_poses(factory(robot, seed=CHECK_SEED), both))
 
     if refuses("a batch of two", batched):
         return
     late = tuple(replace(b, time=a.time) for a, b in zip(*series, strict=True))
-    alone = [_poses(factory(robot, seed=SEED), row) for row in (series[0], late)]
+    alone = [_poses(factory(robot, seed=CHECK_SEED), row) for row in (series[0], late)]
     message = "a batch of two and two batches of one"
     for pair, one, other in zip(together, *alone, strict=True):
-        require_close(pair, np.concatenate([one, other]), message, BATCH_TOLERANCE)
+        require_close(pair, np.concatenate([one, other]), message, BATCH_TOLERANCE_M)
 
 
 ESTIMATOR_CHECKS: dict[str, Check] = {
@@ -143,7 +143,7 @@ ESTIMATOR_CHECKS: dict[str, Check] = {
 
 
 class _Hold:
-    """A controller that holds still."""
+    """Controller that holds still."""
 
     period = 0.02
     horizon = 0.0
@@ -161,23 +161,23 @@ class _Hold:
 def _beliefs(
     estimator: Any, measurements: tuple[Measurement, ...]
 ) -> list[tuple[Belief, Measurement]]:
-    """Beliefs after a reset, with what they were made from; commands are the lengths measured."""
-    found: list[tuple[Belief, Measurement]] = []
+    """Return beliefs after a reset with their measurements; commands are the measured lengths."""
+    beliefs: list[tuple[Belief, Measurement]] = []
     with only_clear_errors("reset() and update()"):
         for measurement in measurements:
             command = Command(
                 time=measurement.time, unstrained_length=measurement.unstrained_length
             )
-            if not found:
+            if not beliefs:
                 belief = estimator.reset(measurement)
             else:
-                belief = estimator.update(found[-1][0], command, measurement)
-            found.append((belief, measurement))
-    return found
+                belief = estimator.update(beliefs[-1][0], command, measurement)
+            beliefs.append((belief, measurement))
+    return beliefs
 
 
 def _poses(estimator: Any, measurements: tuple[Measurement, ...]) -> list[Array]:
-    """Position and rotation at each step, shape (B, 12)."""
+    """Return position and rotation at each step, shape (B, 12)."""
     return [
         np.concatenate([belief.position, belief.rotation.reshape(-1, 9)], axis=1)
         for belief, _ in _beliefs(estimator, measurements)
@@ -185,7 +185,7 @@ def _poses(estimator: Any, measurements: tuple[Measurement, ...]) -> list[Array]
 
 
 def _run(estimator: Any, measurements: tuple[Measurement, ...]) -> None:
-    """Look at what `Belief` itself does not check."""
+    """Check what `Belief` itself does not check."""
     for belief, _ in _beliefs(estimator, measurements):
         finite = belief.tension is None or bool(np.isfinite(belief.tension).all())
         require(finite, "extreme but valid measurement: tension: got a number that is not finite")

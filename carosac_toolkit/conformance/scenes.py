@@ -1,4 +1,4 @@
-"""Small worlds that checks happen in: made of statics and a line, without any driver."""
+"""Small test worlds for the checks, made of statics and a line, without any driver."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories import Trajectory
 
-STEPS = 5
-PERIOD = 0.02  # [s], where the plug-in does not say
-PER_CABLE = (
+SCENE_STEPS = 5
+DEFAULT_PERIOD_S = 0.02  # [s], where the plug-in does not say
+PER_CABLE_FIELDS = (
     "exit_points", "exit_covariance", "pulley_radius", "swivel_axis", "run_length",
     "anchor_points", "linear_density", "axial_stiffness", "axial_damping", "cable_diameter",
     "tension_min", "tension_max", "speed_max", "acceleration_max", "winch_lag", "length_min",
@@ -28,13 +28,13 @@ PER_CABLE = (
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scene:
-    """A platform that follows a slow line, seen at `STEPS` times.
+class ConformanceScene:
+    """Platform that follows a slow line, observed at `SCENE_STEPS` times.
 
     Attributes:
         path: From home a little into the workspace.
-        beliefs: Where a perfect estimator would believe it to be, a few millimetres off.
-        measurements: Of its cable lengths alone.
+        beliefs: Beliefs of a perfect estimator, a few millimetres off.
+        measurements: Measurements of its cable lengths alone.
     """
 
     path: Trajectory
@@ -42,16 +42,16 @@ class Scene:
     measurements: tuple[Measurement, ...]
 
     def references(self, period: float, horizon: float) -> list[Reference]:
-        """What a controller sees ahead at each step."""
+        """Return the reference window of each step."""
         return [self.path.window(float(b.time[0]), horizon, period) for b in self.beliefs]
 
 
-def make_scene(robot: Robot, *, offset: float = 0.003) -> Scene:
+def make_scene(robot: Robot, *, offset: float = 0.003) -> ConformanceScene:
     """Make a scene near home.
 
     Args:
         robot: Robot description.
-        offset: How far the beliefs are off along each axis [m].
+        offset: Error of the beliefs along each axis [m].
 
     Raises:
         InvalidField: The robot cannot rest there, so that nothing can be checked with it.
@@ -60,12 +60,12 @@ def make_scene(robot: Robot, *, offset: float = 0.003) -> Scene:
     reach = 0.1 * (robot.workspace_max - robot.workspace_min)
     towards = np.where(home + reach < robot.workspace_max, reach, -reach)
     path = trajectories.line(home, home + towards, speed_max=0.3, acceleration_max=0.3)
-    time = np.linspace(0.0, 0.9 * path.duration, STEPS)
+    time = np.linspace(0.0, 0.9 * path.duration, SCENE_STEPS)
     rest = statics.inverse_kinematics(robot, path.sample(time).position)
     if not rest.converged.all():
         raise InvalidField("robot", robot.name, "a robot that can rest at home and near it")
-    rows = [slice(k, k + 1) for k in range(STEPS)]
-    return Scene(
+    rows = [slice(k, k + 1) for k in range(SCENE_STEPS)]
+    return ConformanceScene(
         path=path,
         beliefs=tuple(
             Belief(time=time[k], position=rest.position[k] + offset, rotation=rest.rotation[k])
@@ -78,10 +78,10 @@ def make_scene(robot: Robot, *, offset: float = 0.003) -> Scene:
 
 
 def other_robot(robot: Robot) -> Robot:
-    """The same robot with one cable more, beside the last one."""
+    """Return the same robot with one more cable, beside the last one."""
     changed: dict[str, Any] = {
         name: np.concatenate([value, value[-1:]])
-        for name in PER_CABLE
+        for name in PER_CABLE_FIELDS
         if (value := getattr(robot, name)) is not None
     }
     changed["exit_points"][-1] += [0.1, 0.0, 0.0]
@@ -90,7 +90,7 @@ def other_robot(robot: Robot) -> Robot:
 
 
 def stacked(one: Reference, other: Reference) -> Reference:
-    """Two references as a batch of two."""
+    """Return two references as a batch of two."""
     names = ("time", "position", "velocity", "acceleration")
     return Reference(
         **{name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in names}
@@ -99,13 +99,13 @@ def stacked(one: Reference, other: Reference) -> Reference:
 
 @contextmanager
 def wide_numbers() -> Iterator[None]:
-    """Let numpy overflow or divide in silence; what comes out is looked at instead."""
+    """Let numpy overflow or divide silently; the result is checked instead."""
     with np.errstate(all="ignore"):
         yield
 
 
-class Playback:
-    """A driver that measures given lengths, obeys nothing and knows no truth."""
+class LengthPlayback:
+    """Driver that measures given lengths, ignores commands and knows no truth."""
 
     def __init__(self, measurements: tuple[Measurement, ...]) -> None:
         self._measurements = measurements
@@ -113,11 +113,11 @@ class Playback:
         self.sent: list[Array] = []
 
     def connect(self) -> None:
-        """Go to the first one."""
+        """Go to the first measurement."""
         self._index = 0
 
     def measure(self) -> Measurement:
-        """The one of this cycle."""
+        """Return the measurement of this cycle."""
         return self._measurements[self._index]
 
     def command(self, command: Command) -> Command:
@@ -126,12 +126,12 @@ class Playback:
         return command
 
     def wait(self, duration: float) -> bool:
-        """Go to the next one."""
+        """Go to the next measurement."""
         self._index += 1
         return self._index < len(self._measurements)
 
     def stop(self, reason: str) -> None:
-        """Nothing moves."""
+        """Do nothing: nothing moves."""
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: nothing is held."""

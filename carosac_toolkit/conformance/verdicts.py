@@ -1,4 +1,4 @@
-"""How a check says no, and what all checks share."""
+"""Failure of a check, and helpers that all checks share."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from carosac_toolkit.robot.robot import Robot
 Factory = Callable[..., Any]  # factory(robot, seed=...) makes a plug-in
 Check = Callable[[Factory, Robot], None]
 
-SEED = 3
-BATCH_TOLERANCE = 1e-9  # [m], between rows computed together and alone
+CHECK_SEED = 3
+BATCH_TOLERANCE_M = 1e-9  # [m], between rows computed together and alone
 
 
 class NotConforming(CarosacError, AssertionError):
-    """A plug-in that breaks its contract."""
+    """Error of a plug-in that breaks its contract."""
 
 
 def run_all(
     kind: str, checks: Mapping[str, Check], factory: Factory, robot: Robot, skip: tuple[str, ...]
 ) -> None:
-    """Run all checks, and tell of all that failed at once.
+    """Run all checks and report all failures at once.
 
     Raises:
         NotConforming: One line per failed check.
@@ -62,17 +62,19 @@ def only_clear_errors(doing: str) -> Iterator[None]:
         yield
     except InvalidField as error:
         if error.allowed == "a finite number":
-            raise NotConforming(f"{doing}: it made a number that is not finite: {error}") from error
+            raise NotConforming(
+                f"{doing}: it produced a number that is not finite: {error}"
+            ) from error
         raise
     except CarosacError:
         raise
     except Exception as error:
-        said = f"{type(error).__name__}: {error}"
-        raise NotConforming(f"{doing}: got {said}; allowed: a CarosacError") from error
+        message = f"{type(error).__name__}: {error}"
+        raise NotConforming(f"{doing}: got {message}; allowed: a CarosacError") from error
 
 
 def refuses(doing: str, action: Callable[[], object]) -> bool:
-    """Whether an action ends in a clear error; an unclear one breaks the contract."""
+    """Return whether an action ends in a clear error; an unclear one breaks the contract."""
     try:
         with only_clear_errors(doing):
             action()

@@ -1,1 +1,1 @@
-"""What a robot description implies: sizes, frequencies, sensitivities and doubtful numbers."""
+"""Consequences of a robot description: sizes, frequencies, sensitivities and doubtful numbers."""

@@ -19,17 +19,17 @@ if TYPE_CHECKING:
     from carosac_toolkit.physics.rest.statics import Equilibrium
     from carosac_toolkit.robot.schema import RobotFile
 
-SHAPE_SAMPLES = 101
+CABLE_SHAPE_POINTS = 101
 
 
 class CalibratedParameter(NamedTuple):
-    """A parameter that a calibration estimated.
+    """Parameter that a calibration estimated.
 
     Attributes:
-        name: As in `carosac_toolkit.robot.parameters`.
-        value: Of the robot; NaN where one number was estimated for cables that now differ.
+        name: Name as in `carosac_toolkit.robot.parameters`.
+        value: Value of the robot; NaN where one number was estimated for cables that now differ.
         sigma: One standard deviation.
-        unit: Of both.
+        unit: Unit of both.
     """
 
     name: str
@@ -58,7 +58,7 @@ class SensorReport(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotReport:
-    """A robot at its home position.
+    """Robot at its home position.
 
     Attributes:
         robot: The robot.
@@ -264,13 +264,13 @@ def report_robot(robot: Robot, file: RobotFile | None = None) -> RobotReport:
     straight = straight_line.straight_length(robot, robot.home_position[None])
     wrap = straight.wrap[0]
     if equilibrium.converged[0]:
-        shape = statics.cable_shape(robot, equilibrium, SHAPE_SAMPLES)[0]
-        sag = statics.sag(robot, equilibrium, samples=SHAPE_SAMPLES)[0]
+        shape = statics.cable_shape(robot, equilibrium, CABLE_SHAPE_POINTS)[0]
+        sag = statics.sag(robot, equilibrium, samples=CABLE_SHAPE_POINTS)[0]
         frequencies = modes.natural_frequencies(robot, equilibrium)[0]
         wrap = _wrap(robot, equilibrium)
     else:
         anchors = robot.home_position + robot.anchor_points @ robot.home_rotation.T
-        share = np.linspace(0.0, 1.0, SHAPE_SAMPLES)[:, None]
+        share = np.linspace(0.0, 1.0, CABLE_SHAPE_POINTS)[:, None]
         free = straight.length[0] - robot.pulley_radius * wrap
         start = anchors - free[:, None] * straight.direction[0]
         shape = start[:, None] * (1.0 - share) + anchors[:, None] * share

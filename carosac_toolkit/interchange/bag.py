@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and 2 and MCAP files: their topics, and the messages of one of them."""
+"""Bags of ROS 1 and 2 and MCAP files: their topics and messages."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from carosac_toolkit.base.errors import (
     did_you_mean,
 )
 
-_SUFFIXES = (".bag", ".mcap", ".db3")
-_KINDS = "a .bag of ROS 1, the folder of a ROS 2 bag, or a single .mcap or .db3 file"
+_BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+_BAG_KINDS = "a .bag of ROS 1, the folder of a ROS 2 bag, or a single .mcap or .db3 file"
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of a bag.
+    """Topic of a bag.
 
     Attributes:
         name: Such as ``/joint_states``.
@@ -40,12 +40,12 @@ class Topic:
 
 
 class Bag:
-    """An open bag; see `open_bag`.
+    """Open bag; see `open_bag`.
 
     Attributes:
         paths: Its files.
         topics: By name.
-        assumed: Whether message types are those of ROS 2, as the bag does not define them.
+        assumed: True if message types are those of ROS 2, as the bag does not define them.
     """
 
     def __init__(self, reader: Any, paths: Sequence[Path], assumed: bool) -> None:
@@ -61,30 +61,30 @@ class Bag:
 
     @property
     def name(self) -> str:
-        """Its files, for people."""
+        """Names of its files, for messages."""
         return ", ".join(path.name for path in self.paths)
 
     def topic(self, name: str, option: str) -> Topic:
-        """The topic of a name.
+        """Return the topic of a name.
 
         Raises:
             InvalidField: There is none, or it has no messages.
         """
-        found = self.topics.get(name)
-        if found is None:
+        topic = self.topics.get(name)
+        if topic is None:
             names = list(self.topics)
             allowed = f"a topic of the bag: {', '.join(names)}{did_you_mean(name, names)}"
             raise InvalidField(option, repr(name), allowed)
-        if not found.count:
+        if not topic.count:
             raise InvalidField(option, repr(name), "a topic with messages; this one has none")
-        return found
+        return topic
 
     def first(self, topic: str) -> Any:
-        """Content of the first message of a topic, or None."""
+        """Return the content of the first message of a topic, or None."""
         return next((message for _, message in self.messages(topic)), None)
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
-        """Time of receipt [ns] and content of each message of a topic, in order of receipt."""
+        """Yield time of receipt [ns] and content of a topic's messages, in order of receipt."""
         chosen = [c for c in self._reader.connections if c.topic == topic]
         with _our_errors(self.paths):
             for connection, time, raw in self._reader.messages(connections=chosen):
@@ -126,7 +126,7 @@ def open_bag(paths: Sequence[Path], *, definitions: Path | None = None) -> Itera
 
 
 def _check(paths: Sequence[Path]) -> None:
-    """Refuse what is no bag, before a library is asked."""
+    """Refuse a path that is no bag, before a library opens it."""
     if find_spec("rosbags") is None:
         raise CarosacError(
             "reading bags needs the package rosbags: pip install carosac-toolkit[ros]"
@@ -135,15 +135,15 @@ def _check(paths: Sequence[Path]) -> None:
         if not path.exists():
             raise MissingFile(path)
         if path.is_dir() and not (path / "metadata.yaml").exists():
-            raise InvalidFile(path, [f"no metadata.yaml in this folder; allowed: {_KINDS}"])
-        if path.is_file() and path.suffix.lower() not in _SUFFIXES:
-            raise InvalidField("BAG", repr(str(path)), _KINDS)
+            raise InvalidFile(path, [f"no metadata.yaml in this folder; allowed: {_BAG_KINDS}"])
+        if path.is_file() and path.suffix.lower() not in _BAG_SUFFIXES:
+            raise InvalidField("BAG", repr(str(path)), _BAG_KINDS)
     if len(paths) > 1 and any(path.suffix.lower() != ".bag" for path in paths):
         raise InvalidField("BAG", ", ".join(map(str, paths)), "one, or the parts of a ROS 1 bag")
 
 
 def _known_types(definitions: Path | None) -> Any:
-    """Message types of ROS 2, and those of a folder."""
+    """Return the message types of ROS 2, and those of a folder."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.LATEST)
@@ -163,7 +163,7 @@ def _known_types(definitions: Path | None) -> Any:
 
 @contextmanager
 def _our_errors(paths: Sequence[Path]) -> Iterator[None]:
-    """Turn what libraries say of damaged files into one message."""
+    """Turn library errors on damaged files into one message."""
     import apsw
     from rosbags.highlevel import AnyReaderError
     from rosbags.rosbag1 import ReaderError as Error1

@@ -1,4 +1,4 @@
-"""From the messages of a topic to numbers with time stamps."""
+"""Conversion of a topic's messages to numbers with time stamps."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.interchange.bag import Bag
 
 Nanoseconds = NDArray[np.int64]
-STAMPS = ("header", "receive")
-_DEFAULT = {
+STAMP_SOURCES = ("header", "receive")
+_LENGTH_FIELDS = {
     "std_msgs/msg/Float64MultiArray": "data", "std_msgs/msg/Float32MultiArray": "data",
     "std_msgs/msg/Float64": "data", "std_msgs/msg/Float32": "data",
     "sensor_msgs/msg/JointState": "position",
 }  # fmt: skip
-_EFFORT = {"sensor_msgs/msg/JointState": "effort"}
-_RATE = {"sensor_msgs/msg/JointState": "velocity"}
-_POSE = {
+_TENSION_FIELDS = {"sensor_msgs/msg/JointState": "effort"}
+_RATE_FIELDS = {"sensor_msgs/msg/JointState": "velocity"}
+_POSE_FIELDS = {
     "geometry_msgs/msg/PoseStamped": "pose",
     "geometry_msgs/msg/PoseWithCovarianceStamped": "pose.pose",
     "nav_msgs/msg/Odometry": "pose.pose", "geometry_msgs/msg/TransformStamped": "transform",
     "geometry_msgs/msg/Pose": "", "geometry_msgs/msg/Transform": "",
 }  # fmt: skip
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-IMU = "sensor_msgs/msg/Imu"
-POSE_TYPES = (*_POSE, *TF_TYPES)
-LENGTH_TYPES = tuple(_DEFAULT)
-_SPEC = re.compile(r"(?P<topic>/?[^.\[\]]+)(?:\.(?P<field>[\w.]+))?")
+IMU_TYPE = "sensor_msgs/msg/Imu"
+POSE_TYPES = (*_POSE_FIELDS, *TF_TYPES)
+LENGTH_TYPES = tuple(_LENGTH_FIELDS)
+_CHANNEL_PATTERN = re.compile(r"(?P<topic>/?[^.\[\]]+)(?:\.(?P<field>[\w.]+))?")
 
 
 @dataclass(frozen=True)
-class Samples:
+class TopicSamples:
     """Numbers of a topic, in order of their stamps.
 
     Attributes:
@@ -59,24 +59,26 @@ class Samples:
     labels: tuple[str, ...] = ()
 
 
-def numbers(bag: Bag, spec: str, option: str, *, stamps: str, names: Sequence[str] = ()) -> Samples:
-    """Numbers of a topic.
+def numbers(
+    bag: Bag, spec: str, option: str, *, stamps: str, names: Sequence[str] = ()
+) -> TopicSamples:
+    """Return the numbers of a topic.
 
     Args:
-        bag: Where the topic is.
+        bag: Bag of the topic.
         spec: ``/topic`` or ``/topic.field``; the field may be a number, a list of numbers, or a
             number in each message of a list, such as ``/winches.drives.length``.
-        option: Which option asked for it.
-        stamps: Which clock is preferred, `header` or `receive`.
-        names: Of a topic with names (JointState), which to take, in this order.
+        option: Option that named it.
+        stamps: Preferred clock, `header` or `receive`.
+        names: Columns to take of a topic with names (JointState), in this order.
 
     Raises:
         InvalidField: No such topic or field, or messages that do not go together.
     """
     topic, field = split_spec(spec, option)
     kind = bag.topic(topic, option).kind
-    own = {"--tension": _EFFORT, "--rates": _RATE}.get(option, {})
-    path = field or own.get(kind) or _DEFAULT.get(kind)
+    own = {"--tension": _TENSION_FIELDS, "--rates": _RATE_FIELDS}.get(option, {})
+    path = field or own.get(kind) or _LENGTH_FIELDS.get(kind)
     times: list[int | None] = []
     received, rows = list[int](), list[Array]()
     labels: tuple[str, ...] = ()
@@ -96,13 +98,13 @@ def numbers(bag: Bag, spec: str, option: str, *, stamps: str, names: Sequence[st
     return _ordered(f"{topic}.{path}", times, received, np.array(rows), stamps, labels)
 
 
-def poses(bag: Bag, spec: str, *, stamps: str, frames: Sequence[str] = ()) -> Samples:
-    """Positions and quaternions w x y z of a topic, shape (K, 7); in ROS the order is x y z w.
+def poses(bag: Bag, spec: str, *, stamps: str, frames: Sequence[str] = ()) -> TopicSamples:
+    """Return positions and quaternions w x y z of a topic, shape (K, 7); ROS orders them x y z w.
 
     Args:
-        bag: Where the topic is.
+        bag: Bag of the topic.
         spec: ``/topic`` or ``/topic.field``.
-        stamps: Which clock is preferred.
+        stamps: Preferred clock.
         frames: Parent and child frame, for a topic of many transforms (tf).
 
     Raises:
@@ -123,7 +125,11 @@ def poses(bag: Bag, spec: str, *, stamps: str, frames: Sequence[str] = ()) -> Sa
                 if list(pair) != [frame.lstrip("/") for frame in frames]:
                     continue
             path = (
-                "transform" if kind in TF_TYPES else field if field is not None else _POSE.get(kind)
+                "transform"
+                if kind in TF_TYPES
+                else field
+                if field is not None
+                else _POSE_FIELDS.get(kind)
             )
             if path is None:
                 allowed = f"{topic}.FIELD with the pose, or a topic of {', '.join(POSE_TYPES)}"
@@ -138,15 +144,15 @@ def poses(bag: Bag, spec: str, *, stamps: str, frames: Sequence[str] = ()) -> Sa
     return _ordered(topic, times, received, np.array(rows), stamps)
 
 
-def inertial(bag: Bag, spec: str, *, stamps: str) -> Samples:
-    """Angular rates [rad/s] and specific forces [m/s^2] of ``sensor_msgs/Imu``, shape (K, 6).
+def inertial(bag: Bag, spec: str, *, stamps: str) -> TopicSamples:
+    """Return angular rate [rad/s] and specific force [m/s^2] of ``sensor_msgs/Imu``, shape (K, 6).
 
     Its `linear_acceleration` is what an accelerometer reads: +g upwards at rest.
     """
     topic, field = split_spec(spec, "--imu")
     kind = bag.topic(topic, "--imu").kind
-    if kind != IMU or field:
-        raise InvalidField("--imu", f"{spec!r}, {kind}", f"a topic of {IMU}")
+    if kind != IMU_TYPE or field:
+        raise InvalidField("--imu", f"{spec!r}, {kind}", f"a topic of {IMU_TYPE}")
     times, received, rows = [], [], []
     for time, message in bag.messages(topic):
         rate, force = message.angular_velocity, message.linear_acceleration
@@ -157,28 +163,28 @@ def inertial(bag: Bag, spec: str, *, stamps: str) -> Samples:
 
 
 def split_spec(spec: str, option: str) -> tuple[str, str | None]:
-    """Topic and field of ``/topic.field``."""
-    match = _SPEC.fullmatch(spec)
+    """Split ``/topic.field`` into topic and field."""
+    match = _CHANNEL_PATTERN.fullmatch(spec)
     if match is None:
         raise InvalidField(option, repr(spec), "/topic or /topic.field")
     return match["topic"], match["field"]
 
 
 def _at(message: Any, path: str, spec: str, option: str) -> Any:
-    """What is at a field; of a list of messages, what is there in each."""
-    found = message
+    """Return the content of a field; of a list of messages, that of each."""
+    content = message
     for part in filter(None, path.split(".")):
-        if isinstance(found, list | tuple):
-            found = [_at(entry, part, spec, option) for entry in found]
-        elif hasattr(found, part) and is_dataclass(found):
-            found = getattr(found, part)
+        if isinstance(content, list | tuple):
+            content = [_at(entry, part, spec, option) for entry in content]
+        elif hasattr(content, part) and is_dataclass(content):
+            content = getattr(content, part)
         else:
-            raise InvalidField(option, repr(spec), f"a field of the message: {_fields(found)}")
-    return found
+            raise InvalidField(option, repr(spec), f"a field of the message: {_fields(content)}")
+    return content
 
 
 def _row(value: Any, spec: str, option: str) -> Array:
-    """Numbers as a row."""
+    """Return numbers as a row."""
     try:
         return np.atleast_1d(np.asarray(value, dtype=np.float64)).ravel()
     except (TypeError, ValueError) as error:
@@ -192,18 +198,18 @@ def _fields(message: Any) -> str:
 
 
 def numeric(message: Any, start: str = "") -> str:
-    """Fields of a message that hold numbers, for people."""
-    found = []
+    """List the fields of a message that hold numbers."""
+    names = []
     for name in [field.name for field in fields(message)] if is_dataclass(message) else []:
         value = getattr(message, name)
         if name == "header" or name.startswith("__"):
             continue
         first = value[0] if isinstance(value, list) and value else value
         if is_dataclass(first):
-            found.append(numeric(first, f"{start}{name}."))
+            names.append(numeric(first, f"{start}{name}."))
         elif isinstance(value, int | float | np.ndarray) and not isinstance(value, bool):
-            found.append(f"{start}{name}")
-    return ", ".join(entry for entry in found if entry)
+            names.append(f"{start}{name}")
+    return ", ".join(entry for entry in names if entry)
 
 
 def _named(
@@ -214,7 +220,7 @@ def _named(
     spec: str,
     option: str,
 ) -> tuple[Array, tuple[str, ...]]:
-    """Columns by name, where the message has one for each; every message has the same."""
+    """Return columns by name, where the message has one for each; every message has the same."""
     own = getattr(message, "name", None)
     if not isinstance(own, list) or len(own) != len(row):
         return row, ()
@@ -227,7 +233,7 @@ def _named(
 
 
 def _pose(pose: Any, spec: str) -> list[float]:
-    """Position and quaternion w x y z of a Pose or Transform."""
+    """Return position and quaternion w x y z of a Pose or Transform."""
     place = getattr(pose, "position", None) or getattr(pose, "translation", None)
     turn = getattr(pose, "orientation", None) or getattr(pose, "rotation", None)
     if place is None or turn is None:
@@ -237,7 +243,7 @@ def _pose(pose: Any, spec: str) -> list[float]:
 
 
 def _stamp(message: Any) -> int | None:
-    """Stamp of the header [ns], or None where there is none or it was never set."""
+    """Return the header's stamp [ns], or None if there is none or it was never set."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     if stamp is None or (stamp.sec == 0 and stamp.nanosec == 0):
         return None
@@ -251,8 +257,8 @@ def _ordered(
     rows: Array,
     stamps: str,
     labels: tuple[str, ...] = (),
-) -> Samples:
-    """Samples in order of one clock, a stamp once."""
+) -> TopicSamples:
+    """Return samples in the order of one clock, each stamp once."""
     known = [time for time in times if time is not None]
     complete = len(known) == len(times)
     clock = "header" if stamps == "header" and complete else "receive"
@@ -261,4 +267,4 @@ def _ordered(
     if complete and known:
         behind = 1e-9 * float(np.median(np.array(received) - np.array(known, dtype=np.int64)))
     time, first = np.unique(time, return_index=True)
-    return Samples(topic, time, rows[first], clock, behind, len(times) - len(time), labels)
+    return TopicSamples(topic, time, rows[first], clock, behind, len(times) - len(time), labels)

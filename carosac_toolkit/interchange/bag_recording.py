@@ -1,4 +1,4 @@
-"""A recording out of the topics of a bag: each channel keeps its stamps, none is interpolated."""
+"""Recordings from the topics of a bag: each channel keeps its stamps, none is interpolated."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from carosac_toolkit.base.units import parse_quantity
 from carosac_toolkit.base.version import __version__
 from carosac_toolkit.interchange.bag import Bag
 from carosac_toolkit.interchange.bag_channels import (
-    STAMPS,
+    STAMP_SOURCES,
     Nanoseconds,
-    Samples,
+    TopicSamples,
     inertial,
     numbers,
     poses,
@@ -25,12 +25,12 @@ from carosac_toolkit.recordings.metadata import RecordingMetadata
 from carosac_toolkit.recordings.poses import PoseSamples
 from carosac_toolkit.recordings.recording import Recording
 
-_APART = 1.0  # [s] by which delays of two channels may differ before a warning
+_DELAY_DIFFERENCE_MAX_S = 1.0  # [s] by which delays of two channels may differ before a warning
 
 
 @dataclass(frozen=True, kw_only=True)
 class Topics:
-    """Which topics hold what; see `read_bag`.
+    """Topics by content; see `read_bag`.
 
     Attributes:
         lengths: One topic with a number for each cable, or one topic for each cable.
@@ -40,12 +40,12 @@ class Topics:
         pose: A topic of poses, or None.
         imu: A topic of ``sensor_msgs/Imu``, or None.
         frames: Parent and child frame, where `pose` is a topic of many transforms.
-        names: Of a topic with names, such as JointState: those of the cables, in their order.
+        names: Names of the cables in a topic with names, such as JointState, in their order.
         together: Stamps of the topics of single cables that are one sample [s], or None.
-        stamps: Which clock is preferred, `header` or `receive`.
-        length_unit: Of lengths, commands and rates per second.
+        stamps: Preferred clock, `header` or `receive`.
+        length_unit: Unit of lengths, commands and rates per second.
         length_kind: `unstrained` or `relative`.
-        robot: Which robot it was, for the metadata.
+        robot: Robot of the recording, for the metadata.
     """
 
     lengths: tuple[str, ...]
@@ -63,9 +63,9 @@ class Topics:
     robot: str | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what no bag can answer."""
-        if self.stamps not in STAMPS:
-            raise InvalidField("--stamps", repr(self.stamps), f"one of {', '.join(STAMPS)}")
+        """Refuse settings that no bag can satisfy."""
+        if self.stamps not in STAMP_SOURCES:
+            raise InvalidField("--stamps", repr(self.stamps), f"one of {', '.join(STAMP_SOURCES)}")
         if not self.lengths:
             allowed = "a topic with cable lengths; a recording needs them"
             raise InvalidField("--lengths", "nothing", allowed)
@@ -75,30 +75,30 @@ class Topics:
 
 @dataclass(frozen=True)
 class Imported:
-    """A recording and what happened on the way.
+    """Recording, and notes on its import.
 
     Attributes:
         recording: Time 0 is the first stamp of all.
         channels: Samples by channel, as they were in the bag.
-        notes: What was left out, or put together.
-        warnings: What looks wrong.
+        notes: Omissions and merges.
+        warnings: Likely mistakes.
     """
 
     recording: Recording
-    channels: dict[str, Samples]
+    channels: dict[str, TopicSamples]
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
 
 def read_bag(bag: Bag, topics: Topics) -> Imported:
-    """Read a recording out of a bag.
+    """Read a recording from a bag.
 
     Raises:
         InvalidField: Topics that are not there, or that do not make a recording.
     """
     notes: list[str] = []
     scale = parse_quantity(f"1 {topics.length_unit}", "m")
-    found: dict[str, Samples] = {}
+    channels: dict[str, TopicSamples] = {}
     for channel, option, specs in (
         ("unstrained_length", "--lengths", topics.lengths),
         ("tension", "--tension", topics.tensions),
@@ -107,26 +107,26 @@ def read_bag(bag: Bag, topics: Topics) -> Imported:
     ):
         if specs:
             samples = _cables(bag, specs, option, topics, notes)
-            found[channel] = _in_order_of(found.get("unstrained_length", samples), samples)
+            channels[channel] = _in_order_of(channels.get("unstrained_length", samples), samples)
     if topics.pose is not None:
-        found["poses"] = poses(bag, topics.pose, stamps=topics.stamps, frames=topics.frames)
+        channels["poses"] = poses(bag, topics.pose, stamps=topics.stamps, frames=topics.frames)
     if topics.imu is not None:
-        found["imu"] = inertial(bag, topics.imu, stamps=topics.stamps)
-    if topics.names and not any(samples.labels for samples in found.values()):
+        channels["imu"] = inertial(bag, topics.imu, stamps=topics.stamps)
+    if topics.names and not any(samples.labels for samples in channels.values()):
         allowed = "none, as these topics have no names"
         raise InvalidField("--names", " ".join(topics.names), allowed)
-    for channel, samples in found.items():
+    for channel, samples in channels.items():
         if samples.repeated:
             notes.append(f"{channel}: {samples.repeated} messages with the stamp of an earlier one")
-    start = min(int(samples.time[0]) for samples in found.values())
-    recording = _recording(found, start, scale, topics, bag)
-    return Imported(recording, found, notes, _clock_warnings(found))
+    start = min(int(samples.time[0]) for samples in channels.values())
+    recording = _recording(channels, start, scale, topics, bag)
+    return Imported(recording, channels, notes, _clock_warnings(channels))
 
 
 def _cables(
     bag: Bag, specs: Sequence[str], option: str, topics: Topics, notes: list[str]
-) -> Samples:
-    """A number for each cable: of one topic, or of one topic for each."""
+) -> TopicSamples:
+    """Return a number per cable: from one topic, or from one topic per cable."""
     each = [numbers(bag, spec, option, stamps=topics.stamps, names=topics.names) for spec in specs]
     if len(each) == 1:
         return each[0]
@@ -150,11 +150,11 @@ def _cables(
     title = ", ".join(samples.topic for samples in each)
     repeated = sum(samples.repeated for samples in each)
     labels = tuple(samples.topic for samples in each)
-    return Samples(title, first.time[kept], value, first.clock, first.behind, repeated, labels)
+    return TopicSamples(title, first.time[kept], value, first.clock, first.behind, repeated, labels)
 
 
-def _in_order_of(lengths: Samples, samples: Samples) -> Samples:
-    """The columns in the order of the lengths, where they have the same names in another one."""
+def _in_order_of(lengths: TopicSamples, samples: TopicSamples) -> TopicSamples:
+    """Return the columns in the order of the lengths, if their names are the same."""
     names = list(samples.labels)
     if samples.labels == lengths.labels or set(names) != set(lengths.labels):
         return samples
@@ -163,9 +163,9 @@ def _in_order_of(lengths: Samples, samples: Samples) -> Samples:
 
 
 def _matched(
-    each: Sequence[Samples], together: float | None, option: str
+    each: Sequence[TopicSamples], together: float | None, option: str
 ) -> list[np.ndarray[tuple[int], np.dtype[np.int64]]]:
-    """For each sample of the first topic, the row of each topic that belongs to it, or -1."""
+    """Return the row of each topic that belongs to a sample of the first topic, or -1."""
     first = each[0].time
     rows = []
     worst = 0
@@ -186,7 +186,7 @@ def _matched(
 
 
 def _nearest(time: Nanoseconds, when: Nanoseconds) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Index of the stamp nearest to each of others."""
+    """Return the index of the nearest stamp for each of others."""
     right = np.clip(np.searchsorted(time, when), 0, len(time) - 1)
     left = np.maximum(right - 1, 0)
     closer = np.abs(time[left] - when) < np.abs(time[right] - when)
@@ -194,18 +194,18 @@ def _nearest(time: Nanoseconds, when: Nanoseconds) -> np.ndarray[tuple[int], np.
 
 
 def _recording(
-    found: dict[str, Samples], start: int, scale: float, topics: Topics, bag: Bag
+    channels: dict[str, TopicSamples], start: int, scale: float, topics: Topics, bag: Bag
 ) -> Recording:
-    """All channels by one clock that begins with the first sample."""
-    lengths = found["unstrained_length"]
+    """Return all channels on one clock that begins with the first sample."""
+    lengths = channels["unstrained_length"]
     stamped = {
         name: Stamped(time=_seconds(samples, start), value=factor * samples.value)
         for name, factor in (("tension", 1.0), ("command", scale), ("length_rate", scale))
-        if (samples := found.get(name)) is not None
+        if (samples := channels.get(name)) is not None
     }
-    where = found.get("poses")
-    imu = found.get("imu")
-    said = f"time 0 is {start // 10**9}.{start % 10**9:09d} s since 1970"
+    where = channels.get("poses")
+    imu = channels.get("imu")
+    origin = f"time 0 is {start // 10**9}.{start % 10**9:09d} s since 1970"
     return Recording(
         time=_seconds(lengths, start),
         unstrained_length=scale * lengths.value,
@@ -223,8 +223,8 @@ def _recording(
         ),
         metadata=RecordingMetadata(
             robot=topics.robot,
-            description=f"imported from a bag; {said}",
-            source="; ".join([bag.name, *(f"{n}: {s.topic}" for n, s in found.items())]),
+            description=f"imported from a bag; {origin}",
+            source="; ".join([bag.name, *(f"{n}: {s.topic}" for n, s in channels.items())]),
             created_by=f"carosac import recording {__version__}",
             length_kind=topics.length_kind,
         ),
@@ -234,23 +234,25 @@ def _recording(
     )
 
 
-def _seconds(samples: Samples, start: int) -> Array:
-    """Stamps as seconds since the first one."""
+def _seconds(samples: TopicSamples, start: int) -> Array:
+    """Convert stamps to seconds since the first one."""
     return np.asarray((samples.time - start) / 1e9, dtype=np.float64)
 
 
-def _clock_warnings(found: dict[str, Samples]) -> list[str]:
-    """Channels whose clocks can hardly be one."""
+def _clock_warnings(channels: dict[str, TopicSamples]) -> list[str]:
+    """Return warnings of channels that can hardly share one clock."""
     warnings = []
-    clocks = {samples.clock for samples in found.values()}
+    clocks = {samples.clock for samples in channels.values()}
     if len(clocks) > 1:
-        late = ", ".join(name for name, s in found.items() if s.clock == "receive")
+        late = ", ".join(name for name, s in channels.items() if s.clock == "receive")
         warnings.append(
             f"header stamps, but times of receipt for {late} (no header): their delay against each "
             "other is not known; --stamps receive takes times of receipt for all"
         )
-    delays = {n: s.behind for n, s in found.items() if s.behind is not None and s.clock == "header"}
-    if delays and max(delays.values()) - min(delays.values()) > _APART:
-        said = ", ".join(f"{name} {delay:.3g} s" for name, delay in delays.items())
-        warnings.append(f"header stamps of different clocks? received after their stamps: {said}")
+    delays = {
+        n: s.behind for n, s in channels.items() if s.behind is not None and s.clock == "header"
+    }
+    if delays and max(delays.values()) - min(delays.values()) > _DELAY_DIFFERENCE_MAX_S:
+        text = ", ".join(f"{name} {delay:.3g} s" for name, delay in delays.items())
+        warnings.append(f"header stamps of different clocks? received after their stamps: {text}")
     return warnings

@@ -28,9 +28,9 @@ from carosac_toolkit.interchange.source_file import SourceFile, about_centre_of_
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-_JOINT = "SPATIAL_EULER_XYZ"
-_DOWN = np.array([0.0, 0.0, -1.0])
-_DROPPED = (
+_SUPPORTED_JOINT = "SPATIAL_EULER_XYZ"
+_DOWNWARD_AXIS = np.array([0.0, 0.0, -1.0])
+_IGNORED_ELEMENTS = (
     "display_range and view_angle of the pictures, end_location, operational spaces, trajectories"
 )
 
@@ -53,7 +53,7 @@ def read_caspr(
     body, rope = SourceFile(bodies), SourceFile(cables)
     chosen = _chosen_set(rope, cable_set)
     title = f"CASPR, {bodies.name} and {cables.name}, cable set {chosen.get('id')!r}"
-    draft = Draft(title, dropped=[_DROPPED])
+    draft = Draft(title, dropped=[_IGNORED_ELEMENTS])
     centre = _platform(body, draft)
     _cables(rope, chosen, centre, draft, pulleys)
     body.check()
@@ -62,7 +62,7 @@ def read_caspr(
 
 
 def _chosen_set(file: SourceFile, asked: str | None) -> Element:
-    """The cable set that is asked for, or the default one."""
+    """Return the requested cable set, or the default one."""
     root = file.xml()
     sets = {found.get("id", ""): found for found in root.findall("cable_set")}
     if not sets:
@@ -76,20 +76,22 @@ def _chosen_set(file: SourceFile, asked: str | None) -> Element:
 
 
 def _platform(file: SourceFile, draft: Draft) -> Array:
-    """Mass, centre and inertia of the link, and its joint; returns the centre of mass in P."""
+    """Put mass, centre and inertia of the link, and its joint; return the centre of mass in P."""
     root = file.xml()
     links = root if root.tag == "links" else root.find("links")
-    found = [] if links is None else list(links)
-    if len(found) != 1 or found[0].tag != "link_rigid":
-        tags = ", ".join(link.get("name") or link.tag for link in found) or "none"
-        raise file.refuse(f"{len(found)} links ({tags}); allowed: one rigid link, the platform")
-    link = found[0]
+    rigid_links = [] if links is None else list(links)
+    if len(rigid_links) != 1 or rigid_links[0].tag != "link_rigid":
+        tags = ", ".join(link.get("name") or link.tag for link in rigid_links) or "none"
+        raise file.refuse(
+            f"{len(rigid_links)} links ({tags}); allowed: one rigid link, the platform"
+        )
+    link = rigid_links[0]
     draft.put(("name",), (link.get("name") or file.path.stem).strip())
     draft.put(("description",), f"{link.get('name') or file.path.stem}, imported from CASPR")
     joint = link.find("joint")
-    if joint is None or joint.get("type") != _JOINT:
+    if joint is None or joint.get("type") != _SUPPORTED_JOINT:
         kind = None if joint is None else joint.get("type")
-        raise file.refuse(f"link_rigid/joint@type: got {kind!r}; allowed: {_JOINT!r}")
+        raise file.refuse(f"link_rigid/joint@type: got {kind!r}; allowed: {_SUPPORTED_JOINT!r}")
     physical = link.find("physical")
     if physical is None:
         raise file.refuse("link_rigid: no element <physical>")
@@ -99,7 +101,7 @@ def _platform(file: SourceFile, draft: Draft) -> Array:
 
 
 def _body(file: SourceFile, physical: Element, draft: Draft) -> Array:
-    """Mass, centre of mass and inertia."""
+    """Put mass, centre of mass and inertia."""
     mass = file.child_number(physical, "mass", "physical", "kg")
     centre = file.numbers(physical.findtext("com_location"), "physical/com_location", 3, "m")
     draft.put(("platform", "mass"), mass, "mass of the link")
@@ -115,13 +117,13 @@ def _body(file: SourceFile, physical: Element, draft: Draft) -> Array:
     matrix[np.triu_indices(3)] = entries
     matrix += np.triu(matrix, 1).T
     reference = inertia.get("ref")
-    said = "inertia of the link about its centre of mass; Ixy, Ixz, Iyz are matrix entries"
+    source = "inertia of the link about its centre of mass; Ixy, Ixz, Iyz are matrix entries"
     if reference == "joint":
         matrix = about_centre_of_mass(matrix, mass, centre)
-        said = "inertia of the link about its joint, moved to the centre of mass"
+        source = "inertia of the link about its joint, moved to the centre of mass"
     elif reference != "com":
         file.fault("inertia@ref", repr(reference), "'com' or 'joint'")
-    draft.put(("platform", "inertia"), matrix.tolist(), said)
+    draft.put(("platform", "inertia"), matrix.tolist(), source)
     if np.isfinite(matrix).all() and np.triu(matrix, 1).any():
         draft.warnings.append(
             "products of inertia are taken as entries of the matrix; some files mean the integral "
@@ -131,7 +133,7 @@ def _body(file: SourceFile, physical: Element, draft: Draft) -> Array:
 
 
 def _joint(file: SourceFile, link: Element, joint: Element, draft: Draft) -> None:
-    """Home and workspace, where the joint has them."""
+    """Put home and workspace, where the joint has them."""
     origin = file.numbers(link.findtext("parent/location"), "parent/location", 3, "m")
     start = joint.get("q_initial")
     if start is not None:
@@ -150,7 +152,7 @@ def _joint(file: SourceFile, link: Element, joint: Element, draft: Draft) -> Non
 
 
 def _euler_xyz(angles: Array) -> Array:
-    """Quaternion w x y z of R = Rx Ry Rz [rad]; NaN where an angle is."""
+    """Return the quaternion w x y z of R = Rx Ry Rz [rad]; NaN where an angle is."""
     if not np.isfinite(angles).all():
         return np.full(4, np.nan)
     from scipy.spatial.transform import Rotation
@@ -161,7 +163,7 @@ def _euler_xyz(angles: Array) -> Array:
 
 
 def _cables(file: SourceFile, chosen: Element, centre: Array, draft: Draft, pulleys: bool) -> None:
-    """Chains, tension limits and stiffness of one cable set."""
+    """Put chains, tension limits and stiffness of one cable set."""
     names: list[str] = []
     ends, limits, stiffness = [], [], []
     for i, cable in enumerate(chosen):
@@ -190,7 +192,7 @@ def _cables(file: SourceFile, chosen: Element, centre: Array, draft: Draft, pull
 
 
 def _cable_types(draft: Draft, names: list[str], stiffness: list[float | None]) -> list[str]:
-    """One cable type for each stiffness; returns the name of each cable's."""
+    """Put one cable type for each stiffness; return the name of each cable's."""
     kinds: dict[float | None, str] = {}
     for name, value in zip(names, stiffness, strict=True):
         if value not in kinds:
@@ -204,7 +206,7 @@ def _cable_types(draft: Draft, names: list[str], stiffness: list[float | None]) 
 
 
 def _stiffness(file: SourceFile, cable: Element, where: str, draft: Draft) -> float | None:
-    """Axial stiffness [N] of a linear spring; other springs are no elastic cables."""
+    """Return the axial stiffness [N] of a linear spring; other springs are not elastic cables."""
     if cable.tag == "cable_linear_spring":
         value = _optional(file, cable, "K_cable", where)
         if value is not None:
@@ -215,7 +217,7 @@ def _stiffness(file: SourceFile, cable: Element, where: str, draft: Draft) -> fl
 
 
 def _optional(file: SourceFile, cable: Element, tag: str, where: str) -> float | None:
-    """A number of a cable's properties, or None where there is none."""
+    """Return a number of a cable's properties, or None if absent."""
     text = cable.findtext(f"properties/{tag}")
     return None if text is None else file.number(text, f"{where}/{tag}", "N")
 
@@ -223,13 +225,13 @@ def _optional(file: SourceFile, cable: Element, tag: str, where: str) -> float |
 def _ends(
     file: SourceFile, cable: Element, where: str, centre: Array, pulleys: bool
 ) -> tuple[tuple[Array, float, Array], Array]:
-    """Exit point and anchor point of a cable."""
+    """Return exit point and anchor point of a cable."""
     points = list(cable.find("attachments") or ())
     nothing = np.full(3, np.nan)
     if len(points) != 2:
         allowed = "two, at base and platform; a cable over further links is not a single platform's"
         file.fault(f"{where}/attachments", f"{len(points)} attachments", allowed)
-        return (nothing, 0.0, _DOWN), nothing
+        return (nothing, 0.0, _DOWNWARD_AXIS), nothing
     base, end = points
     if base.tag == "attachment" and (base.findtext("link") or "").strip() == "1":
         base, end = end, base
@@ -237,7 +239,7 @@ def _ends(
 
 
 def _exit(file: SourceFile, base: Element, where: str, pulleys: bool) -> tuple[Array, float, Array]:
-    """Position, pulley radius and swivel axis at the base."""
+    """Return position, pulley radius and swivel axis at the base."""
     if base.tag == "base_rotating_pulley":
         position = file.numbers(base.findtext("fixed_location"), f"{where}/fixed_location", 3, "m")
         radius = file.child_number(base, "pulley_radius", where, "m")
@@ -245,7 +247,7 @@ def _exit(file: SourceFile, base: Element, where: str, pulleys: bool) -> tuple[A
         length = float(np.linalg.norm(axis))
         if length == 0.0:
             file.fault(f"{where}/cable_entry_vector", "0 0 0", "a direction")
-            return position, 0.0, _DOWN
+            return position, 0.0, _DOWNWARD_AXIS
         if radius < 0.0:
             file.fault(f"{where}/pulley_radius", f"{radius:g}", ">= 0")
         return position, radius if pulleys else 0.0, axis / length
@@ -253,12 +255,12 @@ def _exit(file: SourceFile, base: Element, where: str, pulleys: bool) -> tuple[A
     if base.tag != "attachment" or link != "0":
         got = f"<{base.tag}> at link {link or 'nothing'}"
         file.fault(f"{where}/attachments", got, "an attachment or base_rotating_pulley at link 0")
-        return np.full(3, np.nan), 0.0, _DOWN
-    return file.numbers(base.findtext("location"), f"{where}/location", 3, "m"), 0.0, _DOWN
+        return np.full(3, np.nan), 0.0, _DOWNWARD_AXIS
+    return file.numbers(base.findtext("location"), f"{where}/location", 3, "m"), 0.0, _DOWNWARD_AXIS
 
 
 def _anchor(file: SourceFile, cable: Element, end: Element, where: str, centre: Array) -> Array:
-    """Anchor point in P."""
+    """Return the anchor point in P."""
     link = (end.findtext("link") or "").strip()
     if end.tag != "attachment" or link != "1":
         got = f"<{end.tag}> at link {link or 'nothing'}"

@@ -21,7 +21,7 @@ from carosac_toolkit.base.yaml import read_yaml
 from carosac_toolkit.interchange.draft import Draft
 from carosac_toolkit.interchange.source_file import SourceFile, about_centre_of_mass
 
-INERTIA_ABOUT = ("origin", "center_of_mass")
+INERTIA_REFERENCE_POINTS = ("origin", "center_of_mass")
 
 
 def read_cdpyr(path: Path, *, pulleys: bool = True, inertia_about: str | None = None) -> Draft:
@@ -36,8 +36,10 @@ def read_cdpyr(path: Path, *, pulleys: bool = True, inertia_about: str | None = 
     Raises:
         InvalidFile: A file with faults, or no single platform with six degrees of freedom.
     """
-    if inertia_about is not None and inertia_about not in INERTIA_ABOUT:
-        raise InvalidField("--inertia-about", repr(inertia_about), f"one of {INERTIA_ABOUT}")
+    if inertia_about is not None and inertia_about not in INERTIA_REFERENCE_POINTS:
+        raise InvalidField(
+            "--inertia-about", repr(inertia_about), f"one of {INERTIA_REFERENCE_POINTS}"
+        )
     file = SourceFile(path)
     data = _mapping(file, _parsed(file), "the file")
     draft = Draft(f"cdpyr, {path.name}")
@@ -58,7 +60,7 @@ def read_cdpyr(path: Path, *, pulleys: bool = True, inertia_about: str | None = 
 
 
 def _parsed(file: SourceFile) -> object:
-    """The content of the file."""
+    """Parse the content of the file."""
     text = file.text()
     if file.path.suffix.lower() == ".json":
         try:
@@ -73,14 +75,14 @@ def _parsed(file: SourceFile) -> object:
 
 
 def _mapping(file: SourceFile, value: object, where: str) -> dict[str, Any]:
-    """A mapping, or an error."""
+    """Return a mapping, or refuse the value."""
     if not isinstance(value, dict):
         raise file.refuse(f"{where}: got {_short(value)}; allowed: a mapping, as cdpyr writes it")
     return value
 
 
 def _list(file: SourceFile, value: object, where: str) -> list[Any]:
-    """A list, also one inside ``data``, or an error."""
+    """Return a list, also one inside ``data``, or refuse the value."""
     inner = value.get("data") if isinstance(value, dict) else value
     if not isinstance(inner, list):
         raise file.refuse(f"{where}: got {_short(value)}; allowed: a list, as cdpyr writes it")
@@ -92,7 +94,7 @@ def _short(value: object) -> str:
 
 
 def _plain(value: object, key: str) -> object:
-    """A value, or the one of the same name inside it: older versions of cdpyr nest them."""
+    """Return a value, or the one of the same name inside it: older versions of cdpyr nest them."""
     return value.get(key) if isinstance(value, dict) else value
 
 
@@ -114,7 +116,7 @@ def _vector(file: SourceFile, value: object, where: str) -> Array:
 
 
 def _rotation(file: SourceFile, value: object, where: str) -> Array:
-    """A direction cosine matrix; identity where there is none."""
+    """Return a direction cosine matrix; identity if absent."""
     rows = _plain(value, "dcm")
     if rows is None:
         return np.eye(3)
@@ -129,14 +131,14 @@ def _rotation(file: SourceFile, value: object, where: str) -> Array:
 def _platform(
     file: SourceFile, platform: dict[str, Any], draft: Draft, inertia_about: str | None
 ) -> None:
-    """Mass, centre and inertia."""
+    """Put mass, centre and inertia."""
     where = "platforms[0]"
     centre = np.zeros(3)
-    given = _plain(platform.get("center_of_gravity"), "position")
-    if given is not None:
-        centre = file.numbers(given, f"{where}.center_of_gravity", 3, "m")
-        said = "center_of_gravity of the platform"
-        draft.put(("platform", "center_of_mass"), centre.tolist(), said)
+    stated = _plain(platform.get("center_of_gravity"), "position")
+    if stated is not None:
+        centre = file.numbers(stated, f"{where}.center_of_gravity", 3, "m")
+        source = "center_of_gravity of the platform"
+        draft.put(("platform", "center_of_mass"), centre.tolist(), source)
     link = _plain(platform.get("center_of_linkage"), "position")
     if link is not None and np.any(file.numbers(link, f"{where}.center_of_linkage", 3, "m")):
         draft.dropped.append("center_of_linkage of the platform")
@@ -149,7 +151,7 @@ def _platform(
     if inertia.get("angular") is None:
         return
     matrix = _square(file, inertia["angular"], f"{where}.inertia.angular")
-    known = centre if given is not None else None
+    known = centre if stated is not None else None
     _inertia(file, matrix, mass, known, draft, inertia_about)
 
 
@@ -157,9 +159,9 @@ def _inertia(
     file: SourceFile, matrix: Array, mass: float | None, centre: Array | None, draft: Draft,
     about: str | None,
 ) -> None:  # fmt: skip
-    """Angular inertia about the centre of mass, where it can be known; `centre` is the file's."""
+    """Put the inertia about the centre of mass, if it can be known; `centre` is the file's."""
     if centre is not None and not centre.any():
-        said = "angular inertia of the platform; origin and centre of gravity are one point"
+        source = "angular inertia of the platform; origin and centre of gravity are one point"
     elif about is None:
         draft.dropped.append(
             "angular inertia of the platform: the file does not say about which point; "
@@ -167,23 +169,23 @@ def _inertia(
         )
         return
     elif about == "center_of_mass":
-        said = "angular inertia of the platform, said to be about its centre of mass"
+        source = "angular inertia of the platform, said to be about its centre of mass"
     elif centre is None:
         draft.dropped.append(
-            "angular inertia of the platform: without a centre of gravity in the file nobody can "
-            "move it from the origin; give platform.inertia about the centre of mass"
+            "angular inertia of the platform: without a centre of gravity in the file it "
+            "cannot be moved from the origin; give platform.inertia about the centre of mass"
         )
         return
     else:
         if mass is None:
             file.fault("platforms[0].inertia.linear", "nothing", "the mass, to move the inertia")
         matrix = about_centre_of_mass(matrix, mass or np.nan, centre)
-        said = "angular inertia of the platform about its origin, moved to the centre of mass"
-    draft.put(("platform", "inertia"), matrix.tolist(), said)
+        source = "angular inertia of the platform about its origin, moved to the centre of mass"
+    draft.put(("platform", "inertia"), matrix.tolist(), source)
 
 
 def _mass(file: SourceFile, value: object, where: str) -> float | None:
-    """The mass out of m times the unit matrix."""
+    """Return the mass from m times the unit matrix."""
     if value is None:
         return None
     matrix = _square(file, value, where)
@@ -193,7 +195,7 @@ def _mass(file: SourceFile, value: object, where: str) -> float | None:
 
 
 def _square(file: SourceFile, value: object, where: str) -> Array:
-    """A 3x3 matrix, or its diagonal."""
+    """Return a 3x3 matrix, also from its diagonal."""
     if isinstance(value, list) and len(value) == 3 and not isinstance(value[0], list):
         return np.diag(file.numbers(value, where, 3))
     rows = value if isinstance(value, list) and len(value) == 3 else None
@@ -206,7 +208,7 @@ def _square(file: SourceFile, value: object, where: str) -> Array:
 def _chains(
     file: SourceFile, data: dict[str, Any], platform: dict[str, Any], draft: Draft, pulleys: bool
 ) -> None:
-    """Chains out of their numbers."""
+    """Put chains from their numbers."""
     frame = _mapping(file, data.get("frame"), "frame")
     frames = _list(file, frame.get("anchors"), "frame.anchors")
     anchors = _list(file, platform.get("anchors"), "platforms[0].anchors")
@@ -241,7 +243,7 @@ def _chains(
 
 
 def _index(file: SourceFile, value: object, where: str, count: int) -> int | None:
-    """A number of a list, from 0; None with a fault where it is none."""
+    """Return an index of a list, from 0; None with a fault if it is invalid."""
     number = -1
     if isinstance(value, int | float) and not isinstance(value, bool) and value % 1 == 0:
         number = int(value)
@@ -252,7 +254,7 @@ def _index(file: SourceFile, value: object, where: str, count: int) -> int | Non
 
 
 def _exit(file: SourceFile, entry: object, where: str, pulleys: bool) -> tuple[Array, float, Array]:
-    """Position, pulley radius and swivel axis of a frame anchor."""
+    """Return position, pulley radius and swivel axis of a frame anchor."""
     anchor = _mapping(file, entry, where)
     position = _vector(file, anchor.get("position"), f"{where}.position")
     pulley = anchor.get("pulley")
@@ -268,7 +270,7 @@ def _exit(file: SourceFile, entry: object, where: str, pulleys: bool) -> tuple[A
 
 
 def _cable_types(file: SourceFile, cables: list[Any], draft: Draft) -> list[str]:
-    """Cable types: equal ones are one; returns the name of each cable's."""
+    """Put cable types, equal ones once; return the name of each cable's."""
     kinds: dict[tuple[str, float], str] = {}
     labels = []
     draft.data["cable_types"] = {}
@@ -286,13 +288,13 @@ def _cable_types(file: SourceFile, cables: list[Any], draft: Draft) -> list[str]
 
 
 def _home(file: SourceFile, pose: object, draft: Draft) -> None:
-    """The home pose, where it is one in a way that is understood."""
+    """Put the home pose, if it is one in a supported form."""
     if not isinstance(pose, dict):
         return
     linear, angular = pose.get("linear", pose), pose.get("angular", pose)
     position, dcm = _plain(linear, "position"), _plain(angular, "dcm")
     if not (isinstance(position, list) and len(position) == 3 and isinstance(dcm, list)):
-        draft.dropped.append("pose of the platform, in a layout that is not understood")
+        draft.dropped.append("pose of the platform, in an unsupported layout")
         return
     home = {"position": file.numbers(position, "pose.position", 3, "m").tolist()}
     turn = _rotation(file, dcm, "pose.dcm")

@@ -1,4 +1,4 @@
-"""From a draft to a robot file: what the user adds, what is still missing, the text of the file."""
+"""Completion of a draft to a robot file: additions of the user, missing fields, the file's text."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from carosac_toolkit.interchange.draft import Draft
 from carosac_toolkit.robot.file import document_faults, fields_to_give, parse_robot
 from carosac_toolkit.robot.robot import Robot
 
-_ORDER = (
+_SECTION_ORDER = (
     "schema", "name", "description", "licence", "gravity", "frame", "platform", "cable_types",
     "winches", "chains", "tension_limits", "workspace", "home",
 )  # fmt: skip
-_TEXTS = ("schema", "name", "description", "licence")
-_HINTS: dict[FieldPath, str] = {
+_TEXT_SECTIONS = ("schema", "name", "description", "licence")
+_FIELD_HINTS: dict[FieldPath, str] = {
     ("licence",): "a text: under which licence the numbers may be used",
     ("workspace", "min"): "3 numbers in m, the lowest corner of the box of platform positions",
     ("workspace", "max"): "3 numbers in m, the highest corner of that box",
     ("home", "position"): "3 numbers in m, inside the workspace",
     ("home", "rpy_deg"): "3 numbers in degrees: roll, pitch, yaw",
 }
-_STIFFNESS = (
+_STIFFNESS_HINT = (
     "EA, a force in N (or mN, kN, MN), > 0; or youngs_modulus with area or material_density"
 )
-_MODULUS = (
+_MODULUS_HINT = (
     "a force in N (or mN, kN, MN), > 0, instead of the file's youngs_modulus; or, to that, the "
     "load-bearing area (m^2 or mm^2; not pi d^2/4 of a rope), or material_density (kg/m^3)"
 )
@@ -36,7 +36,7 @@ _MODULUS = (
 
 @dataclass(frozen=True)
 class Completed:
-    """A draft with what was added to it.
+    """Draft with the additions of the user.
 
     Attributes:
         draft: With the additions in it.
@@ -55,10 +55,10 @@ def complete(
     """Add to a draft what its format does not hold.
 
     Args:
-        draft: What the file says; it is changed.
+        draft: Draft of the file; it is changed.
         fragment: YAML in the layout of the robot file, of any of its fields. Empty ones do not
             count, so that a form may be filled in bit by bit.
-        name: What to call the fragment in messages and provenance.
+        name: Name of the fragment in messages and provenance.
         pairs: ``PATH=VALUE``, single fields.
 
     Raises:
@@ -86,28 +86,28 @@ def complete(
 
 
 def robot_and_text(completed: Completed) -> tuple[Robot, str]:
-    """The robot and the text of its file.
+    """Return the robot and the text of its file.
 
     Raises:
         CarosacError: Something is missing.
     """
     if completed.missing:
         raise CarosacError("\n".join([*missing_lines(completed)]))
-    data = {key: completed.draft.data[key] for key in _ORDER if key in completed.draft.data}
-    rest = {key: value for key, value in completed.draft.data.items() if key not in _ORDER}
+    data = {key: completed.draft.data[key] for key in _SECTION_ORDER if key in completed.draft.data}
+    rest = {key: value for key, value in completed.draft.data.items() if key not in _SECTION_ORDER}
     content = {**data, **rest, "provenance": _needed(completed.draft)}
     text = dump_yaml({key: _styled(value) for key, value in content.items()})
     return parse_robot(text, source="imported robot"), text
 
 
 def missing_lines(completed: Completed) -> Iterator[str]:
-    """One line for each field that is missing."""
+    """Return one line for each missing field."""
     for path, allowed in completed.missing:
         yield f"{format_path(path)}: {allowed}"
 
 
 def form(completed: Completed) -> str:
-    """A YAML fragment with the missing fields, to be filled in."""
+    """Return a YAML fragment with the missing fields, to be filled in."""
     lines = ["# What the file does not hold, to be filled in. Units may be written: 4 mm, 10 g/m."]
     tree: dict[str | int, Any] = {}
     for path, allowed in completed.missing:
@@ -121,7 +121,7 @@ def form(completed: Completed) -> str:
 
 
 def _form_lines(tree: dict[str | int, Any], depth: int) -> Iterator[str]:
-    """Keys, indented; those without keys of their own with what they allow."""
+    """Return indented keys; leaves with what they allow."""
     for key, value in tree.items():
         start = f"{'  ' * depth}{_key(key)}:"
         if isinstance(value, dict):
@@ -132,13 +132,13 @@ def _form_lines(tree: dict[str | int, Any], depth: int) -> Iterator[str]:
 
 
 def _key(part: str | int) -> str:
-    """A key of YAML."""
+    """Return a key of YAML."""
     text = str(part)
     return text if text.replace("_", "a").isalnum() and not text.isdigit() else f'"{text}"'
 
 
 def _nested(pair: str) -> dict[str, Any]:
-    """``a.b=1 mm`` as nested mappings."""
+    """Parse ``a.b=1 mm`` to nested mappings."""
     path, equals, value = pair.partition("=")
     parts = [part.strip() for part in path.split(".")]
     if not equals or not value.strip() or not all(parts):
@@ -153,10 +153,14 @@ def _nested(pair: str) -> dict[str, Any]:
 
 
 def _merge(
-    draft: Draft, given: Mapping[str, Any], own: Mapping[str, Any], source: str, replaced: list[str]
+    draft: Draft,
+    additions: Mapping[str, Any],
+    own: Mapping[str, Any],
+    source: str,
+    replaced: list[str],
 ) -> None:
     """Put the leaves of a mapping into the draft."""
-    for path, value in _leaves((), given):
+    for path, value in _leaves((), additions):
         if value is None:
             continue
         place: Any = draft.data
@@ -165,11 +169,11 @@ def _merge(
             if not isinstance(place, dict):
                 raise InvalidField(format_path(path), "a field of it", "the whole field")
         name = format_path(path)
-        if path[-1] in place and path[0] not in _TEXTS:
+        if path[-1] in place and path[0] not in _TEXT_SECTIONS:
             replaced.append(name)
         _instead(place, path)
         place[path[-1]] = value
-        if path[0] in _TEXTS:
+        if path[0] in _TEXT_SECTIONS:
             continue
         for known in [p for p in draft.provenance if _covers(name, p)]:
             del draft.provenance[known]
@@ -178,7 +182,7 @@ def _merge(
 
 
 def _instead(place: dict[str, Any], path: FieldPath) -> None:
-    """Take away what a new value excludes."""
+    """Remove values that a new value excludes."""
     if path[0] == "cable_types" and path[-1] == "axial_stiffness":
         for other in ("youngs_modulus", "area", "material_density"):
             place.pop(other, None)
@@ -194,7 +198,7 @@ def _instead(place: dict[str, Any], path: FieldPath) -> None:
 
 
 def _leaves(path: FieldPath, value: Any) -> Iterator[tuple[FieldPath, Any]]:
-    """Fields below a path; a list is one."""
+    """Yield the fields below a path; a list is one field."""
     if isinstance(value, dict) and value:
         for key, entry in value.items():
             yield from _leaves((*path, key), entry)
@@ -203,14 +207,14 @@ def _leaves(path: FieldPath, value: Any) -> Iterator[tuple[FieldPath, Any]]:
 
 
 def _covers(path: str, other: str) -> bool:
-    """Whether one path is another, or the start of it."""
+    """Return whether a path is another path, or its start."""
     return other == path or other.startswith((f"{path}.", f"{path}["))
 
 
 def _sorted_faults(
     draft: Draft,
 ) -> tuple[list[tuple[FieldPath, str]], list[tuple[FieldPath, str]]]:
-    """Fields that are missing, one by one, and other faults."""
+    """Return missing fields one by one, and other faults."""
     data = {**draft.data, "provenance": _needed(draft)}
     missing: list[tuple[FieldPath, str]] = []
     faults: list[tuple[FieldPath, str]] = []
@@ -218,7 +222,7 @@ def _sorted_faults(
     for name, kind in (kinds if isinstance(kinds, dict) else {}).items():
         ways = ("axial_stiffness", "area", "material_density")
         if isinstance(kind, dict) and not any(way in kind for way in ways):
-            allowed = _MODULUS if "youngs_modulus" in kind else _STIFFNESS
+            allowed = _MODULUS_HINT if "youngs_modulus" in kind else _STIFFNESS_HINT
             missing.append((("cable_types", name, "axial_stiffness"), allowed))
     for path, what in document_faults(data):
         known = [known for known, _ in missing]
@@ -228,18 +232,18 @@ def _sorted_faults(
                 missing += [leaf] if leaf[0] not in known else []
         elif path not in known:
             faults.append((path, what))
-    missing.sort(key=lambda entry: _ORDER.index(str(entry[0][0])))
-    return [(path, _HINTS.get(path, allowed)) for path, allowed in missing], faults
+    missing.sort(key=lambda entry: _SECTION_ORDER.index(str(entry[0][0])))
+    return [(path, _FIELD_HINTS.get(path, allowed)) for path, allowed in missing], faults
 
 
 def _needed(draft: Draft) -> dict[str, str]:
-    """Provenance of what is there."""
+    """Return the provenance of the fields present."""
     paths = {format_path(path) for path, _ in _walk((), draft.data)}
     return {path: source for path, source in draft.provenance.items() if path in paths}
 
 
 def _walk(path: FieldPath, value: Any) -> Iterator[tuple[FieldPath, Any]]:
-    """All paths below a value."""
+    """Yield all paths below a value."""
     entries: list[tuple[str | int, Any]] = []
     if isinstance(value, dict):
         entries = list(value.items())
@@ -251,21 +255,21 @@ def _walk(path: FieldPath, value: Any) -> Iterator[tuple[FieldPath, Any]]:
 
 
 def _located(fault: tuple[FieldPath, str], document: Document) -> str:
-    """A fault with the line of the fragment, where it is in there."""
+    """Return a fault with the line of the fragment, if it is in there."""
     path, what = fault
     line = f"line {document.lines[path]}: " if path in document.lines else ""
     return f"{line}{format_path(path)}: {what}"
 
 
 def _styled(value: Any, inside: bool = False) -> Any:
-    """Vectors, matrices and chains on one line."""
+    """Set vectors, matrices and chains on one line each."""
     from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
     if isinstance(value, dict):
-        made = CommentedMap({key: _styled(entry) for key, entry in value.items()})
+        styled = CommentedMap({key: _styled(entry) for key, entry in value.items()})
         if inside:
-            made.fa.set_flow_style()
-        return made
+            styled.fa.set_flow_style()
+        return styled
     if isinstance(value, list):
         row = CommentedSeq([_styled(entry, inside=True) for entry in value])
         if not any(isinstance(entry, dict) for entry in value):

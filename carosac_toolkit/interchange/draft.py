@@ -1,4 +1,4 @@
-"""A robot file in the making: what another program's files say, and what they do not."""
+"""Draft of a robot file: known values of another program's files, and their omissions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import Any
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.schema import ROBOT_SCHEMA
 
-FAR = 300.0  # [m] from the origin; points farther away than this are more likely in mm
+POINT_DISTANCE_MAX_M = (
+    300.0  # [m] from the origin; points farther away than this are more likely in mm
+)
 
 
 @dataclass
@@ -19,9 +21,9 @@ class Draft:
     Attributes:
         source: Program and files, for people.
         data: In the layout of the robot file, as far as it is known.
-        provenance: Where each number comes from, by path or the start of it.
-        dropped: What the files hold and a robot file does not.
-        warnings: What looks wrong.
+        provenance: Source of each number, by path or the start of it.
+        dropped: Contents of the files that a robot file cannot hold.
+        warnings: Likely mistakes.
     """
 
     source: str
@@ -34,7 +36,7 @@ class Draft:
         """Set a value, with its mappings on the way, and where it comes from.
 
         Args:
-            path: Of the field.
+            path: Path of the field.
             value: Numbers in SI.
             source: Its provenance; none for a text.
         """
@@ -56,7 +58,7 @@ class Draft:
         """Put exit points, anchor points and the chains that join them, one of each a cable.
 
         Args:
-            names: Of the cables.
+            names: Names of the cables.
             exits: Position in W [m], pulley radius [m] (0: an eyelet) and direction of travel
                 into the pulley in W.
             anchors: Positions in P [m].
@@ -74,19 +76,20 @@ class Draft:
             platform[name] = _numbers(anchor)
             ends = {"exit_point": name, "anchor_point": name, "cable": cable, "winch": winch}
             chains.append({"name": name, **ends})
-            if max(abs(float(x)) for x in position) > FAR:
+            if max(abs(float(x)) for x in position) > POINT_DISTANCE_MAX_M:
                 self.warnings.append(
-                    f"exit point {name!r} is over {FAR:g} m from the origin: is the file in mm?"
+                    f"exit point {name!r} is over {POINT_DISTANCE_MAX_M:g} m from the origin: "
+                    "is the file in mm?"
                 )
         self.data["chains"] = chains
 
     def limits(self, low: Sequence[float | None], high: Sequence[float | None], what: str) -> None:
-        """Put tension limits [N]: once where all cables share them, else at each chain.
+        """Put tension limits [N]: once if all cables share them, else at each chain.
 
         Args:
-            low: Of each cable; None where the file has none.
-            high: Of each cable.
-            what: What they are in the file.
+            low: Lower limit of each cable; None if the file has none.
+            high: Upper limit of each cable.
+            what: Name of the limits in the file.
         """
         pairs = list(zip(low, high, strict=True))
         if len(set(pairs)) == 1:

@@ -1,4 +1,4 @@
-"""Which program wrote a robot's files, and reading them."""
+"""Detection of the program that wrote a robot's files, and reading them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from carosac_toolkit.interchange.source_file import SourceFile
 from carosac_toolkit.interchange.wirex import read_wirex
 
 _BODIES, _CABLES = "bodies", "cables"
-_KINDS = "CASPR's _bodies.xml with its _cables.xml, WireX's .wcrfx, or cdpyr's .json or .yaml"
-_PARTNER = {_BODIES: ("_bodies", "_cables"), _CABLES: ("_cables", "_bodies")}
+_ROBOT_FILE_KINDS = (
+    "CASPR's _bodies.xml with its _cables.xml, WireX's .wcrfx, or cdpyr's .json or .yaml"
+)
+_PARTNER_SUFFIXES = {_BODIES: ("_bodies", "_cables"), _CABLES: ("_cables", "_bodies")}
 
 
 def read_robot(
@@ -46,7 +48,7 @@ def read_robot(
             allowed = f"nothing for a file of {next(iter(kinds))}"
             raise InvalidField(option, repr(value), allowed)
     if len(kinds) < len(paths) or (len(kinds) > 1 and len(caspr) < len(kinds)):
-        raise InvalidField("FILE", ", ".join(map(str, paths)), _KINDS)
+        raise InvalidField("FILE", ", ".join(map(str, paths)), _ROBOT_FILE_KINDS)
     if not caspr:
         (kind, path), *_ = kinds.items()
         if kind == "WireX":
@@ -58,24 +60,24 @@ def read_robot(
 
 
 def kind_of(path: Path) -> str:
-    """Which program wrote a file, and of CASPR's files which one it is."""
+    """Tell which program wrote a file, and which of CASPR's files it is."""
     suffix = path.suffix.lower()
     if suffix in (".json", ".yaml", ".yml"):
         return "cdpyr"
     if suffix not in (".xml", ".wcrfx"):
-        raise InvalidField("FILE", repr(str(path)), _KINDS)
+        raise InvalidField("FILE", repr(str(path)), _ROBOT_FILE_KINDS)
     file = SourceFile(path)
     tag = file.xml().tag
     roots = {"models": "WireX", "bodies_system": _BODIES, "links": _BODIES, "cables": _CABLES}
     if tag not in roots:
-        raise file.refuse(f"XML with root <{tag}>; allowed: {_KINDS}")
+        raise file.refuse(f"XML with root <{tag}>; allowed: {_ROBOT_FILE_KINDS}")
     return roots[tag]
 
 
 def _partner(known: tuple[str, Path]) -> Path:
-    """The other file of a CASPR robot, beside the known one."""
+    """Return the other file of a CASPR robot, beside the known one."""
     kind, path = known
-    own, other = _PARTNER[kind]
+    own, other = _PARTNER_SUFFIXES[kind]
     partner = path.with_name(path.name.replace(own, other))
     if own not in path.name or not partner.exists():
         raise MissingFile(partner, "give both files of the robot: X_bodies.xml and X_cables.xml")

@@ -1,4 +1,4 @@
-"""Reading files of other programs: safe XML, numbers that are numbers, all faults at once."""
+"""Reader of other programs' files: safe XML, finite numbers, all faults at once."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from carosac_toolkit.base.errors import InvalidFile, MissingFile
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-_ROTATION = 1e-4  # of R^T R
-_LARGEST = 20_000_000  # [bytes]; robots take kilobytes
+_ORTHOGONALITY_TOLERANCE = 1e-4  # of R^T R
+_FILE_BYTES_MAX = 20_000_000  # [bytes]; robots take kilobytes
 
 
 class SourceFile:
-    """A file of another program, and what is wrong with it.
+    """File of another program, and its faults.
 
     Attributes:
         path: The file.
-        faults: What was found so far.
+        faults: Faults found so far.
     """
 
     def __init__(self, path: Path) -> None:
@@ -44,11 +44,11 @@ class SourceFile:
             raise InvalidFile(self.path, self.faults)
 
     def refuse(self, reason: str) -> InvalidFile:
-        """The error for a file that cannot be used at all."""
+        """Return the error for a file that cannot be used at all."""
         return InvalidFile(self.path, [reason])
 
     def text(self) -> str:
-        """What the file holds.
+        """Return the content of the file.
 
         Raises:
             MissingFile: There is no such file.
@@ -57,8 +57,10 @@ class SourceFile:
         if not self.path.exists():
             raise MissingFile(self.path)
         try:
-            if self.path.stat().st_size > _LARGEST:
-                raise self.refuse(f"larger than {_LARGEST // 1_000_000} MB; this is no robot")
+            if self.path.stat().st_size > _FILE_BYTES_MAX:
+                raise self.refuse(
+                    f"larger than {_FILE_BYTES_MAX // 1_000_000} MB; this is no robot"
+                )
             return self.path.read_text(encoding="utf-8-sig")
         except UnicodeDecodeError as error:
             raise self.refuse(f"not UTF-8 text (byte {error.start})") from error
@@ -66,7 +68,7 @@ class SourceFile:
             raise self.refuse(f"cannot be read: {error.strerror}") from error
 
     def xml(self) -> Element:
-        """The root of an XML file; entities of its own are refused, external ones never read.
+        """Return the root of an XML file; own entities are refused, external ones never read.
 
         Raises:
             InvalidFile: No XML, or XML with entities.
@@ -80,13 +82,13 @@ class SourceFile:
         except ParseError as error:
             raise self.refuse(f"not XML: {error}") from error
         except DefusedXmlException as error:
-            raise self.refuse("XML that defines entities or reads others; not read") from error
+            raise self.refuse("XML with entities of its own or external ones; refused") from error
         except (ValueError, LookupError) as error:
             raise self.refuse(f"not XML: {error}") from error
         return root
 
     def number(self, text: object, where: str, unit: str = "") -> float:
-        """A finite number; NaN, and a fault, where it is none."""
+        """Return a finite number; NaN, and a fault, if it is none."""
         value = math.nan
         if isinstance(text, int | float) and not isinstance(text, bool):
             value = float(text)
@@ -102,7 +104,7 @@ class SourceFile:
         return value
 
     def numbers(self, values: object, where: str, count: int, unit: str = "") -> Array:
-        """So many finite numbers: a list, or a text with spaces between them."""
+        """Return that many finite numbers from a list, or a text with spaces between them."""
         entries = values.split() if isinstance(values, str) else values
         if not isinstance(entries, list) or len(entries) != count:
             got = "nothing" if values is None else repr(values)
@@ -113,28 +115,28 @@ class SourceFile:
 
     def rotation(self, matrix: Array, where: str) -> None:
         """Note a fault where a matrix is no rotation, to the digits that files have."""
-        square = np.allclose(matrix.T @ matrix, np.eye(3), atol=_ROTATION)
+        square = np.allclose(matrix.T @ matrix, np.eye(3), atol=_ORTHOGONALITY_TOLERANCE)
         if np.isfinite(matrix).all() and not (square and np.linalg.det(matrix) > 0.0):
             self.fault(where, "no rotation", "a rotation matrix, orthonormal and right-handed")
 
     def child(self, element: Element | None, tag: str, where: str) -> Element | None:
-        """The child of a tag; a fault where it is missing."""
-        found = None if element is None else element.find(tag)
-        if found is None and element is not None:
+        """Return the child of a tag; note a fault if it is missing."""
+        below = None if element is None else element.find(tag)
+        if below is None and element is not None:
             self.fault(where, "nothing", f"an element <{tag}>")
-        return found
+        return below
 
     def child_number(self, element: Element, tag: str, where: str, unit: str = "") -> float:
-        """The number in a child; a fault where it is missing."""
+        """Return the number in a child; note a fault if it is missing."""
         return self.number(element.findtext(tag), f"{where}/{tag}", unit)
 
     def attribute(self, element: Element, name: str, where: str, unit: str = "") -> float:
-        """The number of an attribute; a fault where it is missing."""
+        """Return the number of an attribute; note a fault if it is missing."""
         return self.number(element.get(name), f"{where}@{name}", unit)
 
 
 def about_centre_of_mass(inertia: Array, mass: float, centre: Array) -> Array:
-    """Inertia about the centre of mass from that about the origin (Steiner) [kg m^2], (3, 3)."""
+    """Convert an inertia about the origin to the centre of mass (Steiner) [kg m^2], (3, 3)."""
     square = float(centre @ centre) * np.eye(3) - np.outer(centre, centre)
     moved: Array = inertia - mass * square
     return moved

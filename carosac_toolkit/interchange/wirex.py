@@ -24,11 +24,11 @@ from carosac_toolkit.interchange.source_file import SourceFile
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-_PATTERN = "3R3T"
-_VERSIONS = ("0.31", "0.32")
-_FRAME = tuple(f"a{row}{column}" for column in "123" for row in "123")
+_MOTION_PATTERN = "3R3T"
+_SUPPORTED_VERSIONS = ("0.31", "0.32")
+_ROTATION_ATTRIBUTES = tuple(f"a{row}{column}" for column in "123" for row in "123")
 _DEFAULT_MASS, _DEFAULT_CENTRE, _DEFAULT_RADIUS = 25.0, (0.0, 1.0, 0.2), 0.1
-_WINCH = {
+_WINCH_FIELDS = {
     "max_velocity": "speed_max",
     "max_acceleration": "acceleration_max",
     "l_min": "length_min",
@@ -52,13 +52,15 @@ def read_wirex(path: Path, *, pulleys: bool = True) -> Draft:
         allowed = "one <robot> in <models>"
         raise file.refuse(f"{len(robots)} robots in <{root.tag}>; allowed: {allowed}")
     robot = robots[0]
-    if robot.get("motionpattern") != _PATTERN:
+    if robot.get("motionpattern") != _MOTION_PATTERN:
         got = repr(robot.get("motionpattern"))
-        raise file.refuse(f"robot@motionpattern: got {got}; allowed: {_PATTERN!r}, a free body")
+        raise file.refuse(
+            f"robot@motionpattern: got {got}; allowed: {_MOTION_PATTERN!r}, a free body"
+        )
     version = root.get("version")
     draft = Draft(f"WireX {version or 'of no version'}, {path.name}")
-    if version not in _VERSIONS:
-        draft.warnings.append(f"version {version!r}; known are {' and '.join(_VERSIONS)}")
+    if version not in _SUPPORTED_VERSIONS:
+        draft.warnings.append(f"version {version!r}; known are {' and '.join(_SUPPORTED_VERSIONS)}")
     name = (robot.get("name") or path.stem).strip()
     draft.put(("name",), name)
     draft.put(("description",), f"{name}, imported from WireX")
@@ -75,7 +77,7 @@ def read_wirex(path: Path, *, pulleys: bool = True) -> Draft:
 def _geometry(
     file: SourceFile, robot: Element, draft: Draft, winches: list[str], pulleys: bool
 ) -> None:
-    """Chains with their ends."""
+    """Put chains with their ends."""
     chains = robot.findall("geometry/chain")
     if not chains:
         raise file.refuse("no <chain> in <geometry>")
@@ -99,8 +101,8 @@ def _geometry(
     radii = {radius for _, radius, _ in exits}
     if radii == {_DEFAULT_RADIUS}:
         draft.warnings.append(
-            f"all pulleys have radius {_DEFAULT_RADIUS} m, WireX's default: maybe nobody measured "
-            "it (--no-pulleys takes points)"
+            f"all pulleys have radius {_DEFAULT_RADIUS} m, WireX's default: perhaps never "
+            "measured (--no-pulleys takes points)"
         )
     if not pulleys:
         draft.dropped.append("pulleys, as asked for: exit points are eyelets at the base points")
@@ -109,7 +111,7 @@ def _geometry(
 def _exit(
     file: SourceFile, base: Element | None, where: str, pulleys: bool
 ) -> tuple[Array, float, Array]:
-    """Position, pulley radius and swivel axis of a base point."""
+    """Return position, pulley radius and swivel axis of a base point."""
     position = _point(file, base, f"{where}/base")
     down = np.array([0.0, 0.0, -1.0])
     if base is None or base.get("radius") is None or not pulleys:
@@ -117,21 +119,21 @@ def _exit(
     radius = file.attribute(base, "radius", f"{where}/base", "m")
     if radius < 0.0:
         file.fault(f"{where}/base@radius", f"{radius:g}", ">= 0")
-    entries = [file.attribute(base, entry, f"{where}/base") for entry in _FRAME]
+    entries = [file.attribute(base, entry, f"{where}/base") for entry in _ROTATION_ATTRIBUTES]
     frame = np.array(entries).reshape(3, 3).T
     file.rotation(frame, f"{where}/base, a11 ... a33")
     return position, radius, frame[:, 2]
 
 
 def _point(file: SourceFile, element: Element | None, where: str) -> Array:
-    """x, y, z of a point."""
+    """Return x, y, z of a point."""
     if element is None:
         return np.full(3, np.nan)
     return np.array([file.attribute(element, axis, where, "m") for axis in "xyz"])
 
 
 def _platform(file: SourceFile, robot: Element, draft: Draft) -> None:
-    """Mass, centre of mass and inertia, where the file has all of each."""
+    """Put mass, centre of mass and inertia, where the file has all of each."""
     platform = robot.find("platform")
     if platform is None:
         return
@@ -146,7 +148,7 @@ def _platform(file: SourceFile, robot: Element, draft: Draft) -> None:
     if mass == _DEFAULT_MASS and tuple(centre or ()) == _DEFAULT_CENTRE:
         draft.warnings.append(
             f"mass {_DEFAULT_MASS:g} kg with centre of gravity (0, 1, 0.2) m are WireX's defaults: "
-            "probably nobody measured this platform; give your own with --complete"
+            "probably never measured; give your own with --complete"
         )
     inertia = platform.find("inertiatensor")
     if inertia is not None:
@@ -154,7 +156,7 @@ def _platform(file: SourceFile, robot: Element, draft: Draft) -> None:
 
 
 def _inertia(file: SourceFile, element: Element, draft: Draft) -> None:
-    """The inertia, if the file has more than a part of it."""
+    """Put the inertia, if the file has all of it."""
     known = {key: file.attribute(element, key, "inertiatensor") for key in element.keys()}
     if not {"Ixx", "Iyy", "Izz"} <= set(known):
         draft.dropped.append(f"inertiatensor with {', '.join(known) or 'nothing'} alone")
@@ -163,19 +165,19 @@ def _inertia(file: SourceFile, element: Element, draft: Draft) -> None:
     for i, j in zip(*np.triu_indices(3), strict=True):
         entry = f"I{'xyz'[i]}{'xyz'[j]}"
         matrix[i, j] = matrix[j, i] = known.get(entry, 0.0)
-    said = "inertiatensor of the platform, taken as about its centre of mass"
-    draft.put(("platform", "inertia"), matrix.tolist(), said)
+    source = "inertiatensor of the platform, taken as about its centre of mass"
+    draft.put(("platform", "inertia"), matrix.tolist(), source)
 
 
 def _value(file: SourceFile, element: Element | None, name: str, where: str) -> float | None:
-    """A number that counts as unset where it is 0 or missing."""
+    """Return a number; one that is 0 or missing counts as unset."""
     if element is None or element.get(name) is None:
         return None
     return file.attribute(element, name, where) or None
 
 
 def _cable(file: SourceFile, root: Element, draft: Draft) -> None:
-    """The cable type; chains do not say which, so that there may be one."""
+    """Put the cable type; chains do not name theirs, so that there may be only one."""
     cables = root.findall("cable")
     if len(cables) > 1:
         names = ", ".join(repr(cable.get("name")) for cable in cables)
@@ -192,16 +194,16 @@ def _cable(file: SourceFile, root: Element, draft: Draft) -> None:
         draft.put(("cable_types", "cable", "linear_density"), density, "weight of the cable, kg/m")
     radius = _value(file, cable, "radius", "cable")
     if radius is not None:
-        said = "twice the radius of the cable"
-        draft.put(("cable_types", "cable", "diameter"), 2.0 * radius, said)
+        source = "twice the radius of the cable"
+        draft.put(("cable_types", "cable", "diameter"), 2.0 * radius, source)
     modulus = _value(file, cable, "elasticity", "cable")
     if modulus is not None:
-        said = "elasticity of the cable, Pa; the file does not say of which area"
-        draft.put(("cable_types", "cable", "youngs_modulus"), modulus, said)
+        source = "elasticity of the cable, Pa; the file does not say of which area"
+        draft.put(("cable_types", "cable", "youngs_modulus"), modulus, source)
 
 
 def _winches(file: SourceFile, root: Element, draft: Draft) -> list[str]:
-    """Winches by name, with what is known of each."""
+    """Return winches by name, with their known values."""
     names: list[str] = []
     draft.data["winches"] = {}
     for i, winch in enumerate(root.findall("winch")):
@@ -211,7 +213,7 @@ def _winches(file: SourceFile, root: Element, draft: Draft) -> list[str]:
         names.append(name)
         draft.data["winches"][name] = {}
         cable = winch.find("cable")
-        for known, ours in _WINCH.items():
+        for known, ours in _WINCH_FIELDS.items():
             value = _value(file, cable, known, f"winch {name!r}/cable")
             if value is not None:
                 draft.put(("winches", name, ours), value, f"{known} of the winch's cable")
@@ -221,14 +223,14 @@ def _winches(file: SourceFile, root: Element, draft: Draft) -> list[str]:
 
 
 def _limits(file: SourceFile, root: Element, robot: Element, draft: Draft) -> None:
-    """Tension limits: those of the application, else of the winch."""
+    """Put the tension limits of the application, else of the winch."""
     needs = robot.find("application")
     low = _value(file, needs, "min_cable_load", "application")
     high = _value(file, needs, "max_cable_load", "application")
-    said = "cable loads of the application"
+    source = "cable loads of the application"
     if low is None and high is None:
         low = _value(file, root.find("cable"), "minimum_load", "cable")
         high = _value(file, root.find("winch/cable"), "f_max", "winch/cable")
-        said = "minimum_load of the cable, f_max of the winch"
+        source = "minimum_load of the cable, f_max of the winch"
     count = len(draft.data["chains"])
-    draft.limits([low] * count, [high] * count, said)
+    draft.limits([low] * count, [high] * count, source)

@@ -9,10 +9,10 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.pictures.drawing import (
-    BELL,
-    COLORS,
-    MEASURED,
-    REST,
+    MEASURED_COLOR,
+    REST_COLOR,
+    SERIES_COLORS,
+    VIOLIN_VALUES_MIN,
     draw_bell,
     draw_violin,
     limits_of,
@@ -22,17 +22,20 @@ from carosac_toolkit.pictures.drawing import (
     set_space,
 )
 from carosac_toolkit.pictures.estimates import draw_estimates
-from carosac_toolkit.studies.compare.example_cases import MM, Example, examples_of
-from carosac_toolkit.studies.compare.results import NAMES, StudyResults, tracked
+from carosac_toolkit.studies.compare.example_cases import MM_PER_M, Example, examples_of
+from carosac_toolkit.studies.compare.results import AXIS_NAMES, StudyResults, tracked
 from carosac_toolkit.studies.run.rows import Row
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FEW_BARS = 4  # groups up to which bars have room for their numbers
-MOST = len(COLORS)  # groups that can be told apart
-WITH_RESTS = ("waypoints", "minimum_snap")  # what is shown over time, first choice first
-IN_SPACE = ("spiral", "minimum_snap")
+LABELLED_GROUPS_MAX = 4  # groups up to which bars have room for their numbers
+GROUPS_MAX = len(SERIES_COLORS)  # groups that can be told apart
+TIME_PLOT_TRAJECTORIES = (
+    "waypoints",
+    "minimum_snap",
+)  # what is shown over time, first choice first
+PATH_PLOT_TRAJECTORIES = ("spiral", "minimum_snap")
 
 
 def draw_violins(results: StudyResults) -> Figure:
@@ -47,7 +50,7 @@ def draw_violins(results: StudyResults) -> Figure:
         errors = [example.error for example in examples]
         for column, axes in enumerate(panels if errors else ()):
             draw_violin(axes, np.concatenate(errors)[:, column], place, color)
-    for name, axes in zip(NAMES, panels, strict=True):
+    for name, axes in zip(AXIS_NAMES, panels, strict=True):
         axes.set_title(name, fontsize=10)
         axes.set_xticks([])
         axes.set_xlim(-0.6, len(groups) - 0.2)
@@ -64,23 +67,24 @@ def draw_violins(results: StudyResults) -> Figure:
 
 
 def draw_gaussians(results: StudyResults) -> Figure:
-    """Draw how the RMSE of a case scatters: a normal distribution over the cases themselves."""
+    """Draw the scatter of the RMSE over cases: a normal distribution over the cases themselves."""
     figure = new_figure(12.0, 7.0)
     groups = _groups(results)
     panels = figure.subplots(2, 2).ravel()
-    for axes, name in zip(panels, NAMES, strict=True):
+    for axes, name in zip(panels, AXIS_NAMES, strict=True):
         for place, (rows, color) in enumerate(groups.values()):
             column = [row[f"tracking_rmse_{name}_m"] for row in tracked(rows)]
-            _bell(axes, MM * np.array(column, dtype=float), place, color)
+            _bell(axes, MM_PER_M * np.array(column, dtype=float), place, color)
         axes.set_title(name, fontsize=10)
         axes.set_xlabel("RMSE of a case [mm]")
         axes.set_yticks([])
         axes.set_xlim(-0.02 * axes.get_xlim()[1], 1.1 * axes.get_xlim()[1])
-        axes.axhline(0.0, color=MEASURED, lw=0.6)
+        axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
         axes.grid(axis="x", alpha=0.25)
     figure.suptitle(
         "RMSE per case; ticks: the cases; number: mean and standard deviation; bell, from "
-        f"{BELL} cases on: their normal distribution, scaled to one height" + _left_out(results)
+        f"{VIOLIN_VALUES_MIN} cases on: their normal distribution, scaled to one height"
+        + _left_out(results)
     )
     put_patches(figure, _colors(groups))
     return figure
@@ -89,17 +93,17 @@ def draw_gaussians(results: StudyResults) -> Figure:
 def draw_time(results: StudyResults) -> Figure:
     """Draw the absolute tracking error of one example case per axis, rests shaded."""
     figure = new_figure(12.0, 8.0)
-    examples = _same_example(results, WITH_RESTS)
+    examples = _same_example(results, TIME_PLOT_TRAJECTORIES)
     panels = figure.subplots(3, 1, sharex=True)
     for axis, axes in enumerate(panels):
         for label, (example, color) in examples.items():
             axes.plot(example.time, example.error[:, axis], color=color, lw=1.2, label=label)
         rests = next(iter(examples.values()))[0].rests() if examples else []
         for k, (first, end) in enumerate(rests):
-            shade = axes.axvspan(first, end, color=REST, lw=0, zorder=0)
+            shade = axes.axvspan(first, end, color=REST_COLOR, lw=0, zorder=0)
             if axis == k == 0:
                 shade.set_label("reference at rest")
-        axes.set_ylabel(f"|error| in {NAMES[axis]} [mm]")
+        axes.set_ylabel(f"|error| in {AXIS_NAMES[axis]} [mm]")
         axes.set_ylim(bottom=0.0)
         axes.margins(x=0.005)
         axes.grid(alpha=0.25)
@@ -115,10 +119,10 @@ def draw_paths(results: StudyResults) -> Figure:
     figure = new_figure(12.0, 7.2)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1.0))
     space = figure.add_subplot(grid[:, 0], projection="3d")
-    examples = _same_example(results, IN_SPACE)
+    examples = _same_example(results, PATH_PLOT_TRAJECTORIES)
     paths = {label: (one.position, color) for label, (one, color) in examples.items()}
     if examples:
-        paths["reference"] = (next(iter(examples.values()))[0].reference, MEASURED)
+        paths["reference"] = (next(iter(examples.values()))[0].reference, MEASURED_COLOR)
     limits = limits_of([path for path, _ in paths.values()] or [np.zeros((1, 3))])
     for label, (path, color) in paths.items():
         style = {"ls": "--", "lw": 1.1} if label == "reference" else {"lw": 1.5}
@@ -140,7 +144,7 @@ def draw_paths(results: StudyResults) -> Figure:
 
 
 def draw_bars(results: StudyResults) -> Figure:
-    """Draw where the tracking error is large, and how far estimates are off."""
+    """Draw the regions of large tracking error, and the estimation error."""
     figure = new_figure(12.0, 4.6)
     groups = _groups(results)
     lines = dict(zip(results.labels, results.summary, strict=True))
@@ -148,13 +152,13 @@ def draw_bars(results: StudyResults) -> Figure:
     for place, (label, (_, color)) in enumerate(groups.items()):
         line = lines[label]
         regions = [line["tracking_centre_m"], line["tracking_boundary_m"]]
-        errors = [line["estimation_rmse_m"][name] for name in NAMES]
+        errors = [line["estimation_rmse_m"][name] for name in AXIS_NAMES]
         for axes, values in ((where, regions), (estimate, errors)):
             _bars(axes, values, place, len(groups), color)
     where.set_xticks(range(2), ["centre", "boundary"])
     where.set_ylabel("RMSE of the tracking error [mm]")
     where.set_title("tracking error by region", fontsize=10)
-    estimate.set_xticks(range(4), NAMES)
+    estimate.set_xticks(range(4), AXIS_NAMES)
     estimate.set_ylabel("RMSE of the estimation error [mm]")
     estimate.set_title(f"estimation error{_of_estimator(results)}", fontsize=10)
     for axes in (where, estimate):
@@ -170,11 +174,11 @@ def draw_bars(results: StudyResults) -> Figure:
 
 
 def draw_beliefs(results: StudyResults) -> Figure:
-    """Draw estimation errors, and how far estimators are right about them."""
+    """Draw estimation errors, and the consistency of the estimators' covariances."""
     return draw_estimates(_groups(results), _of_estimator(results) + _left_out(results))
 
 
-PICTURES: Mapping[str, Callable[[StudyResults], Figure]] = {
+COMPARISON_PICTURES: Mapping[str, Callable[[StudyResults], Figure]] = {
     "paths": draw_paths,
     "error_over_time": draw_time,
     "error_violins": draw_violins,
@@ -185,21 +189,23 @@ PICTURES: Mapping[str, Callable[[StudyResults], Figure]] = {
 
 
 def _groups(results: StudyResults) -> dict[str, tuple[list[Row], str]]:
-    """Rows and colour of the first groups, by label."""
-    pairs = zip(results.labels[:MOST], results.groups[:MOST], COLORS, strict=False)
+    """Return rows and colour of the first groups, by label."""
+    pairs = zip(
+        results.labels[:GROUPS_MAX], results.groups[:GROUPS_MAX], SERIES_COLORS, strict=False
+    )
     return {label: (rows, color) for label, rows, color in pairs}
 
 
 def _of_estimator(results: StudyResults) -> str:
-    """Which estimator it is, where there is one alone: rows then differ in something else."""
+    """Name the estimator if all rows share it; rows then differ in something else."""
     names = {str(line["estimator"]) for line in results.summary}
     return f" (of the estimator {names.pop()})" if len(names) == 1 else ""
 
 
 def _left_out(results: StudyResults) -> str:
-    """Say that not all groups are there."""
+    """Note that some groups are not shown."""
     count = len(results.labels)
-    return f" (the first {MOST} of {count} rows of the table)" if count > MOST else ""
+    return f" (the first {GROUPS_MAX} of {count} rows of the table)" if count > GROUPS_MAX else ""
 
 
 def _colors(groups: Mapping[str, tuple[list[Row], str]]) -> dict[str, str]:
@@ -207,7 +213,7 @@ def _colors(groups: Mapping[str, tuple[list[Row], str]]) -> dict[str, str]:
 
 
 def _same_example(results: StudyResults, wanted: tuple[str, ...]) -> dict[str, tuple[Example, str]]:
-    """One case of every group on the same plant and path, by label, with its colour."""
+    """Return one case of every group on the same plant and path, by label, with its colour."""
     groups = _groups(results)
     first = results.summary[0]
     block = {
@@ -215,17 +221,17 @@ def _same_example(results: StudyResults, wanted: tuple[str, ...]) -> dict[str, t
         for label, (rows, color) in groups.items()
         if (rows[0]["robot"], rows[0]["perturbation"]) == (first["robot"], first["perturbation"])
     }
-    have = dict.fromkeys(name for found, _ in block.values() for name in found)
+    have = dict.fromkeys(name for by_trajectory, _ in block.values() for name in by_trajectory)
     name = next((name for name in (*wanted, *have) if name in have), None)
     return {
-        label: (found[name], color)
-        for label, (found, color) in block.items()
-        if name is not None and name in found
+        label: (by_trajectory[name], color)
+        for label, (by_trajectory, color) in block.items()
+        if name is not None and name in by_trajectory
     }
 
 
 def _title_of(examples: Mapping[str, tuple[Example, str]]) -> str:
-    """What is shown."""
+    """Return the title of an example."""
     titles = [example.title for example, _ in examples.values()]
     return f": {titles[0]}" if titles else ": no case to show"
 
@@ -246,8 +252,8 @@ def _bars(axes: Any, values: list[float | None], place: int, count: int, color: 
         if value is None:
             continue
         where = position + (place - (count - 1) / 2) * width
-        axes.bar(where, MM * value, 0.92 * width, color=color, alpha=0.75)
-        if count > FEW_BARS:
+        axes.bar(where, MM_PER_M * value, 0.92 * width, color=color, alpha=0.75)
+        if count > LABELLED_GROUPS_MAX:
             continue
-        axes.annotate(f"{MM * value:.1f}", (where, MM * value), xytext=(0, 2), fontsize=8,
-                      textcoords="offset points", ha="center")  # fmt: skip
+        axes.annotate(f"{MM_PER_M * value:.1f}", (where, MM_PER_M * value), xytext=(0, 2),
+                      fontsize=8, textcoords="offset points", ha="center")  # fmt: skip

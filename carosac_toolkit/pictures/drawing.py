@@ -1,4 +1,4 @@
-"""What pictures share: colours, figures, views, violins and legends."""
+"""Shared drawing code: colours, figures, views, violins and legends."""
 
 from __future__ import annotations
 
@@ -13,13 +13,22 @@ from carosac_toolkit.robot.robot import Robot
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MEASURED = "#202020"
-REST = "#d9dde2"
-BELL = 5  # values that have a distribution
-FEW = 20  # samples up to which each is drawn as a dot
-LONG = 2.0  # times as far along y as along x: the view from above is turned
-CHARACTERS = 11.0  # of a legend per inch
-COLORS = ("#d1622b", "#1f6f8b", "#7b4fa3", "#4c8c2b", "#b8336a", "#8a6d1f", "#5a6b7b", "#c79a00")
+MEASURED_COLOR = "#202020"
+REST_COLOR = "#d9dde2"
+VIOLIN_VALUES_MIN = 5  # values that have a distribution
+DOTTED_SAMPLES_MAX = 20  # samples up to which each is drawn as a dot
+TURNED_VIEW_ASPECT_MIN = 2.0  # times as far along y as along x: the view from above is turned
+LEGEND_CHARACTERS_PER_INCH = 11.0  # of a legend per inch
+SERIES_COLORS = (
+    "#d1622b",
+    "#1f6f8b",
+    "#7b4fa3",
+    "#4c8c2b",
+    "#b8336a",
+    "#8a6d1f",
+    "#5a6b7b",
+    "#c79a00",
+)
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -33,16 +42,16 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def views(robot: Robot) -> list[tuple[tuple[int, int], str]]:
-    """Axes to the right and up, and a title: the same for all recordings of a robot."""
+    """Return axes to the right and up, and a title: the same for all recordings of a robot."""
     span = robot.workspace_max - robot.workspace_min
-    if span[1] > LONG * span[0]:
+    if span[1] > TURNED_VIEW_ASPECT_MIN * span[0]:
         turned = "from above, turned: y to the right, x up"
         return [((1, 0), turned), ((1, 2), "from the side, along -x: y to the right")]
     return [((0, 1), "from above"), ((0, 2), "from the side, along y")]
 
 
 def limits_of(paths: list[Array]) -> Array:
-    """Lower and upper end of the drawn range of each axis [m], shape (3, 2)."""
+    """Return lower and upper end of the drawn range of each axis [m], shape (3, 2)."""
     points = np.vstack(paths)
     lower, upper = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     longest = max(float((upper - lower).max()), 1e-3)
@@ -66,11 +75,11 @@ def set_space(axes: Any, limits: Array) -> None:
 
 
 def draw_bell(axes: Any, values: Array, low: float, color: str) -> None:
-    """Draw values as ticks at a height below zero, and above the normal distribution of enough."""
+    """Draw values as ticks below zero and, if there are enough, their normal distribution above."""
     axes.plot(values, np.full(len(values), low), "|", color=color, ms=7, alpha=0.7)
     mean, deviation = float(values.mean()), float(values.std(ddof=1)) if len(values) > 1 else 0.0
     text = f"{mean:.1f}"
-    if deviation > 0.0 and len(values) >= BELL:
+    if deviation > 0.0 and len(values) >= VIOLIN_VALUES_MIN:
         text += f" ± {deviation:.1f}"
         grid = mean + deviation * np.linspace(-3.5, 3.5, 141)
         height = np.exp(-0.5 * ((grid - mean) / deviation) ** 2)
@@ -85,7 +94,7 @@ def draw_violin(
     """Draw one violin, or few samples as dots, with RMSE and median, or, if signed, the mean."""
     if len(values) == 0:
         return
-    if len(values) <= FEW:
+    if len(values) <= DOTTED_SAMPLES_MAX:
         axes.plot(np.full(len(values), place), values, ".", color=color, ms=5, alpha=0.6)
     else:
         parts = axes.violinplot(values, positions=[place], widths=width, showextrema=False)
@@ -126,7 +135,7 @@ def put_patches(figure: Figure, colors: Mapping[str, str]) -> None:
 
 
 def _columns(figure: Figure, labels: Sequence[str]) -> int:
-    """How many columns of a legend fit below a figure."""
+    """Return how many columns of a legend fit below a figure."""
     longest = max((len(label) for label in labels), default=1)
-    fit = int(figure.get_size_inches()[0] * CHARACTERS / (longest + 6))
+    fit = int(figure.get_size_inches()[0] * LEGEND_CHARACTERS_PER_INCH / (longest + 6))
     return max(1, min(len(labels), fit, 6))

@@ -1,4 +1,4 @@
-"""Picture of estimates: their errors, and whether estimators are right about them."""
+"""Picture of estimates: their errors, and the consistency of their covariances."""
 
 from __future__ import annotations
 
@@ -8,9 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from carosac_toolkit.loop.consistency import POSE_SIZE, band
-from carosac_toolkit.pictures.drawing import MEASURED, REST, draw_violin, new_figure, put_patches
+from carosac_toolkit.pictures.drawing import (
+    MEASURED_COLOR,
+    REST_COLOR,
+    draw_violin,
+    new_figure,
+    put_patches,
+)
 from carosac_toolkit.studies.compare.example_cases import estimates_of
-from carosac_toolkit.studies.compare.results import NAMES, scored
+from carosac_toolkit.studies.compare.results import AXIS_NAMES, scored
 from carosac_toolkit.studies.run.rows import Row
 
 if TYPE_CHECKING:
@@ -34,7 +40,7 @@ def draw_estimates(groups: Groups, note: str = "") -> Figure:
         examples = [example.estimation_error for example in estimates_of(rows)]
         for column, axes in enumerate(panels[:4] if examples else ()):
             draw_violin(axes, np.concatenate(examples)[:, column], place, color)
-    for name, axes in zip(NAMES, panels[:4], strict=True):
+    for name, axes in zip(AXIS_NAMES, panels[:4], strict=True):
         axes.set_title(name, fontsize=10)
         axes.set_ylim(-0.04 * axes.get_ylim()[1], axes.get_ylim()[1])
     panels[0].set_ylabel("absolute estimation error [mm]")
@@ -59,14 +65,14 @@ def _draw_squares(axes: Any, groups: Groups, squares: Mapping[str, dict[int, lis
         if not by_seed:
             continue
         low, high = band(POSE_SIZE, len(by_seed))
-        axes.fill_between([place - 0.4, place + 0.4], low, high, color=REST, lw=0, zorder=0)
+        axes.fill_between([place - 0.4, place + 0.4], low, high, color=REST_COLOR, lw=0, zorder=0)
         values = np.concatenate(list(by_seed.values()))
         axes.plot(np.full(len(values), place), values, ".", color=color, ms=5, alpha=0.5)
         mean = float(values.mean())
         axes.hlines(mean, place - 0.3, place + 0.3, color=color, lw=2.0)
         axes.annotate(f"{mean:.2g}", (place + 0.3, mean), xytext=(2, 0), fontsize=8,
                       textcoords="offset points", va="center")  # fmt: skip
-    axes.axhline(1.0, color=MEASURED, lw=0.8, ls="--")
+    axes.axhline(1.0, color=MEASURED_COLOR, lw=0.8, ls="--")
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter("{x:g}")
     axes.set_title("NEES of the pose", fontsize=10)
@@ -74,9 +80,9 @@ def _draw_squares(axes: Any, groups: Groups, squares: Mapping[str, dict[int, lis
 
 
 def _squares(rows: Sequence[Row]) -> dict[int, list[float]]:
-    """NEES of the cases that have one, by seed."""
-    found: dict[int, list[float]] = {}
+    """Return the NEES of the cases that have one, by seed."""
+    by_seed: dict[int, list[float]] = {}
     for row in scored(rows):
         if row.get("nees_pose") is not None:
-            found.setdefault(int(row["seed"] or 0), []).append(float(row["nees_pose"] or 0.0))
-    return found
+            by_seed.setdefault(int(row["seed"] or 0), []).append(float(row["nees_pose"] or 0.0))
+    return by_seed

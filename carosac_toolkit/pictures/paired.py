@@ -6,49 +6,52 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from carosac_toolkit.base.tables import counted
-from carosac_toolkit.pictures.drawing import COLORS, MEASURED, new_figure, put_legend
-from carosac_toolkit.studies.compare.paired import LEVEL, Block
+from carosac_toolkit.pictures.drawing import MEASURED_COLOR, SERIES_COLORS, new_figure, put_legend
+from carosac_toolkit.studies.compare.paired import SIGNIFICANCE_LEVEL, PairedBlock
 from carosac_toolkit.studies.compare.pairs import Pair
-from carosac_toolkit.studies.compare.paper_tables import TITLES, differing
+from carosac_toolkit.studies.compare.paper_tables import QUANTITY_TITLES, differing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LINE = 0.3  # [inch] of height of a comparison
-ABOVE = 1.6  # [inch] for title, axis and legend
+COMPARISON_HEIGHT_INCH = 0.3  # [inch] of height of a comparison
+HEADER_HEIGHT_INCH = 1.6  # [inch] for title, axis and legend
 
 
-def comparable(blocks: Sequence[Block]) -> bool:
-    """Whether there is any ratio to draw."""
+def comparable(blocks: Sequence[PairedBlock]) -> bool:
+    """Return whether there is any ratio to draw."""
     return any(_rows(block) for block in blocks)
 
 
-def draw_paired(blocks: Sequence[Block]) -> Figure:
+def draw_paired(blocks: Sequence[PairedBlock]) -> Figure:
     """Draw the ratio of each error to that of the baseline, one panel for each block.
 
-    Left of 1 is better than the baseline. Full marks: p after Holm is at most `LEVEL`.
+    Left of 1 is better than the baseline. Full marks: the Holm-corrected p is at most
+    `SIGNIFICANCE_LEVEL`.
 
     Args:
-        blocks: Of a study; those without a ratio are left out.
+        blocks: Blocks of a study; those without a ratio are left out.
     """
     shown = [block for block in blocks if _rows(block)]
     most = max(len(_rows(block)) for block in shown)
-    figure = new_figure(6.0 * len(shown) + 1.0, ABOVE + LINE * (most + 1))
+    figure = new_figure(
+        6.0 * len(shown) + 1.0, HEADER_HEIGHT_INCH + COMPARISON_HEIGHT_INCH * (most + 1)
+    )
     panels = figure.subplots(1, len(shown), squeeze=False)[0]
     labels = dict.fromkeys(one.label for block in shown for one in block.compared)  # as elsewhere
-    colors = {label: COLORS[k % len(COLORS)] for k, label in enumerate(labels)}
+    colors = {label: SERIES_COLORS[k % len(SERIES_COLORS)] for k, label in enumerate(labels)}
     for axes, block in zip(panels, shown, strict=True):
         _draw_block(axes, block, colors)
     figure.suptitle(
         "Typical error over that of the baseline on the same draws, 95 % intervals;\n"
-        f"full dots: p after Holm is at most {LEVEL:g}; on the right: cases won",
+        f"full dots: Holm-corrected p is at most {SIGNIFICANCE_LEVEL:g}; on the right: cases won",
         fontsize=11,
     )
     put_legend(figure, panels[0])
     return figure
 
 
-def _draw_block(axes: Any, block: Block, colors: dict[str, str]) -> None:
+def _draw_block(axes: Any, block: PairedBlock, colors: dict[str, str]) -> None:
     """Draw all comparisons of a block, one below the other."""
     rows = _rows(block)
     ticks: dict[str, list[int]] = {}
@@ -58,7 +61,7 @@ def _draw_block(axes: Any, block: Block, colors: dict[str, str]) -> None:
         one, color = pair.ratio, colors[label]
         if one.low is not None and one.high is not None:
             axes.plot([one.low, one.high], [place, place], color=color, lw=2.0)
-        sure = pair.p_holm is not None and pair.p_holm <= LEVEL
+        sure = pair.p_holm is not None and pair.p_holm <= SIGNIFICANCE_LEVEL
         axes.plot(
             one.value, place, "o", color=color, mfc=color if sure else "white", ms=6,
             label=None if label in known else label,
@@ -68,8 +71,8 @@ def _draw_block(axes: Any, block: Block, colors: dict[str, str]) -> None:
             f"{pair.won}/{pair.cases}", (1.0, place), xycoords=axes.get_yaxis_transform(),
             xytext=(4, 0), textcoords="offset points", va="center", fontsize=8,
         )  # fmt: skip
-        ticks.setdefault(TITLES[name], []).append(place)
-    axes.axvline(1.0, color=MEASURED, lw=0.9)
+        ticks.setdefault(QUANTITY_TITLES[name], []).append(place)
+    axes.axvline(1.0, color=MEASURED_COLOR, lw=0.9)
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter("{x:g}")
@@ -77,15 +80,15 @@ def _draw_block(axes: Any, block: Block, colors: dict[str, str]) -> None:
     axes.set_xlabel(f"ratio to {block.baseline} [-]")
     axes.set_yticks([sum(p) / len(p) for p in ticks.values()], list(ticks))
     for places in list(ticks.values())[1:]:
-        axes.axhline(places[0] - 0.5, color=MEASURED, lw=0.3)
+        axes.axhline(places[0] - 0.5, color=MEASURED_COLOR, lw=0.3)
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.grid(axis="x", which="both", alpha=0.25)
     title = f"{block.robot}, {counted(block.seeds, 'seed')} x {counted(block.trajectories, 'path')}"
     axes.set_title(title, fontsize=10)
 
 
-def _rows(block: Block) -> list[tuple[str, str, Pair]]:
-    """Error, label and comparison, of each that has a ratio above zero."""
+def _rows(block: PairedBlock) -> list[tuple[str, str, Pair]]:
+    """Return error, label and comparison, of each that has a ratio above zero."""
     return [
         (name, one.label, one.pairs[name])
         for name in differing(block)

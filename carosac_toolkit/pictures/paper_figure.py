@@ -1,4 +1,4 @@
-"""Figures for a paper: what each is, what it is drawn from, and the command that makes that."""
+"""Figures for a paper: content, source, and the command that makes the data."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SourceKind = Literal["study", "validation", "evaluation", "training"]
-MARKS: Mapping[str, SourceKind] = {  # a file that tells what a folder is
+MARKER_FILES: Mapping[str, SourceKind] = {  # a file that tells what a folder is
     "study.json": "study",
     "samples.npz": "validation",
     "scores.npz": "evaluation",
     "curve.csv": "training",
 }
-DEPTH = 6  # folders below one that was named
+SEARCH_DEPTH_MAX = 6  # folders below one that was named
 
 
 @dataclass(frozen=True, kw_only=True)
-class Source:
-    """A folder that one of our commands wrote.
+class FigureSource:
+    """Folder that one of our commands wrote.
 
     Attributes:
-        kind: Which of them.
-        folder: Where.
+        kind: Command that wrote it.
+        folder: Path of the folder.
     """
 
     kind: SourceKind
@@ -37,11 +37,11 @@ class Source:
 
 @dataclass(frozen=True, kw_only=True)
 class Drawn:
-    """A figure, and what it was drawn from.
+    """Figure, and the source of its numbers.
 
     Attributes:
-        figure: It.
-        source: Where its numbers are; None where it has none.
+        figure: The figure.
+        source: Source of its numbers; None if it has none.
         more: Part of the file name that tells it from others of the same kind.
     """
 
@@ -52,13 +52,13 @@ class Drawn:
 
 @dataclass(frozen=True, kw_only=True)
 class PaperFigure:
-    """One of the figures.
+    """One figure of the paper.
 
     Attributes:
         place: Its place among all figures.
-        name: Of its file.
-        what: What it shows.
-        command: What makes the data that it needs.
+        name: Name of its file.
+        what: Content of the figure.
+        command: Command that makes its data.
         draw: Draws it from the sources that there are; none where they do not suffice.
     """
 
@@ -66,33 +66,33 @@ class PaperFigure:
     name: str
     what: str
     command: str
-    draw: Callable[[Sequence[Source]], list[Drawn]]
+    draw: Callable[[Sequence[FigureSource]], list[Drawn]]
 
 
-def find_sources(folders: Sequence[str]) -> list[Source]:
-    """All that our commands wrote to some folders, and to folders inside them.
+def find_sources(folders: Sequence[str]) -> list[FigureSource]:
+    """Find all folders that our commands wrote, in some folders and below them.
 
     Raises:
         InvalidField: A folder is not there, or holds nothing of ours.
     """
-    found: list[Source] = []
+    sources: list[FigureSource] = []
     for name in folders:
         top = Path(name)
         if not top.is_dir():
             raise InvalidField("FOLDER", f"'{name}'", "a folder that is there")
         here = [
-            Source(kind=kind, folder=path.parent)
-            for depth in range(DEPTH)
-            for mark, kind in MARKS.items()
+            FigureSource(kind=kind, folder=path.parent)
+            for depth in range(SEARCH_DEPTH_MAX)
+            for mark, kind in MARKER_FILES.items()
             for path in sorted(top.glob("*/" * depth + mark))
         ]
         if not here:
             allowed = "a folder that carosac compare, validate, evaluate or train wrote"
             raise InvalidField("FOLDER", f"'{name}'", allowed)
-        found += [one for one in here if one not in found]
-    return found
+        sources += [one for one in here if one not in sources]
+    return sources
 
 
-def of_kind(sources: Sequence[Source], kind: SourceKind) -> list[Path]:
-    """Folders of a kind, in their order."""
+def of_kind(sources: Sequence[FigureSource], kind: SourceKind) -> list[Path]:
+    """Return the folders of a kind, in their order."""
     return [source.folder for source in sources if source.kind == kind]

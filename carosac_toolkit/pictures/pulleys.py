@@ -12,13 +12,13 @@ from carosac_toolkit.base.arrays import Array
 if TYPE_CHECKING:
     from carosac_toolkit.inspection.report import RobotReport
 
-TURN = 73  # points of a circle
-STUB = 3.0  # radii of cable drawn before the pulley
+CIRCLE_POINTS = 73  # points of a circle
+STUB_LENGTH_RADII = 3.0  # radii of cable drawn before the pulley
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CableDrawing:
-    """One cable and its pulley.
+    """Cable and its pulley, as curves.
 
     Attributes:
         wheel: The pulley's circle in W [m], shape (points, 3); empty with a fixed eyelet.
@@ -33,7 +33,7 @@ class CableDrawing:
 
 
 def draw_cables(report: RobotReport, smallest: float) -> list[CableDrawing]:
-    """Work out what to draw of each cable.
+    """Compute the curves of each cable and its pulley.
 
     Args:
         report: The robot at home.
@@ -77,10 +77,10 @@ def _drawing(report: RobotReport, i: int, radius: float, wrap: float) -> CableDr
         points: Array = center + radius * (sine * axis - cosine * outward)
         return points
 
-    arc = around(np.linspace(0.0, wrap, TURN))
+    arc = around(np.linspace(0.0, wrap, CIRCLE_POINTS))
     share = np.linspace(1.0, 0.0, len(free))[:, None]
     return CableDrawing(
-        wheel=around(np.linspace(0.0, 2.0 * np.pi, TURN)),
-        incoming=np.vstack([datum - STUB * radius * axis, arc]),
+        wheel=around(np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS)),
+        incoming=np.vstack([datum - STUB_LENGTH_RADII * radius * axis, arc]),
         free=free + share * (arc[-1] - free[0]),
     )

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
     from carosac_toolkit.inspection.report import RobotReport
 
-CABLE = "#1f6f8b"
-FRAME = "#3a3a3a"
-PLATFORM = "#c8553d"
-BOX = "#8a8a8a"
-FED = "#d9a441"
-VISIBLE = 0.012  # of the largest extent: smaller pulleys are drawn with this radius
+CABLE_COLOR = "#1f6f8b"
+FRAME_COLOR = "#3a3a3a"
+PLATFORM_COLOR = "#c8553d"
+WORKSPACE_BOX_COLOR = "#8a8a8a"
+FED_CABLE_COLOR = "#d9a441"
+DRAWN_PULLEY_RADIUS_MIN = 0.012  # of the largest extent: smaller pulleys are drawn with this radius
 
 
 def draw_robot(report: RobotReport) -> Figure:
@@ -41,7 +41,7 @@ def draw_robot(report: RobotReport) -> Figure:
     grid = figure.add_gridspec(2, 2, width_ratios=(1.55, 1.0))
     space = figure.add_subplot(grid[:, 0], projection="3d")
     extent = _limits(report, [report.shape.reshape(-1, 3)])
-    smallest = VISIBLE * float((extent[:, 1] - extent[:, 0]).max())
+    smallest = DRAWN_PULLEY_RADIUS_MIN * float((extent[:, 1] - extent[:, 0]).max())
     cables = draw_cables(report, smallest)
     limits = _limits(report, [np.vstack([c.free, c.wheel, c.incoming]) for c in cables])
     _draw_space(space, report, cables, limits)
@@ -65,7 +65,7 @@ def draw_robot(report: RobotReport) -> Figure:
 
 
 def _limits(report: RobotReport, drawn: list[Array]) -> Array:
-    """Lower and upper end of the drawn range of each axis [m], shape (3, 2)."""
+    """Return lower and upper end of the drawn range of each axis [m], shape (3, 2)."""
     robot = report.robot
     points = np.vstack(
         [robot.exit_points, robot.workspace_min, robot.workspace_max, _anchors(report), *drawn]
@@ -84,15 +84,26 @@ def _draw_space(axes: Any, report: RobotReport, cables: list[CableDrawing], limi
 
     robot = report.robot
     for k, edge in enumerate(box_edges(robot)):
-        axes.plot(*edge.T, color=BOX, lw=0.9, ls="--", label=None if k else "workspace box")
+        axes.plot(
+            *edge.T,
+            color=WORKSPACE_BOX_COLOR,
+            lw=0.9,
+            ls="--",
+            label=None if k else "workspace box",
+        )
     for point in robot.exit_points:
         post = np.array([[*point[:2], limits[2, 0]], point])
-        axes.plot(*post.T, color=FRAME, lw=0.6, alpha=0.25)
+        axes.plot(*post.T, color=FRAME_COLOR, lw=0.6, alpha=0.25)
     for k, cable in enumerate(cables):
-        axes.plot(*cable.free.T, color=CABLE, lw=1.4, label=None if k else "cables at home")
+        axes.plot(*cable.free.T, color=CABLE_COLOR, lw=1.4, label=None if k else "cables at home")
     size = 10 if (robot.pulley_radius > 0.0).any() else 28  # beside a pulley it is its datum
     axes.scatter(
-        *robot.exit_points.T, color=FRAME, s=size, marker="s", label="exit points", depthshade=False
+        *robot.exit_points.T,
+        color=FRAME_COLOR,
+        s=size,
+        marker="s",
+        label="exit points",
+        depthshade=False,
     )
     _draw_platform(axes, report)
     axes.set(xlim=limits[0], ylim=limits[1], zlim=limits[2])
@@ -119,18 +130,22 @@ def _draw_pulleys(
     if not wheels:
         return
     faces = [cable.wheel for cable in wheels]
-    axes.add_collection3d(Poly3DCollection(faces, facecolor=FRAME, edgecolor=FRAME, alpha=0.3))
+    axes.add_collection3d(
+        Poly3DCollection(faces, facecolor=FRAME_COLOR, edgecolor=FRAME_COLOR, alpha=0.3)
+    )
     radius = report.robot.pulley_radius
     enlarged = ((radius > 0.0) & (radius < smallest)).any()
     scale = f"drawn with {smallest * 1e3:.0f} mm radius or more" if enlarged else "to scale"
     for k, cable in enumerate(wheels):
-        axes.plot(*cable.wheel.T, color=FRAME, lw=0.9, label=None if k else f"pulleys, {scale}")
+        axes.plot(
+            *cable.wheel.T, color=FRAME_COLOR, lw=0.9, label=None if k else f"pulleys, {scale}"
+        )
         label = None if k else "cable from the winch"
-        axes.plot(*cable.incoming.T, color=FED, lw=1.4, label=label)
+        axes.plot(*cable.incoming.T, color=FED_CABLE_COLOR, lw=1.4, label=label)
 
 
 def exit_labels(robot: Robot, near: float) -> list[tuple[str, Array]]:
-    """Cable names and where to write them [m]; exit points nearer than `near` share a label."""
+    """Return cable names and their positions [m]; exit points nearer than `near` share a label."""
     groups: list[list[int]] = []
     for i, point in enumerate(robot.exit_points):
         for group in groups:
@@ -151,9 +166,11 @@ def _draw_platform(axes: Any, report: RobotReport) -> None:
 
     anchors = _anchors(report)
     faces = _faces(anchors)
-    patch = Poly3DCollection(faces, facecolor=PLATFORM, edgecolor=PLATFORM, alpha=0.35, lw=0.8)
+    patch = Poly3DCollection(
+        faces, facecolor=PLATFORM_COLOR, edgecolor=PLATFORM_COLOR, alpha=0.35, lw=0.8
+    )
     axes.add_collection3d(patch)
-    axes.scatter(*anchors.T, color=PLATFORM, s=10, label="anchor points", depthshade=False)
+    axes.scatter(*anchors.T, color=PLATFORM_COLOR, s=10, label="anchor points", depthshade=False)
     home = report.robot.home_position[:, None]
     axes.scatter(*home, color="black", s=45, marker="+", label="home position", depthshade=False)
 
@@ -170,15 +187,21 @@ def _draw_plane(
     pulleys = (robot.pulley_radius > 0.0).any()
     columns = list(pair)
     for edge in box_edges(robot):
-        axes.plot(*edge[:, columns].T, color=BOX, lw=0.9, ls="--")
+        axes.plot(*edge[:, columns].T, color=WORKSPACE_BOX_COLOR, lw=0.9, ls="--")
     for cable in cables:
-        axes.fill(*cable.wheel[:, columns].T, facecolor=FRAME, edgecolor=FRAME, alpha=0.3, lw=0.8)
-        axes.plot(*cable.incoming[:, columns].T, color=FED, lw=1.2)
-        axes.plot(*cable.free[:, columns].T, color=CABLE, lw=1.2)
+        axes.fill(
+            *cable.wheel[:, columns].T,
+            facecolor=FRAME_COLOR,
+            edgecolor=FRAME_COLOR,
+            alpha=0.3,
+            lw=0.8,
+        )
+        axes.plot(*cable.incoming[:, columns].T, color=FED_CABLE_COLOR, lw=1.2)
+        axes.plot(*cable.free[:, columns].T, color=CABLE_COLOR, lw=1.2)
     anchors = _anchors(report)[:, columns]
-    axes.fill(*_hull(anchors).T, facecolor=PLATFORM, edgecolor=PLATFORM, alpha=0.35)
-    axes.plot(*anchors.T, ".", color=PLATFORM, ms=3)
-    axes.plot(*robot.exit_points[:, columns].T, "s", color=FRAME, ms=2.5 if pulleys else 4)
+    axes.fill(*_hull(anchors).T, facecolor=PLATFORM_COLOR, edgecolor=PLATFORM_COLOR, alpha=0.35)
+    axes.plot(*anchors.T, ".", color=PLATFORM_COLOR, ms=3)
+    axes.plot(*robot.exit_points[:, columns].T, "s", color=FRAME_COLOR, ms=2.5 if pulleys else 4)
     axes.plot(*robot.home_position[columns], "+", color="black", ms=8)
     names = [f"{axis} [m]" for axis in "xyz"]
     axes.set(xlabel=names[pair[0]], ylabel=names[pair[1]])
@@ -188,7 +211,7 @@ def _draw_plane(
 
 
 def _anchors(report: RobotReport) -> Array:
-    """Anchor points at home in W [m], shape (n, 3)."""
+    """Return the anchor points at home in W [m], shape (n, 3)."""
     home = report.equilibrium
     place = home.position[0] if home.converged[0] else report.robot.home_position
     points: Array = place + report.robot.anchor_points @ report.rotation.T
@@ -196,7 +219,7 @@ def _anchors(report: RobotReport) -> Array:
 
 
 def box_edges(robot: Robot) -> list[Array]:
-    """The twelve edges of the workspace box [m], each of shape (2, 3)."""
+    """Return the twelve edges of the workspace box [m], each of shape (2, 3)."""
     corners = np.stack([robot.workspace_min, robot.workspace_max])
     edges = []
     for axis in range(3):
@@ -210,7 +233,7 @@ def box_edges(robot: Robot) -> list[Array]:
 
 
 def _hull(points: Array) -> Array:
-    """Convex hull of points in a plane, in order, (m, 2); all points if they are on a line."""
+    """Return the convex hull of points in a plane, in order, (m, 2); all points if collinear."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -221,7 +244,7 @@ def _hull(points: Array) -> Array:
 
 
 def _faces(points: Array) -> list[Array]:
-    """Faces of the convex hull of points; one polygon where they are in a plane."""
+    """Return the faces of the convex hull of points; one polygon if they are coplanar."""
     from scipy.spatial import ConvexHull, QhullError
 
     centered = points - points.mean(axis=0)

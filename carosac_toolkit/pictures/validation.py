@@ -9,10 +9,10 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.pictures.drawing import (
-    COLORS,
-    FEW,
-    MEASURED,
-    REST,
+    DOTTED_SAMPLES_MAX,
+    MEASURED_COLOR,
+    REST_COLOR,
+    SERIES_COLORS,
     draw_violin,
     limits_of,
     new_figure,
@@ -33,7 +33,7 @@ def draw_paths(result: ValidationResult) -> Figure:
     figure = new_figure(12.0, 7.2)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1.0))
     space = figure.add_subplot(grid[:, 0], projection="3d")
-    paths = {"measured": (result.measured.position, MEASURED)}
+    paths = {"measured": (result.measured.position, MEASURED_COLOR)}
     for name, (model, color) in _scored(result).items():
         paths[name] = (_positions(model), color)
     limits = limits_of([path for path, _ in paths.values()])
@@ -90,12 +90,12 @@ def draw_time_series(result: ValidationResult) -> Figure:
     for axis, name in enumerate("xyz"):
         place, below = panels[2 * axis], panels[2 * axis + 1]
         known = result.measured.position[:, axis]
-        place.plot(time, known, color=MEASURED, lw=1.6, label="measured", **dots)
+        place.plot(time, known, color=MEASURED_COLOR, lw=1.6, label="measured", **dots)
         for label, (model, color) in models.items():
             place.plot(time, _positions(model)[:, axis], color=color, lw=1.0, label=label, **dots)
             error = _error(result, model)[:, axis] * factor
             below.plot(time, error, color=color, lw=1.0, **dots)
-        below.axhline(0.0, color=MEASURED, lw=0.6)
+        below.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
         place.set_ylabel(f"{name} [m]")
         below.set_ylabel(f"error in {name} [{unit}]")
         for axes in (place, below):
@@ -103,7 +103,7 @@ def draw_time_series(result: ValidationResult) -> Figure:
             axes.margins(x=0.005)
     for axes in panels:
         for k, (first, end) in enumerate(result.rests):
-            shade = axes.axvspan(time[first], time[end - 1], color=REST, lw=0, zorder=0)
+            shade = axes.axvspan(time[first], time[end - 1], color=REST_COLOR, lw=0, zorder=0)
             if k == 0 and axes is panels[0]:
                 shade.set_label("winches at rest")
     figure.align_ylabels(panels)
@@ -134,7 +134,7 @@ def draw_length_errors(result: ValidationResult) -> Figure:
         if len(flat):
             everything.hist(flat, bins=bins, histtype="step", density=True, color=color, lw=1.5)
     each.set_xticks(range(len(names)), names, rotation=20 if len(names) > 4 else 0)
-    each.axhline(0.0, color=MEASURED, lw=0.6)
+    each.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
     each.set_ylabel(f"measured minus predicted length [{unit}]")
     each.grid(axis="y", alpha=0.25)
     everything.set(xlabel=f"measured minus predicted length [{unit}]", ylabel=f"density [1/{unit}]")
@@ -146,7 +146,7 @@ def draw_length_errors(result: ValidationResult) -> Figure:
     return figure
 
 
-PICTURES: Mapping[str, Callable[[ValidationResult], Figure]] = {
+VALIDATION_PICTURES: Mapping[str, Callable[[ValidationResult], Figure]] = {
     "paths": draw_paths,
     "error_violins": draw_violins,
     "time_series": draw_time_series,
@@ -155,40 +155,40 @@ PICTURES: Mapping[str, Callable[[ValidationResult], Figure]] = {
 
 
 def _scored(result: ValidationResult) -> dict[str, tuple[ModelResult, str]]:
-    """Models with scores, each with its colour, which does not depend on the others' success."""
+    """Yield models with scores, each with a colour that does not depend on the others' success."""
     return {
-        name: (model, COLORS[k % len(COLORS)])
+        name: (model, SERIES_COLORS[k % len(SERIES_COLORS)])
         for k, (name, model) in enumerate(result.models.items())
         if model.scores is not None
     }
 
 
 def _positions(model: ModelResult) -> Array:
-    """Positions [m], (S, 3), NaN where the model found none: a gap in the line."""
+    """Return positions [m], (S, 3), NaN where the model failed: a gap in the line."""
     assert model.pose is not None and model.converged is not None
     return np.asarray(np.where(model.converged[:, None], model.pose.position, np.nan))
 
 
 def _error(result: ValidationResult, model: ModelResult) -> Array:
-    """Model minus measured position [m], shape (S, 3), NaN where the model found none."""
+    """Return model minus measured position [m], shape (S, 3), NaN where the model failed."""
     return _positions(model) - result.measured.position
 
 
 def _length_error(model: ModelResult) -> Array:
-    """Measured minus predicted lengths [m], shape (S, n)."""
+    """Return measured minus predicted lengths [m], shape (S, n)."""
     assert model.length_error is not None
     return model.length_error
 
 
 def _unit(errors: list[Array]) -> tuple[str, float]:
-    """Unit that suits the largest of some errors [m], and how many of it make a metre."""
+    """Return the unit for the largest of some errors [m], and its number per metre."""
     known = [np.abs(error[np.isfinite(error)]) for error in errors]
     return unit_for(max((float(error.max()) for error in known if error.size), default=0.0))
 
 
 def _dots(result: ValidationResult) -> dict[str, Any]:
-    """Markers, where there are so few samples that a line alone would hide or lose them."""
-    return {"marker": "o", "ms": 4} if result.samples <= FEW else {}
+    """Return markers, if so few samples would leave a line alone invisible."""
+    return {"marker": "o", "ms": 4} if result.samples <= DOTTED_SAMPLES_MAX else {}
 
 
 def _count(result: ValidationResult) -> str:

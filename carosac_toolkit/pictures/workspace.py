@@ -1,4 +1,4 @@
-"""A workspace, drawn: slices with margin and limits, maps, and the boundary in space."""
+"""Pictures of a workspace: slices with margin and limits, maps, and the boundary in space."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from numpy.typing import NDArray
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.pictures.drawing import new_figure, set_space
 from carosac_toolkit.pictures.robot import box_edges, exit_labels
-from carosac_toolkit.workspace.limits import OF_CABLE, Limit, describe
+from carosac_toolkit.workspace.limits import CABLE_LIMITS, Limit, describe
 from carosac_toolkit.workspace.maps import Maps
 from carosac_toolkit.workspace.region import Region
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-INSIDE = "#eef1f4"
-FRAME = "#202020"
-PLAIN = {
+INSIDE_COLOR = "#eef1f4"
+FRAME_COLOR = "#202020"
+PLAIN_COLORS = {
     Limit.NOT_CONVERGED: "#ff00ff", Limit.NO_PULL: "#9aa3ad", Limit.TOO_FLAT: "#f2b6a0",
     Limit.NO_EQUILIBRIUM: "#5b6470",
     Limit.UNSTABLE: "#c79a00", Limit.TILT: "#8a6d1f", Limit.COLLISION: "#d62728",
 }  # fmt: skip
-SCALES = {
+COLOR_SCALES = {
     Limit.NO_EQUILIBRIUM: "Greys",
     Limit.SLACK: "Blues", Limit.OVERLOAD: "Oranges", Limit.TOO_SHORT: "Greens",
     Limit.TOO_LONG: "Purples",
 }  # fmt: skip
-QUANTITIES = (
+MAPPED_QUANTITIES = (
     ("margin", "margin [N]", 1.0),
     ("tilt", "tilt [deg]", 180.0 / np.pi),
     ("stiffness", "least stiffness [N/m]", 1.0),
@@ -68,7 +68,7 @@ def draw_slices(regions: Sequence[Region]) -> Figure:
 
 
 def _title(region: Region) -> str:
-    """Robot and model."""
+    """Return robot and model."""
     return f"{region.robot.name}, {'with sag' if region.settings.sag else 'straight cables'}"
 
 
@@ -86,7 +86,7 @@ def draw_maps(region: Region, found: Maps) -> Figure:
     size = (across * (unit * plane.width + 1.6), rows * (unit * plane.height + 0.8) + 0.5)
     figure = new_figure(max(size[0], 6.0), size[1])
     panels = figure.subplots(rows, across).ravel()
-    for axes, (name, label, factor) in zip(panels, QUANTITIES, strict=True):
+    for axes, (name, label, factor) in zip(panels, MAPPED_QUANTITIES, strict=True):
         record: Any = region.verdicts if name in ("margin", "distance") else found
         values = np.where(region.verdicts.inside, getattr(record, name) * factor, np.nan)
         mesh = plane.fill(axes, values, cmap="viridis", norm=_norm(name, values))
@@ -97,7 +97,7 @@ def draw_maps(region: Region, found: Maps) -> Figure:
 
 
 def _norm(name: str, values: Array) -> Any:
-    """Colour scale of a map: logarithmic for stiffness, never finer than rounding."""
+    """Return the colour scale of a map: logarithmic for stiffness, never finer than rounding."""
     from matplotlib.colors import LogNorm, Normalize
 
     finite = values[np.isfinite(values)]
@@ -110,7 +110,7 @@ def _norm(name: str, values: Array) -> Any:
 
 
 def draw_space(region: Region) -> Figure:
-    """Draw the boundary of a workspace in space, coloured by what is beyond it.
+    """Draw the boundary of a workspace in space, coloured by the limit beyond it.
 
     Args:
         region: Verdicts on a grid in a box.
@@ -121,17 +121,17 @@ def draw_space(region: Region) -> Figure:
     axes = figure.add_subplot(projection="3d")
     faces, keys = _boundary(region)
     shown = _shown_limits([region])
-    colors = [BOX_FACE if key == (0, -1) else shown[key] for key in keys]
+    colors = [BOX_FACE_COLOR if key == (0, -1) else shown[key] for key in keys]
     if faces:
         axes.add_collection3d(
             Poly3DCollection(faces, facecolors=colors, edgecolors=(0, 0, 0, 0.12), linewidths=0.2)
         )
     robot = region.robot
-    axes.scatter(*robot.exit_points.T, color=FRAME, s=26, marker="s", depthshade=False)
+    axes.scatter(*robot.exit_points.T, color=FRAME_COLOR, s=26, marker="s", depthshade=False)
     for name, point in exit_labels(robot, 0.08 * float(np.ptp(robot.exit_points, axis=0).max())):
         axes.text(*point, f" {name}", fontsize=7)
     for edge in box_edges(robot):
-        axes.plot(*edge.T, color=FRAME, lw=0.8, ls="--", zorder=5)
+        axes.plot(*edge.T, color=FRAME_COLOR, lw=0.8, ls="--", zorder=5)
     drawn = np.vstack([robot.exit_points, region.grid.positions])
     lower, upper = drawn.min(axis=0), drawn.max(axis=0)
     pad = 0.03 * float((upper - lower).max())
@@ -141,11 +141,11 @@ def draw_space(region: Region) -> Figure:
     return figure
 
 
-BOX_FACE = "#dfe5ea"
+BOX_FACE_COLOR = "#dfe5ea"
 
 
 class _Plane:
-    """A slice: the axes it spans and its picture coordinates."""
+    """Slice: the axes it spans and its picture coordinates."""
 
     def __init__(self, region: Region) -> None:
         """Find the axis across."""
@@ -159,7 +159,7 @@ class _Plane:
         self.title = f"{'xyz'[across]} = {value:.4g} m"
 
     def image(self, values: Array) -> Array:
-        """Values of all positions as an image."""
+        """Return values of all positions as an image."""
         return values.reshape(self.size).T
 
     def fill(self, axes: Any, values: Array, **options: Any) -> Any:
@@ -168,7 +168,7 @@ class _Plane:
 
 
 def _margin_scale(regions: Sequence[Region]) -> Any:
-    """Colours of margins: zero in the middle, as far down as up."""
+    """Return the colours of margins: zero in the middle, symmetric."""
     from matplotlib.colors import TwoSlopeNorm
 
     values = np.concatenate([r.verdicts.margin[r.verdicts.margin > 0.0] for r in regions])
@@ -177,7 +177,7 @@ def _margin_scale(regions: Sequence[Region]) -> Any:
 
 
 def _draw_margin(axes: Any, region: Region, plane: _Plane, scale: Any) -> Any:
-    """Draw the margin and where the workspace ends."""
+    """Draw the margin and the workspace's boundary."""
     margin = np.where(np.isneginf(region.verdicts.margin), scale.vmin, region.verdicts.margin)
     image = plane.fill(axes, margin, cmap="RdYlBu", norm=scale)
     inside = region.verdicts.inside
@@ -189,11 +189,11 @@ def _draw_margin(axes: Any, region: Region, plane: _Plane, scale: Any) -> Any:
 
 
 def _draw_limits(axes: Any, region: Region, plane: _Plane, shown: dict[Any, Any]) -> None:
-    """Draw which limit keeps each position out."""
+    """Draw the limit that excludes each position."""
     from matplotlib.colors import to_rgb
 
     out = region.verdicts
-    colors = np.tile(to_rgb(INSIDE), (len(out.limit), 1))
+    colors = np.tile(to_rgb(INSIDE_COLOR), (len(out.limit), 1))
     for key, color in shown.items():
         colors[_matches(out, key)] = to_rgb(color)
     picture = colors.reshape(*plane.size, 3).swapaxes(0, 1)
@@ -202,39 +202,39 @@ def _draw_limits(axes: Any, region: Region, plane: _Plane, shown: dict[Any, Any]
 
 
 def _matches(out: Any, key: tuple[int, int]) -> NDArray[np.bool_]:
-    """Positions that a limit, and a cable where it is about one, keeps out."""
-    found: NDArray[np.bool_] = out.limit == key[0]
-    return found & (out.cable == key[1]) if key[0] in OF_CABLE else found
+    """Return positions that a limit, and its cable if it has one, excludes."""
+    matches: NDArray[np.bool_] = out.limit == key[0]
+    return matches & (out.cable == key[1]) if key[0] in CABLE_LIMITS else matches
 
 
 def _set_plane(axes: Any, region: Region, plane: _Plane) -> None:
-    """Limits, labels, exit points and the workspace box of a plane."""
+    """Set limits, labels, exit points and the workspace box of a plane."""
     robot = region.robot
     axes.set(xlabel=f"{'xyz'[plane.right]} [m]", ylabel=f"{'xyz'[plane.up]} [m]", aspect="equal")
     low, high = robot.workspace_min, robot.workspace_max
     corners = [(low, low), (high, low), (high, high), (low, high), (low, low)]
     axes.plot(
         [a[plane.right] for a, _ in corners], [b[plane.up] for _, b in corners],
-        color=FRAME, lw=0.8, ls="--",
+        color=FRAME_COLOR, lw=0.8, ls="--",
     )  # fmt: skip
     columns = [plane.right, plane.up]
-    axes.plot(*robot.exit_points[:, columns].T, "s", color=FRAME, ms=4)
+    axes.plot(*robot.exit_points[:, columns].T, "s", color=FRAME_COLOR, ms=4)
 
 
 def _shown_limits(regions: Sequence[Region]) -> dict[tuple[int, int], Any]:
-    """A colour for each limit, and cable, that keeps positions out."""
+    """Return a colour for each limit, and cable, that excludes positions."""
     from matplotlib import colormaps
 
-    keys = {(limit, cable if limit in OF_CABLE else -1)
+    keys = {(limit, cable if limit in CABLE_LIMITS else -1)
             for region in regions for limit, cable, _ in region.causes()}  # fmt: skip
     n = regions[0].robot.n
     shown: dict[tuple[int, int], Any] = {}
     for limit, cable in sorted(keys):
         kind = Limit(limit)
-        if kind in SCALES and cable >= 0:
-            shown[limit, cable] = colormaps[SCALES[kind]](0.35 + 0.6 * (cable + 0.5) / n)
+        if kind in COLOR_SCALES and cable >= 0:
+            shown[limit, cable] = colormaps[COLOR_SCALES[kind]](0.35 + 0.6 * (cable + 0.5) / n)
         else:
-            shown[limit, cable] = PLAIN[kind]
+            shown[limit, cable] = PLAIN_COLORS[kind]
     return shown
 
 
@@ -245,19 +245,21 @@ def _limit_legend(
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    first = Patch(color=INSIDE, label="inside")
+    first = Patch(color=INSIDE_COLOR, label="inside")
     if box:
-        first = Patch(color=BOX_FACE, label="face of the box")
+        first = Patch(color=BOX_FACE_COLOR, label="face of the box")
     handles: list[Any] = [first]
     names = region.robot.cable_names
     handles += [Patch(color=c, label=describe(*key, names)) for key, c in shown.items()]
-    handles.append(Line2D([], [], color=FRAME, marker="s", ls="", ms=4, label="exit points"))
-    handles.append(Line2D([], [], color=FRAME, lw=0.8, ls="--", label="box of the robot file"))
+    handles.append(Line2D([], [], color=FRAME_COLOR, marker="s", ls="", ms=4, label="exit points"))
+    handles.append(
+        Line2D([], [], color=FRAME_COLOR, lw=0.8, ls="--", label="box of the robot file")
+    )
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
 
 
 def _boundary(region: Region) -> tuple[list[Array], list[tuple[int, int]]]:
-    """Faces between cells inside and outside, with the limit beyond; (0, -1) at the box."""
+    """Return faces between cells inside and outside, with the limit beyond; (0, -1) at the box."""
     shape = region.grid.shape
     inside = region.verdicts.inside.reshape(shape)
     limit, cable = (x.reshape(shape) for x in (region.verdicts.limit, region.verdicts.cable))
@@ -275,20 +277,20 @@ def _boundary(region: Region) -> tuple[list[Array], list[tuple[int, int]]]:
                     if inside[place]:
                         continue
                     kind = int(limit[place])
-                    key = (kind, int(cable[place]) if kind in OF_CABLE else -1)
+                    key = (kind, int(cable[place]) if kind in CABLE_LIMITS else -1)
                 faces.append(_face(edges, cell, axis, way))
                 keys.append(key)
     return faces, keys
 
 
 def _edges(axis: Array) -> Array:
-    """Edges of the cells around coordinates."""
+    """Return the edges of the cells around coordinates."""
     step = axis[1] - axis[0] if len(axis) > 1 else 0.1
     return np.append(axis - 0.5 * step, axis[-1] + 0.5 * step)
 
 
 def _face(edges: list[Array], cell: NDArray[np.intp], axis: int, way: int) -> Array:
-    """Corners of one face of a cell, (4, 3)."""
+    """Return the corners of one face of a cell, (4, 3)."""
     a, b = (k for k in range(3) if k != axis)
     corners = np.empty((4, 3))
     corners[:, axis] = edges[axis][cell[axis] + (way > 0)]

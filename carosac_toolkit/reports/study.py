@@ -1,4 +1,4 @@
-"""A study as a page: table, failures, pictures and settings, in its folder."""
+"""Report of a study: table, failures, pictures and settings, in its folder."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from carosac_toolkit.reports.page import (
     table,
     write_files,
 )
-from carosac_toolkit.studies.compare.paired import Block, paired_blocks
+from carosac_toolkit.studies.compare.paired import PairedBlock, paired_blocks
 from carosac_toolkit.studies.compare.paper_tables import explanation, latex, markdown, sheets
 from carosac_toolkit.studies.compare.results import StudyResults, estimated, tracked
 from carosac_toolkit.studies.compare.tables import failures, header, name_columns, rows, units
 
 TABLES_MARKDOWN, TABLES_LATEX, STATISTICS = "tables.md", "tables.tex", "statistics.json"
-CAPTIONS = {
+STUDY_CAPTIONS = {
     "paired": "Every error over that of the baseline on the same draws, with its interval: left of "
     "1 is better.",
-    "paths": "One case: where the platform origin went, against the reference.",
+    "paths": "One case: path of the platform origin and its reference.",
     "error_over_time": "One case: absolute tracking error per axis; grey: the reference rests.",
     "error_violins": "Distribution of the absolute tracking error over the samples of all "
     "trajectories, first seed.",
@@ -46,29 +46,29 @@ def write_report(
     results: StudyResults,
     said: Sequence[str],
     words: Sequence[str],
-    blocks: Sequence[Block] | None = None,
+    blocks: Sequence[PairedBlock] | None = None,
 ) -> list[Path]:
     """Draw the pictures and write tables and ``report.html`` into the folder of the study.
 
     Args:
-        results: What was found.
-        said: Sentences on it.
+        results: Results of the study.
+        said: Conclusions, as sentences.
         words: The command that repeats it.
         blocks: Its paired comparisons; by default those with the first of each block.
 
     Returns:
         The files, the report last.
     """
-    from carosac_toolkit.pictures.comparison import PICTURES
+    from carosac_toolkit.pictures.comparison import COMPARISON_PICTURES
     from carosac_toolkit.pictures.paired import comparable, draw_paired
 
     blocks = paired_blocks(results) if blocks is None else blocks
-    names = list(PICTURES) if tracked(results.rows) else []
+    names = list(COMPARISON_PICTURES) if tracked(results.rows) else []
     if all(len(tracked(rows)) < 2 for rows in results.groups):  # one case does not scatter
         names = [name for name in names if name != "rmse_gaussians"]
     if not names and estimated(results.rows):  # nothing follows commands on a recording
         names = ["estimation"]
-    images = {f"{name}.png": png(PICTURES[name](results)) for name in names}
+    images = {f"{name}.png": png(COMPARISON_PICTURES[name](results)) for name in names}
     if comparable(blocks):
         images = {"paired.png": png(draw_paired(blocks)), **images}
     document = _html(results, said, words, images, blocks)
@@ -83,28 +83,28 @@ def write_report(
 
 
 def _origin(results: StudyResults, words: Sequence[str]) -> str:
-    """How the numbers were made, in lines of text."""
+    """Return how the numbers were made, in lines of text."""
     digests = dict.fromkeys(
         f"robot {row['robot']}: sha256 {digest}"
         for row in results.rows
         if (digest := json.loads(str(row["settings"])).get("robot_digest"))
     )
-    made = [f"{name}: {text}" for name, text in made_with().items() if text]
-    return "\n".join([f"command: {shlex.join(words)}", *digests, *made])
+    terms = [f"{name}: {text}" for name, text in made_with().items() if text]
+    return "\n".join([f"command: {shlex.join(words)}", *digests, *terms])
 
 
 def _html(
     results: StudyResults,
-    said: Sequence[str],
+    sentences: Sequence[str],
     words: Sequence[str],
     images: Mapping[str, bytes],
-    blocks: Sequence[Block],
+    blocks: Sequence[PairedBlock],
 ) -> str:
-    """The whole document."""
+    """Return the whole document."""
     names = list(dict.fromkeys(str(row["controller"]) for row in results.rows))
-    lost = "\n".join(failures(results))
+    failed = "\n".join(failures(results))
     parts = [
-        bullets(said),
+        bullets(sentences),
         f"<h2>Errors</h2><p>{escape(units(results))}</p>",
         table(header(results), rows(results), left=name_columns(results)),
         f"<h2>Paired comparison</h2><p>{escape(explanation(blocks))}</p>",
@@ -115,8 +115,8 @@ def _html(
         ),
         f"<p>The same as {TABLES_MARKDOWN} and {TABLES_LATEX}, and all digits in {STATISTICS}, "
         "beside this page.</p>",
-        f"<h2>Cases without a score</h2><pre>{escape(lost)}</pre>" if lost else "",
-        *(picture(image, CAPTIONS[Path(file).stem]) for file, image in images.items()),
+        f"<h2>Cases without a score</h2><pre>{escape(failed)}</pre>" if failed else "",
+        *(picture(image, STUDY_CAPTIONS[Path(file).stem]) for file, image in images.items()),
         "<h2>Settings</h2>",
         definitions({**_settings(results), **made_with()}),
         repeat(words),
@@ -125,7 +125,7 @@ def _html(
 
 
 def _settings(results: StudyResults) -> dict[str, str]:
-    """What the cases were."""
+    """Return the settings of the cases."""
     terms = {"cases": str(len(results.rows))}
     for name in ("robot", "controller", "estimator", "suite", "trajectory", "perturbation", "seed"):
         values = dict.fromkeys(str(row[name]) for row in results.rows)

@@ -1,4 +1,4 @@
-"""A validation as a folder: pictures, and one report.html that needs nothing else."""
+"""Report of a validation: a folder of pictures, and one self-contained report.html."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from carosac_toolkit.reports.page import (
     warnings,
     write_files,
 )
-from carosac_toolkit.validation.phases import REST_DURATION, REST_SPEED
+from carosac_toolkit.validation.phases import REST_DURATION_MIN_S, REST_SPEED_MAX_M_S
 from carosac_toolkit.validation.result import ValidationResult
-from carosac_toolkit.validation.saved import SAMPLES, samples_bytes
+from carosac_toolkit.validation.saved import SAMPLES_FILE, samples_bytes
 from carosac_toolkit.validation.tables import (
     CAUSE_HEADER,
     PART_HEADER,
@@ -32,8 +32,8 @@ from carosac_toolkit.validation.tables import (
     part_units,
 )
 
-SETTINGS = "report_settings.json"
-CAPTIONS = {
+SETTINGS_FILE = "report_settings.json"
+VALIDATION_CAPTIONS = {
     "paths": "Path of the platform origin: measured and modelled.",
     "error_violins": "Distribution of the absolute position error per axis and in norm.",
     "time_series": "Position and error over time; grey: the winches rest.",
@@ -44,14 +44,14 @@ CAPTIONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Context:
-    """Where a result comes from.
+    """Origin of a result.
 
     Attributes:
         recording: Name or path of the recording, as it was given.
-        metadata: What it says about itself.
+        metadata: Metadata of the recording.
         words: The command that repeats the validation.
         file: The recording's file.
-        guess: How the robot was guessed, or empty.
+        guess: Reason for the guessed robot, or empty.
     """
 
     recording: str
@@ -62,7 +62,7 @@ class Context:
 
     @property
     def settings(self) -> dict[str, object]:
-        """What a report is of; written beside it."""
+        """Return the settings that identify a report, written beside it."""
         return {"file": str(self.file.resolve()), "command": shlex.join(self.words)}
 
 
@@ -81,9 +81,9 @@ def free_folder(base: Path, context: Context) -> Path:
 
 
 def _settings(folder: Path) -> object:
-    """What the report in a folder is of, or None."""
+    """Return the settings of the report in a folder, or None."""
     try:
-        return json.loads((folder / SETTINGS).read_text(encoding="utf-8"))
+        return json.loads((folder / SETTINGS_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
 
@@ -95,24 +95,24 @@ def write_report(
 
     Args:
         folder: Made if need be; files of an earlier report in it are replaced.
-        result: What was found.
-        said: Sentences on it.
-        context: Where it comes from.
+        result: Result of the validation.
+        said: Conclusions, as sentences.
+        context: Origin of the result.
 
     Returns:
         The files, the report last.
     """
-    from carosac_toolkit.pictures.validation import PICTURES
+    from carosac_toolkit.pictures.validation import VALIDATION_PICTURES
 
     images = {
         f"{name}.png": png(draw(result))
-        for name, draw in (PICTURES.items() if _any_scored(result) else ())
+        for name, draw in (VALIDATION_PICTURES.items() if _any_scored(result) else ())
     }
     settings = json.dumps(context.settings, indent=2, ensure_ascii=False) + "\n"
     document = _html(result, said, context, images)
-    files = {SETTINGS: settings.encode()}
+    files = {SETTINGS_FILE: settings.encode()}
     if images:
-        files[SAMPLES] = samples_bytes(result)
+        files[SAMPLES_FILE] = samples_bytes(result)
     return write_files(folder, {**images, **files, "report.html": document.encode()})
 
 
@@ -121,22 +121,22 @@ def _any_scored(result: ValidationResult) -> bool:
 
 
 def _html(
-    result: ValidationResult, said: list[str], context: Context, images: dict[str, bytes]
+    result: ValidationResult, sentences: list[str], context: Context, images: dict[str, bytes]
 ) -> str:
-    """The whole document."""
+    """Return the whole document."""
     name = f"Validation of {', '.join(result.models)} on {Path(context.recording).name}"
     parts = [
         *warnings(result.warnings),
-        bullets(said),
+        bullets(sentences),
         f"<h2>Errors</h2><p>{part_units(result)}. Error is model minus measured, in world frame W. "
-        f"At rest means that no cable length changes faster than {REST_SPEED * 1e3:g} mm/s for at "
-        f"least {REST_DURATION:g} s; the platform may still sway.</p>",
+        f"At rest means that no cable length changes faster than {REST_SPEED_MAX_M_S * 1e3:g} mm/s "
+        f"for at least {REST_DURATION_MIN_S:g} s; the platform may still sway.</p>",
         table(PART_HEADER, part_rows(result), left=2),
         "<h2>What may explain them</h2><p>Delay: least squares of the error in motion on the "
         "measured velocity; positive means that poses are late against the lengths. Sway: the "
         "frequency that fits the error at rest best, on the axis that swings most.</p>",
         table(CAUSE_HEADER, cause_rows(result), left=1),
-        *(picture(image, CAPTIONS[Path(file).stem]) for file, image in images.items()),
+        *(picture(image, VALIDATION_CAPTIONS[Path(file).stem]) for file, image in images.items()),
         "<h2>Provenance</h2>",
         definitions({**_provenance(result, context), **made_with()}),
         repeat(context.words),
@@ -145,7 +145,7 @@ def _html(
 
 
 def _provenance(result: ValidationResult, context: Context) -> dict[str, str]:
-    """What went in."""
+    """Return the inputs of the validation."""
     metadata, robot = context.metadata, result.robot
     return {
         "recording": context.recording,

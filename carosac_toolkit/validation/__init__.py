@@ -1,4 +1,4 @@
-"""How well models explain a recording: run open loop on its lengths, scored on its poses."""
+"""Validation of models on a recording: run open loop on its lengths, scored on its poses."""
 
 from carosac_toolkit.validation.procedure import DEFAULT_MODELS, validate
 from carosac_toolkit.validation.result import ModelResult, ValidationResult

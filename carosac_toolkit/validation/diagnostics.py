@@ -1,4 +1,4 @@
-"""What explains an error: a delay, sway after the moves, or sag."""
+"""Diagnosis of an error: a delay, sway after the moves, or sag."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.validation.scores import AXES, by_axis
+from carosac_toolkit.validation.scores import SCORE_AXES, by_axis
 
-SPEED_MIN = 0.02  # [m/s]: slower motion of an axis says nothing about a delay
-FREQUENCY_MAX = 5.0  # [Hz]
-CLEAR = 0.6  # share of the swing at rest that one frequency must explain
+AXIS_SPEED_MIN_M_S = 0.02  # [m/s]: slower motion of an axis says nothing about a delay
+SWAY_FREQUENCY_MAX_HZ = 5.0  # [Hz]
+EXPLAINED_SHARE_MIN = 0.6  # share of the swing at rest that one frequency must explain
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Delay:
-    """Least squares of the position error on the measured velocity, per axis x, y, z.
+    """Least-squares fit of the position error to the measured velocity, per axis x, y, z.
 
     A model that runs ahead of the measured poses by a time tau errs by tau times the velocity:
     positive means that poses are late, or lengths early. NaN where an axis hardly moves.
@@ -35,7 +35,7 @@ class Delay:
     explained: Array
 
     def data(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return the numbers, ready for JSON."""
         return {
             "delay_s": by_axis(self.seconds),
             "delay_deviation_s": by_axis(self.deviation),
@@ -44,8 +44,8 @@ class Delay:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sway:
-    """The swing of the error while the winches rest.
+class RestSway:
+    """Sway of the error while the winches rest.
 
     Attributes:
         axis: The axis of W that swings most, ``x``, ``y`` or ``z``.
@@ -62,11 +62,11 @@ class Sway:
 
     @property
     def clear(self) -> bool:
-        """Whether one frequency explains most of it."""
-        return self.explained >= CLEAR
+        """True if one frequency explains most of it."""
+        return self.explained >= EXPLAINED_SHARE_MIN
 
     def data(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return the numbers, ready for JSON."""
         return {
             "axis": self.axis,
             "frequency_Hz": self.frequency,
@@ -79,9 +79,9 @@ class Sway:
 
 def find_delay(error: Array, velocity: Array) -> Delay:
     """Regress model minus measured position [m] on the measured velocity [m/s], both (S, 3)."""
-    found = np.full((3, 3), np.nan)
+    fit = np.full((3, 3), np.nan)
     for axis in range(3):
-        if len(error) < 4 or velocity[:, axis].std() < SPEED_MIN:
+        if len(error) < 4 or velocity[:, axis].std() < AXIS_SPEED_MIN_M_S:
             continue
         v = velocity[:, axis] - velocity[:, axis].mean()
         e = error[:, axis] - error[:, axis].mean()
@@ -89,11 +89,11 @@ def find_delay(error: Array, velocity: Array) -> Delay:
         left = e - delay * v
         deviation = np.sqrt(left @ left / (len(e) - 2) / (v @ v))
         share = 1.0 - (left @ left) / (e @ e) if e @ e > 0.0 else 0.0
-        found[:, axis] = delay, deviation, share
-    return Delay(seconds=found[0], deviation=found[1], explained=found[2])
+        fit[:, axis] = delay, deviation, share
+    return Delay(seconds=fit[0], deviation=fit[1], explained=fit[2])
 
 
-def find_sway(time: Array, error: Array, rests: Sequence[tuple[int, int]]) -> Sway | None:
+def find_sway(time: Array, error: Array, rests: Sequence[tuple[int, int]]) -> RestSway | None:
     """Fit one frequency to all rests, each with its own mean, amplitude and phase.
 
     Args:
@@ -110,7 +110,7 @@ def find_sway(time: Array, error: Array, rests: Sequence[tuple[int, int]]) -> Sw
         return None
     spans = np.array([time[b - 1] - time[a] for a, b in parts])
     step = float(np.median(np.diff(time)))
-    lowest, highest = 0.75 / float(np.median(spans)), min(FREQUENCY_MAX, 0.4 / step)
+    lowest, highest = 0.75 / float(np.median(spans)), min(SWAY_FREQUENCY_MAX_HZ, 0.4 / step)
     if highest <= lowest:
         return None
     step = 0.05 / float(spans.max())
@@ -126,8 +126,8 @@ def find_sway(time: Array, error: Array, rests: Sequence[tuple[int, int]]) -> Sw
         return None
     count = sum(b - a for a, b in parts)
     ratio = (count - len(parts)) / (count - 3 * len(parts))
-    return Sway(
-        axis=AXES[axis],
+    return RestSway(
+        axis=SCORE_AXES[axis],
         frequency=float(fine[chosen]),
         amplitude=float(amplitude[chosen, axis]),
         explained=float(1.0 - residual[chosen, axis] / total * ratio),
@@ -137,7 +137,7 @@ def find_sway(time: Array, error: Array, rests: Sequence[tuple[int, int]]) -> Sw
 def _swing(
     time: Array, error: Array, parts: Sequence[tuple[int, int]], frequency: float
 ) -> tuple[Array, Array]:
-    """Sum of squares left [m^2] and root mean square amplitude [m] per axis, each (3,)."""
+    """Return the residual sum of squares [m^2] and the RMS amplitude [m] per axis, each (3,)."""
     left, square = np.zeros(3), np.zeros(3)
     for first, end in parts:
         phase = 2.0 * np.pi * frequency * (time[first:end] - time[first])
@@ -149,7 +149,7 @@ def _swing(
 
 
 def rest_frequencies(robot: Robot, length: Array, rests: Sequence[tuple[int, int]]) -> Array | None:
-    """Natural frequencies [Hz] that statics predicts at the rests, medians, slowest first, (6,).
+    """Return natural frequencies [Hz] by statics at the rests, medians, slowest first, (6,).
 
     Args:
         robot: Robot description, n cables.
@@ -165,9 +165,9 @@ def rest_frequencies(robot: Robot, length: Array, rests: Sequence[tuple[int, int
     if not rests:
         return None
     means = np.array([length[a:b].mean(axis=0) for a, b in rests])
-    found = forward_kinematics(robot, means)
-    good = found.converged & found.stable
+    equilibria = forward_kinematics(robot, means)
+    good = equilibria.converged & equilibria.stable
     if not good.any():
         return None
-    found = forward_kinematics(robot, means[good])
-    return np.asarray(np.median(natural_frequencies(robot, found), axis=0))
+    equilibria = forward_kinematics(robot, means[good])
+    return np.asarray(np.median(natural_frequencies(robot, equilibria), axis=0))

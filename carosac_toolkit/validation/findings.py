@@ -1,4 +1,4 @@
-"""What the numbers of a validation say, in sentences computed from them."""
+"""Conclusions of a validation, in sentences computed from its numbers."""
 
 from __future__ import annotations
 
@@ -10,20 +10,22 @@ from carosac_toolkit.validation.plausibility import doubt_exit_points
 from carosac_toolkit.validation.quantities import say_length
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 
-SWAY_MIN = 2e-3  # [m]: a smaller swing is not worth a sentence
-DELAY_MIN = 3e-3  # [s]
-DELAY_SURE = 3.0  # standard deviations from none
-OFFSET_MIN = 2e-3  # [m]
-OFFSET_SHARE = 0.1  # of the RMSE in norm
-NATURAL_MAX = 0.25  # of the observed frequency: farther is no agreement
-SAMPLES_MIN = 10  # fewer say nothing about causes
-CAUSE_MIN = 1e-4  # [m]: a smaller error needs no cause
-CAUSE_MAX = 0.1  # of the typical cable length: causes of a larger error cannot be told apart
-MATTERS = 0.3  # of the length error
+SWAY_MIN_M = 2e-3  # [m]: a smaller swing is not worth a sentence
+DELAY_MIN_S = 3e-3  # [s]
+DELAY_SIGMAS_MIN = 3.0  # standard deviations from none
+OFFSET_MIN_M = 2e-3  # [m]
+OFFSET_SHARE_MIN = 0.1  # of the RMSE in norm
+FREQUENCY_MISMATCH_MAX = 0.25  # of the observed frequency: farther is no agreement
+CAUSE_SAMPLES_MIN = 10  # fewer say nothing about causes
+CAUSE_ERROR_MIN_M = 1e-4  # [m]: a smaller error needs no cause
+CAUSE_ERROR_RATIO_MAX = (
+    0.1  # of the typical cable length: causes of a larger error cannot be told apart
+)
+CAUSE_SHARE_MIN = 0.3  # of the length error
 
 
 def conclusions(result: ValidationResult) -> list[str]:
-    """Say what a validation shows; the causes are those of the best model's error.
+    """State the conclusions; the causes are those of the best model's error.
 
     Causes are left out where the numbers do not support any: an implausible recording, an error as
     large as the workspace or next to none, and few samples.
@@ -46,18 +48,18 @@ def conclusions(result: ValidationResult) -> list[str]:
 
 
 def _no_causes(result: ValidationResult, best: ModelResult) -> str | None:
-    """Why no cause of the error is named, or None where causes may be."""
+    """Return why no cause of the error is named, or None if causes may be."""
     if result.warnings:
-        return "Causes of the error are not looked into until lengths and poses fit together."
-    if result.samples < SAMPLES_MIN:
+        return "Causes of the error are not examined until lengths and poses are consistent."
+    if result.samples < CAUSE_SAMPLES_MIN:
         count = f"{result.samples} sample" + ("s" if result.samples > 1 else "")
         return f"Only {count} scored: too few to say anything about causes, or about other poses."
-    if _norm(best) > CAUSE_MAX * result.typical_length:
+    if _norm(best) > CAUSE_ERROR_RATIO_MAX * result.typical_length:
         return (
-            f"The error is more than {CAUSE_MAX:.0%} of the cable lengths: too large to tell its "
-            "causes apart."
+            f"The error is more than {CAUSE_ERROR_RATIO_MAX:.0%} of the cable lengths: too large "
+            "to tell its causes apart."
         )
-    if _norm(best) < CAUSE_MIN:
+    if _norm(best) < CAUSE_ERROR_MIN_M:
         return "That is too little to look for causes."
     return None
 
@@ -68,7 +70,7 @@ def _norm(model: ModelResult) -> float:
 
 
 def _doubts(result: ValidationResult) -> Iterator[str]:
-    """What makes the numbers doubtful."""
+    """List reasons to doubt the numbers."""
     yield from doubt_exit_points(result.exit_point_distance)
     for model in result.models.values():
         if model.reason is not None:
@@ -84,25 +86,25 @@ def _doubts(result: ValidationResult) -> Iterator[str]:
 
 
 def _ranking(best: ModelResult, scored: list[ModelResult]) -> Iterator[str]:
-    """Which model is nearest."""
+    """Name the most accurate model."""
     others = ", ".join(f"{m.name} {say_length(_norm(m))}" for m in scored if m is not best)
     if others:
         others = f" (others: {others})"
-        yield f"{best.name} comes nearest: RMSE {say_length(_norm(best))} in norm{others}."
+        yield f"{best.name} is the most accurate: RMSE {say_length(_norm(best))} in norm{others}."
     else:
         yield f"RMSE of {best.name}: {say_length(_norm(best))} in norm."
 
 
 def _rest_and_motion(result: ValidationResult, best: ModelResult) -> Iterator[str]:
-    """Whether standing still helps."""
+    """Compare the errors at rest and in motion."""
     if best.moving is None or best.resting is None:
         return
-    if min(best.moving.samples, best.resting.samples) < SAMPLES_MIN:
+    if min(best.moving.samples, best.resting.samples) < CAUSE_SAMPLES_MIN:
         return
     moving, resting = best.moving.rmse[3], best.resting.rmse[3]
     ratio = resting / moving if moving > 0.0 else np.inf
     if ratio >= 0.8:
-        saying = "it does not go away when the winches stop"
+        saying = "it remains when the winches stop"
     elif ratio <= 0.4:
         saying = "most of the error comes with the motion"
     else:
@@ -114,16 +116,16 @@ def _rest_and_motion(result: ValidationResult, best: ModelResult) -> Iterator[st
 
 
 def _sway(result: ValidationResult, best: ModelResult) -> Iterator[str]:
-    """Whether the platform swings while the winches rest."""
+    """Tell whether the platform sways while the winches rest."""
     sway = best.sway
-    if sway is None or not sway.clear or sway.amplitude < SWAY_MIN:
+    if sway is None or not sway.clear or sway.amplitude < SWAY_MIN_M:
         return
     text = (
         f"At rest the error in {sway.axis} swings by {sway.amplitude * 1e3:.0f} mm with a period "
         f"of {1.0 / sway.frequency:.2f} s, which explains {sway.explained:.0%} of its variation: "
     )
     if best.moves:
-        text += "the platform seems to sway in another phase or by another size than in the model"
+        text += "the platform seems to sway with another phase or amplitude than in the model"
     else:
         text += "the platform seems to sway, which no quasi-static model can follow"
     natural = result.natural_frequency
@@ -133,19 +135,19 @@ def _sway(result: ValidationResult, best: ModelResult) -> Iterator[str]:
             f" (observed {sway.frequency:.2f} Hz; nearest natural frequency of the robot there "
             f"{nearest:.2f} Hz"
         )
-        far = abs(nearest - sway.frequency) > NATURAL_MAX * sway.frequency
+        far = abs(nearest - sway.frequency) > FREQUENCY_MISMATCH_MAX * sway.frequency
         text += ": far from it, so check mass, centre of mass and inertia)" if far else ")"
     yield text + "."
 
 
 def _delay(best: ModelResult) -> Iterator[str]:
-    """Whether the error goes with the velocity."""
+    """Tell whether the error grows with the velocity."""
     delay, moving = best.delay, best.moving
     if delay is None or moving is None:
         return
     size = np.abs(np.nan_to_num(delay.seconds))
-    clear = (np.nan_to_num(delay.explained) >= 0.25) & (size >= DELAY_MIN)
-    clear &= size >= DELAY_SURE * np.nan_to_num(delay.deviation)
+    clear = (np.nan_to_num(delay.explained) >= 0.25) & (size >= DELAY_MIN_S)
+    clear &= size >= DELAY_SIGMAS_MIN * np.nan_to_num(delay.deviation)
     if not clear.any():
         return
     axes = " and ".join(axis for axis, use in zip("xyz", clear, strict=True) if use)
@@ -161,11 +163,11 @@ def _delay(best: ModelResult) -> Iterator[str]:
 
 
 def _offset(best: ModelResult) -> Iterator[str]:
-    """Whether a constant error remains at rest."""
+    """Tell whether a constant error remains at rest."""
     resting = best.resting
     if resting is None or not resting.samples:
         return
-    least = max(OFFSET_MIN, OFFSET_SHARE * float(resting.rmse[3]))
+    least = max(OFFSET_MIN_M, OFFSET_SHARE_MIN * float(resting.rmse[3]))
     large = (np.abs(resting.bias) >= 0.6 * resting.rmse[:3]) & (np.abs(resting.bias) >= least)
     if large.any():
         values = ", ".join(
@@ -180,22 +182,22 @@ def _offset(best: ModelResult) -> Iterator[str]:
 
 
 def _sag(best: ModelResult) -> Iterator[str]:
-    """What sag and stretch contribute to the predicted lengths, against the error that is left."""
+    """Compare the effect of sag and stretch on the predicted lengths with the remaining error."""
     if best.sag is None or best.stretch is None or best.length_scores is None:
         return
     left = best.length_scores.rmse
-    least = max(CAUSE_MIN, MATTERS * left)
+    least = max(CAUSE_ERROR_MIN_M, CAUSE_SHARE_MIN * left)
     parts = {"sag": best.sag, "stretch": best.stretch}
     large = [name for name, size in parts.items() if abs(size) >= least]
     if not large:
         verdict = "neither is large enough to explain it"
     elif len(large) == 2:
-        verdict = "without either in the model the error would be another"
+        verdict = "leaving out either would change the error"
     else:
         small = next(name for name in parts if name not in large)
         verdict = f"{large[0]} is large enough to matter, {small} is not"
     yield (
         f"In the model, sag lengthens a cable by {say_length(best.sag)} and tension by "
-        f"{say_length(best.stretch)} on average; the length error left is {say_length(left)}: "
+        f"{say_length(best.stretch)} on average; the remaining length error is {say_length(left)}: "
         f"{verdict}."
     )

@@ -1,4 +1,4 @@
-"""When the winches rest, and how fast things change, from samples at any times."""
+"""Rests of the winches, and rates of change, from samples at arbitrary times."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 
-REST_SPEED = 0.01  # [m/s]: fastest cable that still counts as resting
-REST_DURATION = 0.5  # [s]: shortest rest
-SLOPE_WINDOW = 0.15  # [s] before and after a sample
+REST_SPEED_MAX_M_S = 0.01  # [m/s]: fastest cable that still counts as resting
+REST_DURATION_MIN_S = 0.5  # [s]: shortest rest
+SLOPE_WINDOW_S = 0.15  # [s] before and after a sample
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Phases:
     """Rests and moves of a run.
 
-    A sample rests where no measured cable length changes faster than `REST_SPEED` for at least
-    `REST_DURATION`. The platform may still sway then: this is about what the winches do.
+    A sample rests where no measured cable length changes faster than `REST_SPEED_MAX_M_S` for at
+    least `REST_DURATION_MIN_S`. The platform may still sway then: rest refers to the
+    winches.
 
     Attributes:
         resting: shape (N,).
@@ -37,18 +38,18 @@ def find_phases(time: Array, length: Array) -> Phases:
         time: Strictly increasing [s], shape (N,).
         length: Cable lengths [m], shape (N, n).
     """
-    slow = np.abs(slope(time, length)).max(axis=1) < REST_SPEED
+    slow = np.abs(slope(time, length)).max(axis=1) < REST_SPEED_MAX_M_S
     edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(int)))
     runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    rests = tuple((a, b) for a, b in runs if time[b - 1] - time[a] >= REST_DURATION)
+    rests = tuple((a, b) for a, b in runs if time[b - 1] - time[a] >= REST_DURATION_MIN_S)
     resting = np.zeros(len(time), dtype=np.bool_)
     for first, end in rests:
         resting[first:end] = True
     return Phases(resting=resting, rests=rests)
 
 
-def slope(time: Array, value: Array, window: float = SLOPE_WINDOW) -> Array:
-    """Rate of change at each sample, exact for straight lines and little moved by noise.
+def slope(time: Array, value: Array, window: float = SLOPE_WINDOW_S) -> Array:
+    """Return the rate of change at each sample, exact for straight lines and robust to noise.
 
     The mean of the samples up to `window` later less the mean of those up to `window` earlier,
     at least one each, over the distance of their mean times; one-sided at the ends.

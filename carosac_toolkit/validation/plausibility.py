@@ -1,4 +1,4 @@
-"""Whether lengths and poses of a recording can belong together, and what mix-up explains it if not.
+"""Checks that lengths and poses of a recording belong together, and the likely mix-up if not.
 
 The straight distances from exit to anchor points at the measured poses are compared with the
 measured lengths. They differ by sag, stretch and calibration, that is by a few per cent at most;
@@ -23,20 +23,26 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.scores import rotation_angle
 
 Order = NDArray[np.intp]
-OFF = 0.1  # of the distance: a larger median difference is no matter of calibration
-MISFIT_MIN = 0.005  # of the distance: a smaller misfit needs no explanation
-CLEAR = 0.5  # a mix-up is named where putting it right leaves less than this of the misfit
-OUTSIDE = 3.0  # times the size of the frame: positions farther from it are in other units
-SAMPLES = 500  # compared, evenly spread
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-EXIT_POINT_MAX = 0.01  # [m] from the measured ones
-STILL_MIN = 0.03  # of the distance: misfit from which lengths that hardly change tell an order
-XYZW = "The orientation fits if the quaternion is x y z w: the format wants w x y z."
+DISTANCE_MISFIT_MAX = 0.1  # of the distance: a larger median difference is no matter of calibration
+EXPLAINED_MISFIT_MIN = 0.005  # of the distance: a smaller misfit needs no explanation
+REMAINING_MISFIT_MAX = (
+    0.5  # a mix-up is named where putting it right leaves less than this of the misfit
+)
+FRAME_DISTANCE_RATIO_MAX = (
+    3.0  # times the size of the frame: positions farther from it are in other units
+)
+COMPARED_SAMPLES_MAX = 500  # compared, evenly spread
+METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+EXIT_POINT_DISTANCE_MAX_M = 0.01  # [m] from the measured ones
+STATIC_MISFIT_MIN = (
+    0.03  # of the distance: misfit from which lengths that hardly change tell an order
+)
+QUATERNION_ORDER_HINT = "The orientation fits if the quaternion is x y z w: the format is w x y z."
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Trial:
-    """Lengths (S, n) [m] and poses, as measured or with a mix-up put right."""
+class _MixUpTrial:
+    """Lengths (S, n) [m] and poses, as measured or with a mix-up corrected."""
 
     robot: Robot
     length: Array
@@ -45,44 +51,44 @@ class _Trial:
 
     @property
     def distance(self) -> Array:
-        """Straight cables at the poses [m], shape (S, n), NaN where there is none."""
-        found = straight_length(self.robot, self.position, self.rotation)
-        return np.where(found.valid, found.length, np.nan)
+        """Straight-cable lengths at the poses [m], shape (S, n), NaN where there is none."""
+        straight = straight_length(self.robot, self.position, self.rotation)
+        return np.where(straight.valid, straight.length, np.nan)
 
 
 def find_mix_ups(
     robot: Robot, length: Array, pose: Pose, *, zeros_known: bool = True
 ) -> tuple[str, ...]:
-    """Say what shows that lengths and poses do not belong together as they are.
+    """List evidence that lengths and poses do not belong together as they are.
 
     Args:
         robot: Robot description, n cables.
         length: Measured [m], shape (S, n), S >= 1.
         pose: Measured at the same times.
-        zeros_known: Whether lengths far from the distance are wrong. If not, their zeros may be
+        zeros_known: True if lengths far from the distance are wrong. If not, their zeros may be
             anywhere, and only other units and other orders are looked for.
 
     Returns:
         Sentences; none for a recording that is plausible.
     """
-    some = evenly(len(length), SAMPLES)
-    trial = _Trial(
+    some = evenly(len(length), COMPARED_SAMPLES_MAX)
+    trial = _MixUpTrial(
         robot=robot,
         length=length[some],
         position=pose.position[some],
         rotation=pose.rotation[some],
     )
-    said, trial = _units(trial)
+    sentences, trial = _units(trial)
     more, trial = _orders(trial)
-    said += more
+    sentences += more
     if not zeros_known:
-        return tuple(said)
-    said += _differences(trial)
-    return tuple(said or _winch_range(trial))
+        return tuple(sentences)
+    sentences += _differences(trial)
+    return tuple(sentences or _winch_range(trial))
 
 
 def find_misfits(recording: Recording, robot: Robot) -> tuple[str, ...]:
-    """Say what shows that a robot does not belong to a recording; all its samples are compared.
+    """List evidence that a robot does not match a recording; all samples are compared.
 
     Args:
         recording: N length samples, as calibrated.
@@ -104,99 +110,99 @@ def find_misfits(recording: Recording, robot: Robot) -> tuple[str, ...]:
 
 
 def exit_point_distance(recording: Recording, robot: Robot) -> float | None:
-    """Largest distance of a measured exit point from the robot's [m]; None: none was measured."""
+    """Return the largest distance of a measured exit point from the robot's [m], or None."""
     if recording.exit_points is None:
         return None
     return float(np.linalg.norm(recording.exit_points - robot.exit_points, axis=1).max())
 
 
 def doubt_exit_points(distance: float | None) -> Iterator[str]:
-    """Say that exit points are not those of the robot."""
-    if distance is not None and distance > EXIT_POINT_MAX:
+    """Warn that exit points differ from those of the robot."""
+    if distance is not None and distance > EXIT_POINT_DISTANCE_MAX_M:
         yield (
             f"Check the robot: its exit points lie up to {distance * 1e3:.0f} mm from those "
             "measured in the recording."
         )
 
 
-def _units(trial: _Trial) -> tuple[list[str], _Trial]:
-    """Lengths or positions in other units than metres."""
+def _units(trial: _MixUpTrial) -> tuple[list[str], _MixUpTrial]:
+    """Return findings on lengths or positions in other units than metres."""
     ratio = _median(trial.length / trial.distance)
-    if not abs(ratio - 1.0) > OFF:
+    if not abs(ratio - 1.0) > DISTANCE_MISFIT_MAX:
         return [], trial
-    best, repaired, chosen = OFF, trial, ("m", "m")
-    for units in product(UNITS, UNITS if _outside(trial) else ("m",)):
-        scales = [UNITS[unit] for unit in units]
+    best, repaired, chosen = DISTANCE_MISFIT_MAX, trial, ("m", "m")
+    for units in product(METRES_PER_UNIT, METRES_PER_UNIT if _outside(trial) else ("m",)):
+        scales = [METRES_PER_UNIT[unit] for unit in units]
         other = replace(trial, length=trial.length * scales[0], position=trial.position * scales[1])
         misfit = abs(_median(other.length / other.distance) - 1.0)
         if misfit < best:
             best, repaired, chosen = misfit, other, units
-    said = []
+    sentences = []
     if chosen[0] != "m":
-        times = f"{1.0 / UNITS[chosen[0]]:.0f} times the distance at the measured poses"
-        said.append(f"Lengths are {times}: are they in {chosen[0]}?")
+        times = f"{1.0 / METRES_PER_UNIT[chosen[0]]:.0f} times the distance at the measured poses"
+        sentences.append(f"Lengths are {times}: are they in {chosen[0]}?")
     if chosen[1] != "m":
-        said.append(f"Lengths and poses fit if the positions are in {chosen[1]}: are they?")
-    return said, repaired
+        sentences.append(f"Lengths and poses fit if the positions are in {chosen[1]}: are they?")
+    return sentences, repaired
 
 
-def _outside(trial: _Trial) -> bool:
-    """Whether the platform is so far from the frame that no robot could hold it."""
+def _outside(trial: _MixUpTrial) -> bool:
+    """Tell whether the platform is farther from the frame than any robot could hold it."""
     points = trial.robot.exit_points
     away = np.linalg.norm(trial.position - points.mean(axis=0), axis=1)
-    return bool(np.median(away) > OUTSIDE * np.ptp(points, axis=0).max())
+    return bool(np.median(away) > FRAME_DISTANCE_RATIO_MAX * np.ptp(points, axis=0).max())
 
 
-def _orders(trial: _Trial) -> tuple[list[str], _Trial]:
-    """Cables or quaternions in another order: one of the two explains more than half, or both."""
+def _orders(trial: _MixUpTrial) -> tuple[list[str], _MixUpTrial]:
+    """Return findings on cables or quaternions in another order, if that explains over half."""
     trials = {False: trial, True: _turned(trial)}
     orders = {turn: _assignment(_pairs(each)) for turn, each in trials.items()}
     same = np.arange(trial.robot.n)
     left, turn, order = _misfit(trial, same), False, same
-    if not left >= MISFIT_MIN:  # also where there is no distance
+    if not left >= EXPLAINED_MISFIT_MIN:  # also where there is no distance
         return [], trial
     simple, double = [(False, orders[False])], []
     if _nearer_home(trial.rotation, trials[True].rotation, trial.robot):
         simple, double = [*simple, (True, same)], [(True, orders[True])]
     for group in (simple, double):
-        found = [
+        candidates = [
             (_misfit(trials[turn], order), turn, order)
             for turn, order in group
             if _tells_order(trials[turn], order)
         ]
-        best = min(found, key=lambda entry: entry[0], default=(np.inf, False, same))
-        if best[0] < CLEAR * left:
+        best = min(candidates, key=lambda entry: entry[0], default=(np.inf, False, same))
+        if best[0] < REMAINING_MISFIT_MAX * left:
             left, turn, order = best
-    said = [XYZW] if turn else []
+    sentences = [QUATERNION_ORDER_HINT] if turn else []
     swaps = [f"{i + 1} fits exit point {j + 1}" for i, j in enumerate(order) if i != j]
     if swaps:
-        said.append(f"Cables seem swapped: measured length {', '.join(swaps)}.")
-    return said, replace(trials[turn], length=trial.length[:, np.argsort(order)])
+        sentences.append(f"Cables seem swapped: measured length {', '.join(swaps)}.")
+    return sentences, replace(trials[turn], length=trial.length[:, np.argsort(order)])
 
 
-def _turned(trial: _Trial) -> _Trial:
-    """The orientations that were meant if the quaternions were written x y z w."""
+def _turned(trial: _MixUpTrial) -> _MixUpTrial:
+    """Return the orientations that were meant if the quaternions were written x y z w."""
     swapped = rotations.from_matrix(trial.rotation)[:, [3, 0, 1, 2]]
     return replace(trial, rotation=rotations.to_matrix(swapped))
 
 
 def _nearer_home(measured: Array, other: Array, robot: Robot) -> bool:
-    """Whether other orientations are those of a platform that hangs as at home, and these not."""
+    """Return whether only the other orientations resemble a platform that hangs as at home."""
     home = robot.home_rotation[None]
     angles = [float(np.median(rotation_angle(home, each))) for each in (measured, other)]
-    return angles[1] < CLEAR * angles[0]
+    return angles[1] < REMAINING_MISFIT_MAX * angles[0]
 
 
-def _misfit(trial: _Trial, order: Order) -> float:
-    """Mean over the cables of the median difference to the distance, as a share of it."""
+def _misfit(trial: _MixUpTrial, order: Order) -> float:
+    """Return the mean over the cables of the median relative difference to the distance."""
     difference = np.abs(trial.length - trial.distance[:, order])
     return float(np.mean([_median(column) for column in difference.T])) / _median(trial.distance)
 
 
-def _tells_order(trial: _Trial, order: Order) -> bool:
-    """Whether lengths also change as in this order, or are too far off for wrong zeros."""
+def _tells_order(trial: _MixUpTrial, order: Order) -> bool:
+    """Return whether lengths also change in this order, or are too far off for wrong zeros."""
     same = np.arange(trial.robot.n)
-    if (order == same).all() or _misfit(trial, same) >= STILL_MIN:
+    if (order == same).all() or _misfit(trial, same) >= STATIC_MISFIT_MIN:
         return True
     distance = trial.distance
     ok = np.isfinite(distance).all(axis=1)
@@ -204,11 +210,11 @@ def _tells_order(trial: _Trial, order: Order) -> bool:
     length = length - np.median(length, axis=0)
     distance = distance - np.median(distance, axis=0)
     as_is, swapped = (np.abs(length - distance[:, each]).mean() for each in (same, order))
-    return bool(swapped < CLEAR * as_is)
+    return bool(swapped < REMAINING_MISFIT_MAX * as_is)
 
 
-def _pairs(trial: _Trial) -> Array:
-    """Median difference of each measured length to the distance of each cable [m], (n, n)."""
+def _pairs(trial: _MixUpTrial) -> Array:
+    """Return the median difference of each length to the distance of each cable [m], (n, n)."""
     distance = trial.distance
     distance = distance[np.isfinite(distance).all(axis=1)]
     if not len(distance):
@@ -218,7 +224,7 @@ def _pairs(trial: _Trial) -> Array:
 
 
 def _assignment(pairs: Array) -> Order:
-    """Cable for each measured length that makes the differences least in sum, shape (n,)."""
+    """Return the cable of each length that minimises the sum of differences, shape (n,)."""
     from scipy.optimize import linear_sum_assignment
 
     if not np.isfinite(pairs).all():
@@ -226,11 +232,11 @@ def _assignment(pairs: Array) -> Order:
     return np.asarray(linear_sum_assignment(pairs)[1], dtype=np.intp)
 
 
-def _differences(trial: _Trial) -> Iterator[str]:
-    """Lengths that are far from the distance for no reason that was found."""
+def _differences(trial: _MixUpTrial) -> Iterator[str]:
+    """Return findings on lengths that are far from the distance for no known reason."""
     ratio = trial.length / trial.distance
     each = np.array([_median(column) for column in ratio.T])
-    far = np.abs(each - 1.0) > OFF
+    far = np.abs(each - 1.0) > DISTANCE_MISFIT_MAX
     if far.all():
         yield (
             f"Lengths are {_median(ratio):.3g} times the distance at the measured poses: check "
@@ -245,8 +251,8 @@ def _differences(trial: _Trial) -> Iterator[str]:
         )
 
 
-def _winch_range(trial: _Trial) -> Iterator[str]:
-    """Lengths that the winches of this robot cannot wind."""
+def _winch_range(trial: _MixUpTrial) -> Iterator[str]:
+    """Return findings on lengths that the winches of this robot cannot wind."""
     robot, typical = trial.robot, np.median(trial.length, axis=0)
     for i in np.flatnonzero((typical < robot.length_min) | (typical > robot.length_max)):
         yield (
@@ -257,6 +263,6 @@ def _winch_range(trial: _Trial) -> Iterator[str]:
 
 
 def _median(values: Array) -> float:
-    """Median of what is finite, NaN where nothing is."""
+    """Return the median of finite values, NaN if there are none."""
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else np.nan

@@ -1,4 +1,4 @@
-"""Run models over a recording and score them."""
+"""Run of models over a recording, and their scores."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def validate(
     Args:
         recording: With measured poses and lengths, as it was recorded: what the robot says of its
             sensors (`carosac_toolkit.recordings.encoders`) is applied here.
-        robot: What the models are built for, with as many cables as the recording.
+        robot: Robot of the models, with as many cables as the recording.
         models: Names of estimators, or ``module:Class``; each once.
         start: First sample to score.
         stop: One past the last; None: to the end.
@@ -117,7 +117,7 @@ def _check_inputs(
 
 
 class _Scoring:
-    """Everything that the scores of all models share."""
+    """Inputs that the scores of all models share."""
 
     def __init__(
         self,
@@ -185,7 +185,7 @@ class _Scoring:
     def _lengths(
         self, run: ModelRun, good: NDArray[np.bool_]
     ) -> tuple[Array, float | None, float | None]:
-        """Length errors (S, n), mean sag and mean stretch of a model with tensions [m]."""
+        """Return length errors (S, n), mean sag and mean stretch of a model with tensions [m]."""
         from carosac_toolkit.physics.cable.straight_line import straight_length
 
         known = self._recording.unstrained_length[self._index]
@@ -206,18 +206,18 @@ class _Scoring:
     def _undelayed(
         self, error: Array, angle: Array, moving: NDArray[np.bool_], delay: Array
     ) -> float:
-        """RMSE in norm of the samples in motion with the part of a delay taken out [m]."""
+        """Return the RMSE in norm in motion, corrected for the delay [m]."""
         rest = error - np.nan_to_num(delay) * self._velocity
         return float(score_poses(rest[moving], angle[moving]).rmse[3])
 
     def _solved_rests(self, good: NDArray[np.bool_]) -> list[tuple[int, int]]:
-        """Rests of which a model solved every sample."""
+        """Return the rests of which a model solved every sample."""
         return [(a, b) for a, b in self._rests if good[a:b].all()]
 
 
 def _kept(
     rests: Sequence[tuple[int, int]], index: NDArray[np.int64]
 ) -> tuple[tuple[int, int], ...]:
-    """Rests counted in the samples that are scored."""
+    """Return the rests, counted in the scored samples."""
     ends = [(int(np.searchsorted(index, a)), int(np.searchsorted(index, b))) for a, b in rests]
     return tuple((a, b) for a, b in ends if b > a)

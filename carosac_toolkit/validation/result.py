@@ -1,4 +1,4 @@
-"""What `validate` found, as values."""
+"""Results of `validate`, as values."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ from numpy.typing import NDArray
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.validation.diagnostics import Delay, Sway
-from carosac_toolkit.validation.phases import REST_DURATION, REST_SPEED
+from carosac_toolkit.validation.diagnostics import Delay, RestSway
+from carosac_toolkit.validation.phases import REST_DURATION_MIN_S, REST_SPEED_MAX_M_S
 from carosac_toolkit.validation.scores import LengthScores, PoseScores
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelResult:
-    """How one model did; S samples had a measured pose, n cables.
+    """Result of one model; S samples had a measured pose, n cables.
 
     Scores are over the samples that the model solved. A model that raised has `reason` and every
     other field None.
 
     Attributes:
-        name: As it was asked for.
+        name: Name as given.
         reason: Why it has no scores, or None where it has.
-        pose: What it believed.
-        moves: Whether it believes in a twist: a model of the motion, not of rest.
-        converged: Where it says that it found a pose, shape (S,); it keeps its last one elsewhere.
-        scores: Of all samples.
-        moving: Of those in motion.
-        resting: Of those at rest.
+        pose: Estimated poses.
+        moves: True if it estimates a twist: a model of motion, not of rest.
+        converged: True where it reports a solution, shape (S,); elsewhere it keeps its last pose.
+        scores: Scores of all samples.
+        moving: Scores of the samples in motion.
+        resting: Scores of the samples at rest.
         rmse_with_failures: In norm, over all S samples, kept poses included [m].
         length_error: Measured minus predicted unstrained length [m], shape (S, n). Predicted is the
             length at the *measured* pose of a straight cable (chord and wrapped arc) or, for a
             model with tensions, of a hanging cable that pulls with the model's tension there, so
             that sag and stretch count; NaN where there is none or the cable is slack.
-        length_scores: Of `length_error`.
+        length_scores: Scores of `length_error`.
         sag: Mean over samples and cables of the length as it hangs less the chord [m]; None for a
             model without tensions.
         stretch: Mean elongation of cable and run [m]; None for a model without tensions.
         delay: Apparent delay, from the samples in motion.
-        rmse_without_delay: What `moving` would be, in norm, without that delay [m].
+        rmse_without_delay: RMSE of `moving`, in norm, corrected for that delay [m].
         sway: Swing of the error at rest, or None where the rests are too short.
         update_time: Median wall time of an update [s].
     """
@@ -63,16 +63,16 @@ class ModelResult:
     stretch: float | None = None
     delay: Delay | None = None
     rmse_without_delay: float = np.nan
-    sway: Sway | None = None
+    sway: RestSway | None = None
     update_time: float = np.nan
 
     @property
     def failures(self) -> int:
-        """Samples without a pose of this model's own."""
+        """Number of samples without a pose of this model's own."""
         return 0 if self.converged is None else int((~self.converged).sum())
 
     def data(self, cables: tuple[str, ...]) -> dict[str, Any]:
-        """All numbers under names with units, ready for JSON; a model that raised has nulls."""
+        """Return all numbers under names with units, for JSON; a model that raised has nulls."""
         if self.scores is None or self.length_scores is None or self.delay is None:
             axes = dict.fromkeys(("x", "y", "z", "norm"))
             empty: dict[str, Any] = {key: axes for key in ("rmse_m", "mae_m", "max_m")}
@@ -104,18 +104,18 @@ class ValidationResult:
         robot: The robot that the models were given.
         start: First sample that could be scored.
         stop: One past the last.
-        seed: Of everything random in the models.
-        index: Which samples have a measured pose, shape (S,).
-        time: Of these samples [s], shape (S,).
+        seed: Seed of everything random in the models.
+        index: Indices of the samples with a measured pose, shape (S,).
+        time: Time of these samples [s], shape (S,).
         measured: Measured poses at these times.
-        resting: Whether the winches rest, shape (S,).
+        resting: True where the winches rest, shape (S,).
         rests: First and one past the last of these samples for each rest.
         models: By name, in the order asked for.
-        natural_frequency: What statics predicts at the rests [Hz], medians, slowest first, (6,);
+        natural_frequency: Predictions of statics at the rests [Hz], medians, slowest first, (6,);
             None where there is no rest or no stable equilibrium.
         exit_point_distance: Largest distance of an exit point measured in the run from the
             robot's [m], or None where none was measured.
-        warnings: What shows that lengths and poses do not belong together, such as wrong units;
+        warnings: Evidence that lengths and poses do not belong together, such as wrong units;
             empty for a plausible recording.
     """
 
@@ -141,16 +141,16 @@ class ValidationResult:
 
     @property
     def samples(self) -> int:
-        """Samples that were scored, for a model without failures."""
+        """Number of samples that were scored, for a model without failures."""
         return len(self.index)
 
     @property
     def unscored(self) -> int:
-        """Samples of the range without a measured pose nearby."""
+        """Number of samples of the range without a measured pose nearby."""
         return self.stop - self.start - self.samples
 
     def data(self) -> dict[str, Any]:
-        """All numbers under names with units, ready for JSON."""
+        """Return all numbers under names with units, for JSON; a model that raised has nulls."""
         names = self.robot.cable_names
         return {
             "samples": self.samples,
@@ -162,8 +162,8 @@ class ValidationResult:
             "robot": self.robot.name,
             "rest": {
                 "count": len(self.rests),
-                "speed_below_m_per_s": REST_SPEED,
-                "for_at_least_s": REST_DURATION,
+                "speed_below_m_per_s": REST_SPEED_MAX_M_S,
+                "for_at_least_s": REST_DURATION_MIN_S,
                 "natural_frequencies_Hz": self.natural_frequency,
             },
             "exit_point_distance_m": self.exit_point_distance,

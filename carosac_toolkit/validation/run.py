@@ -1,4 +1,4 @@
-"""One model run open loop over a recording."""
+"""Open-loop run of a model over a recording."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from carosac_toolkit.recordings.recording import Recording
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelRun:
-    """What a model believed after each of K samples.
+    """Beliefs of a model after each of K samples.
 
     Attributes:
         position: Platform origin in W [m], shape (K, 3).
         rotation: Rotation from P to W, shape (K, 3, 3).
         tension: At the platform [N], shape (K, n), NaN where it had none; None: it has no forces.
-        converged: Whether the model itself found a pose, shape (K,).
-        moves: Whether it believed in a twist.
+        converged: True where the model itself found a pose, shape (K,).
+        moves: True if it estimated a twist.
         seconds: Wall time of each update [s], shape (K,); the first is the reset.
     """
 
@@ -91,7 +91,7 @@ def run_open_loop(model: Estimator, recording: Recording, stop: int) -> ModelRun
 def _command(
     recording: Recording, measurement: Measurement, previous: Measurement | None
 ) -> Command:
-    """The command applied when a measurement was taken."""
+    """Return the command applied when a measurement was taken."""
     now = measurement.time
     channel = recording.command
     if channel is not None:
@@ -103,7 +103,7 @@ def _command(
 
 
 def _tension(belief: Belief, n: int) -> Array:
-    """Tensions of a belief, shape (n,); NaN where there are none."""
+    """Return the tensions of a belief, shape (n,); NaN if there are none."""
     if belief.tension is None:
         return np.full(n, np.nan)
     tension: Array = np.asarray(belief.tension, dtype=np.float64)[0]
@@ -111,6 +111,6 @@ def _tension(belief: Belief, n: int) -> Array:
 
 
 def _converged(belief: Belief) -> bool:
-    """Whether a model says that it found this pose; a model that does not say so counts as sure."""
-    said = getattr(belief.memory, "converged", None)
-    return True if said is None else bool(np.all(said))
+    """Return whether a model found this pose, by its own account; True if it gives none."""
+    converged = getattr(belief.memory, "converged", None)
+    return True if converged is None else bool(np.all(converged))

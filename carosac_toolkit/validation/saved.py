@@ -1,4 +1,4 @@
-"""Samples of a validation as one file beside its report, so that figures can be drawn from it."""
+"""Samples of a validation as one file beside its report, for later figures."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.result import ModelResult, ValidationResult
 from carosac_toolkit.validation.scores import rotation_angle, score_lengths, score_poses
 
-SAMPLES = "samples.npz"
-KEY = "validation"
-OF_ROBOT = "robot."
+SAMPLES_FILE = "samples.npz"
+VALIDATION_KEY = "validation"
+ROBOT_KEY_PREFIX = "robot."
 
 
 def samples_bytes(result: ValidationResult) -> bytes:
-    """The content of the file: poses measured and modelled, length errors, the robot."""
+    """Return the file's content: poses measured and modelled, length errors, the robot."""
     record = asdict(result.robot)
-    arrays = {f"{OF_ROBOT}{k}": v for k, v in record.items() if isinstance(v, np.ndarray)}
+    arrays = {f"{ROBOT_KEY_PREFIX}{k}": v for k, v in record.items() if isinstance(v, np.ndarray)}
     robot = {k: v for k, v in record.items() if not isinstance(v, np.ndarray)}
     models: dict[str, dict[str, Any]] = {}
     for number, (name, model) in enumerate(result.models.items()):
@@ -45,19 +45,23 @@ def samples_bytes(result: ValidationResult) -> bytes:
         "robot": robot, "models": models, "start": result.start, "stop": result.stop,
         "seed": result.seed, "warnings": list(result.warnings),
     }  # fmt: skip
-    return npz_bytes(KEY, rest, arrays)
+    return npz_bytes(VALIDATION_KEY, rest, arrays)
 
 
 def read_samples(folder: Path) -> ValidationResult:
-    """What was found, with the scores of all samples; diagnostics are not kept.
+    """Read the result, with the scores of all samples; diagnostics are not kept.
 
     Raises:
         MissingFile: There is no such file.
         InvalidField: ``carosac validate`` did not write it.
     """
-    rest, arrays = read_npz(folder / SAMPLES, KEY, "carosac validate")
+    rest, arrays = read_npz(folder / SAMPLES_FILE, VALIDATION_KEY, "carosac validate")
     measured = Pose(position=arrays["position"], rotation=arrays["rotation"])
-    fields = {k.removeprefix(OF_ROBOT): v for k, v in arrays.items() if k.startswith(OF_ROBOT)}
+    fields = {
+        k.removeprefix(ROBOT_KEY_PREFIX): v
+        for k, v in arrays.items()
+        if k.startswith(ROBOT_KEY_PREFIX)
+    }
     record = rest["robot"] | fields
     return ValidationResult(
         robot=Robot(**record | {"hardware": Hardware.from_record(record["hardware"])}),
@@ -75,7 +79,7 @@ def read_samples(folder: Path) -> ValidationResult:
 
 
 def _model(name: str, known: dict[str, Any], arrays: dict[str, Any], measured: Pose) -> ModelResult:
-    """One model."""
+    """Read one model."""
     number = known["number"]
     if f"{number}.position" not in arrays:
         return ModelResult(name=name, reason=known["reason"])

@@ -1,4 +1,4 @@
-"""Errors of poses and lengths in a few numbers."""
+"""Scores of pose and length errors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 
-AXES = ("x", "y", "z", "norm")
+SCORE_AXES = ("x", "y", "z", "norm")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -17,12 +17,12 @@ class PoseScores:
     """Pose error of a model over some samples; axes in order x, y, z of W, then the norm.
 
     Attributes:
-        samples: How many were scored; every other number is NaN where it is 0.
+        samples: Number of scored samples; every other number is NaN where it is 0.
         bias: Mean of model minus measured position [m], shape (3,).
         rmse: Root mean square [m], shape (4,).
         mae: Mean of the absolute value [m], shape (4,).
         max: Largest absolute value [m], shape (4,).
-        orientation_rmse: Of the angle of R_measured^T R_model [rad].
+        orientation_rmse: Root mean square of the angle of R_measured^T R_model [rad].
         orientation_max: [rad].
     """
 
@@ -35,7 +35,7 @@ class PoseScores:
     orientation_max: float
 
     def data(self) -> dict[str, Any]:
-        """All numbers under names with units, ready for JSON."""
+        """Return the numbers under names with units, ready for JSON."""
         return {
             "samples": self.samples,
             "bias_m": by_axis(self.bias),
@@ -64,7 +64,7 @@ class LengthScores:
     samples: Array
 
     def data(self, names: tuple[str, ...]) -> dict[str, Any]:
-        """Per cable, under names with units."""
+        """Return the numbers under names with units, ready for JSON."""
         return {
             name: {"bias_m": self.bias[i], "std_m": self.std[i], "samples": int(self.samples[i])}
             for i, name in enumerate(names)
@@ -73,7 +73,7 @@ class LengthScores:
 
 def by_axis(values: Array) -> dict[str, float]:
     """Name the entries x, y, z and, where there are four, norm."""
-    return {axis: float(value) for axis, value in zip(AXES, values, strict=False)}
+    return {axis: float(value) for axis, value in zip(SCORE_AXES, values, strict=False)}
 
 
 def score_poses(error: Array, angle: Array) -> PoseScores:
@@ -112,6 +112,6 @@ def score_lengths(error: Array) -> LengthScores:
 
 
 def rotation_angle(measured: Array, model: Array) -> Array:
-    """Angle of R_measured^T R_model [rad], shape (S,), exact for small angles too."""
+    """Return the angle of R_measured^T R_model [rad], shape (S,), exact for small angles too."""
     chordal = np.linalg.norm(measured - model, axis=(1, 2))  # 2 sqrt(2) sin(angle / 2)
     return np.asarray(2.0 * np.arcsin(np.clip(chordal / np.sqrt(8.0), 0.0, 1.0)))

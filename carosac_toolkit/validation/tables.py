@@ -1,4 +1,4 @@
-"""The numbers of a validation as rows for people: mm, degrees, ms."""
+"""Results of a validation as readable rows: mm, degrees, ms."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ CAUSE_GROUPS = (1, 2, 3, 3, 1)
 
 
 def part_units(result: ValidationResult) -> str:
-    """What the numbers of `part_rows` are."""
+    """Explain the numbers of `part_rows`."""
     unit, _ = _part_unit(result)
     return f"RMSE, MAE and max of the position error in {unit}; orientation RMSE in degrees"
 
 
 def part_rows(result: ValidationResult) -> Rows:
-    """Scores of all, moving and resting samples per model."""
+    """Return the scores of all, moving and resting samples per model."""
     rows: Rows = []
     _, factor = _part_unit(result)
     for name, model in result.models.items():
@@ -45,18 +45,18 @@ def part_rows(result: ValidationResult) -> Rows:
 
 
 def cause_rows(result: ValidationResult) -> Rows:
-    """What may explain the errors, one row per model."""
+    """Return possible explanations of the errors, one row per model."""
     return [_cause(model) for model in result.models.values()]
 
 
 def _part_unit(result: ValidationResult) -> tuple[str, float]:
-    """Unit that suits the largest RMSE, and how many of it make a metre."""
+    """Return the unit for the largest RMSE, and its number per metre."""
     scores = [model.scores for model in result.models.values() if model.scores is not None]
     return unit_for(max((float(score.rmse[3]) for score in scores), default=0.0))
 
 
 def _cells(scores: PoseScores, factor: float) -> list[str]:
-    """Numbers of one part."""
+    """Return the numbers of one part."""
     numbers = [
         [_plain(value * factor) for value in values]
         for values in (scores.rmse, scores.mae, scores.max)
@@ -65,12 +65,12 @@ def _cells(scores: PoseScores, factor: float) -> list[str]:
 
 
 def _degrees(angle: float) -> str:
-    """Write an angle [rad] in degrees; what is less than 0.01 is 0."""
+    """Format an angle [rad] in degrees; less than 0.01 is 0."""
     return f"{np.degrees(angle):.2f}" if np.isfinite(angle) else "-"
 
 
 def _cause(model: ModelResult) -> tuple[str, ...]:
-    """Numbers of one model."""
+    """Return the numbers of one model."""
     if model.length_scores is None or model.delay is None:
         return (model.name, *["-"] * (len(CAUSE_HEADER) - 1))
     swing, sway = model.sway, "-"
@@ -92,7 +92,7 @@ def _cause(model: ModelResult) -> tuple[str, ...]:
 
 
 def _delays(model: ModelResult) -> list[str]:
-    """Delay per axis with its standard deviation [ms]."""
+    """Format the delay per axis with its standard deviation [ms]."""
     assert model.delay is not None
     pairs = zip(1e3 * model.delay.seconds, 1e3 * model.delay.deviation, strict=True)
     # adding 0.0 turns -0.0 into 0.0
@@ -100,7 +100,7 @@ def _delays(model: ModelResult) -> list[str]:
 
 
 def _plain(value: float) -> str:
-    """Write a number, small ones with enough digits to be seen; next to nothing is a bound."""
+    """Format a number, a small one with enough digits; almost zero becomes a bound."""
     if not np.isfinite(value):
         return "-"
     if abs(value) >= 0.05 or value == 0.0:

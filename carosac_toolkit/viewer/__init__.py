@@ -1,1 +1,1 @@
-"""What `carosac view` shows in a browser: a robot at rest, a live simulation, or recorded runs."""
+"""Browser view of `carosac view`: a robot at rest, a live simulation, or recorded runs."""

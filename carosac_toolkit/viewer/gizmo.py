@@ -11,23 +11,23 @@ from carosac_toolkit.base.rotations import from_matrix
 from carosac_toolkit.viewer.geometry import extent
 from carosac_toolkit.viewer.page import Page
 
-SIZE = 0.09  # of the frame
-NAME = "/target"
+GIZMO_SIZE = 0.09  # of the frame
+GIZMO_NODE = "/target"
 
 
 def add_gizmo(page: Page, position: Array, rotation: Array | None = None, *,
               rotations: bool) -> Any:  # fmt: skip
-    """Add it to a page.
+    """Add the arrows to a page.
 
     Args:
         page: The page.
-        position: Where it is in W [m], shape (3,).
+        position: Position in W [m], shape (3,).
         rotation: From it to W, shape (3, 3); by default its axes are those of W.
-        rotations: Whether it turns.
+        rotations: True to let it rotate.
     """
     turn = np.eye(3) if rotation is None else rotation
     return page.server.scene.add_transform_controls(
-        NAME, scale=SIZE * float(np.ptp(extent(page.robot), axis=0).max()),
+        GIZMO_NODE, scale=GIZMO_SIZE * float(np.ptp(extent(page.robot), axis=0).max()),
         disable_rotations=not rotations, depth_test=False, position=position,
         wxyz=from_matrix(turn[None])[0], line_width=3.0,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""A simulated robot in real time whose target somebody drags; the loop never waits for the page."""
+"""Simulated robot in real time with a target dragged by hand; the loop never waits for the page."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from carosac_toolkit.viewer.page import Page, note_html
 from carosac_toolkit.viewer.picture import Picture, take_picture
 from carosac_toolkit.viewer.publisher import Publisher
 
-LATEST = 1000  # cycles whose latencies are kept
+LATENCY_CYCLES_MAX = 1000  # cycles whose latencies are kept
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instant:
-    """What the loop hands over: plain numbers; the shapes of cables are worked out elsewhere.
+    """Plain numbers that the loop hands over; cable shapes are computed elsewhere.
 
     Attributes:
         time: By the driver's clock [s].
         position: True platform origin in W [m], shape (3,).
         rotation: True rotation from P to W, shape (3, 3).
-        reference: Where the platform should be now in W [m], shape (3,).
-        believed: Where the estimator believes it in W [m], shape (3,).
+        reference: Reference position now in W [m], shape (3,).
+        believed: Estimated position in W [m], shape (3,).
         tension: True [N], shape (n,), or None.
         unstrained_length: True [m], shape (n,), or None.
-        points: Of the cables in W [m], shape (n, samples, 3), where the plant knows them.
+        points: Points of the cables in W [m], shape (n, samples, 3), where the plant knows them.
         limited: Names of the limits that have changed the command.
         overruns: Ticks that the loop has missed up to now.
     """
@@ -56,14 +56,14 @@ class Instant:
 
 @dataclass
 class LiveWatch:
-    """Called by the loop with every step; makes an instant only when one is wanted.
+    """Observer called by the loop with every step; makes an instant only when one is wanted.
 
     Attributes:
         driver: Simulated, with a plant and the count of overruns.
         instants: Takes instants at once, and says when one is due.
         cycles: Up to now.
-        limits: How often each limit changed a command, by cycles.
-        latencies: Of estimator and controller, the latest cycles [s].
+        limits: Number of cycles in which each limit changed a command.
+        latencies: Latencies of estimator and controller in the latest cycles [s].
     """
 
     driver: Any
@@ -73,8 +73,8 @@ class LiveWatch:
     latencies: list[float] = field(default_factory=list)
 
     def __call__(self, step: Step) -> None:
-        """Take one cycle in."""
-        place = self.cycles % LATEST
+        """Count one cycle."""
+        place = self.cycles % LATENCY_CYCLES_MAX
         self.latencies[place : place + 1] = [step.latency]
         self.cycles += 1
         self.limits.update({hit.limit for hit in step.command.limited})
@@ -82,7 +82,7 @@ class LiveWatch:
             self.instants.offer(self._instant(step))
 
     def _instant(self, step: Step) -> Instant:
-        """What the page needs of a step."""
+        """Return what the page needs of a step."""
         plant, truth = self.driver.plant, step.truth
         assert truth is not None
         return Instant(
@@ -96,12 +96,12 @@ class LiveWatch:
 
 
 def _first(values: Array | None) -> Array | None:
-    """The row of the only robot."""
+    """Return the row of the only robot."""
     return None if values is None else values[0]
 
 
 def picture_of(robot: Robot, instant: Instant) -> Picture:
-    """The picture of an instant: true state, reference, and what the estimator believes."""
+    """Return the picture of an instant: true state, reference and estimate."""
     words = f"live, {instant.time:.1f} s"
     if instant.overruns:
         words += f"; {instant.overruns} ticks missed"
@@ -115,7 +115,7 @@ def picture_of(robot: Robot, instant: Instant) -> Picture:
 
 
 def drawing(page: Page) -> Publisher[Instant]:
-    """A publisher that draws instants on a page, in a thread of this process."""
+    """Return a publisher that draws instants on a page, in a thread of this process."""
     return Publisher(
         lambda instant: page.draw(picture_of(page.robot, instant)), rate=page.rate,
         settle=page.settle,
@@ -123,7 +123,7 @@ def drawing(page: Page) -> Publisher[Instant]:
 
 
 class LivePage:
-    """Connects a page with a target that is moved by hand.
+    """Connection of a page with a target that is moved by hand.
 
     Attributes:
         gizmo: Arrows in the scene that move the target.
@@ -138,7 +138,7 @@ class LivePage:
 
         Args:
             page: The page.
-            target: That is moved; where it refuses to go, the page says why and it stays.
+            target: Target that is moved; if it refuses to move, the page says why.
             moved: Told of each new target in W [m], shape (3,).
         """
         self._target, self._moved = target, moved
@@ -154,32 +154,32 @@ class LivePage:
         home.on_click(lambda _: self.go(page.robot.home_position))
 
     def go(self, position: Array, *, dragged: bool = False) -> None:
-        """Set the target, or say why not; while it is dragged the arrows are left to the mouse."""
+        """Set the target, or explain the refusal; while dragged the arrows follow the mouse."""
         try:
-            taken = self._target.go_to(position)
+            reached = self._target.go_to(position)
         except InvalidField as error:
-            taken, refused = self._target.target, str(error)
+            reached, refused = self._target.target, str(error)
         else:
             refused = ""
             if self._moved is not None:
-                self._moved(taken)
+                self._moved(reached)
         self.note.content = note_html(refused)
-        self.place.value = _numbers(taken)
+        self.place.value = _numbers(reached)
         if not dragged:
-            self.gizmo.position = taken
+            self.gizmo.position = reached
 
     def _dragged(self, event: Any) -> None:
-        """Go along; once let go, the arrows go back to where the target is."""
+        """Follow the arrows; once released, they return to the target."""
         self.go(np.array(self.gizmo.position), dragged=event.phase != "end")
 
     def _typed(self, event: Any) -> None:
-        """Somebody has typed a target."""
+        """Take a target typed by the user."""
         if event.client_id is not None:
             self.go(np.array(self.place.value))
 
 
 def _numbers(place: Array) -> tuple[float, ...]:
-    """A place as a field of the page shows it."""
+    """Return a position in the form that a field of the page shows."""
     return tuple(float(x) for x in place.round(4))
 
 
@@ -192,10 +192,10 @@ def follow(
     Args:
         instants: Gets what the page shows.
         driver: Simulated, in real time.
-        estimator: Of the loop.
-        controller: Of the loop.
-        target: That is followed.
-        duration: How long [s]; None: until interrupted.
+        estimator: Estimator of the loop.
+        controller: Controller of the loop.
+        target: Target to follow.
+        duration: Duration [s]; None: until interrupted.
 
     Returns:
         What the loop did, and the error that has ended it.

@@ -1,4 +1,4 @@
-"""The web page that all ways of viewing share: scene, legend, status, plots, display settings."""
+"""Web page shared by all views: scene, legend, status, plots, display settings."""
 
 from __future__ import annotations
 
@@ -17,45 +17,45 @@ from carosac_toolkit.viewer.colors import legend_html
 from carosac_toolkit.viewer.geometry import camera
 from carosac_toolkit.viewer.picture import Picture
 from carosac_toolkit.viewer.plots import Plots
-from carosac_toolkit.viewer.publisher import RATE, Publisher
+from carosac_toolkit.viewer.publisher import PUBLISH_RATE_MAX_HZ, Publisher
 from carosac_toolkit.viewer.scene import RobotScene
 
-LOOPBACK = "127.0.0.1"
-PORT = 8080
-STATUS_EVERY = 0.15  # [s] between two status lines, unless the news is bad or good again
-PLAIN_STATUS_EVERY = 0.45  # [s]
-MOST_ENLARGED = 50.0
-PLAIN_PIXELS = 0.5  # drawn per pixel of the screen along each axis, on a plain page
+LOOPBACK_ADDRESS = "127.0.0.1"
+DEFAULT_PORT = 8080
+STATUS_INTERVAL_S = 0.15  # [s] between two status lines, unless the news is bad or good again
+PLAIN_STATUS_INTERVAL_S = 0.45  # [s]
+SAG_FACTOR_MAX = 50.0
+PLAIN_PIXEL_RATIO = 0.5  # drawn per pixel of the screen along each axis, on a plain page
 
 
 class Page:
-    """A server with one page. Close it.
+    """Server of one page. Close it.
 
     Attributes:
-        robot: What is shown.
+        robot: Robot to show.
         rate: Pictures a second, at most.
-        plain: Whether it is cheap to draw.
+        plain: True if it is cheap to draw.
         server: `viser.ViserServer`.
-        scene: Where the robot is drawn.
+        scene: Scene of the robot.
         plots: Beside it.
         publisher: Draws the pictures that `offer` gets.
         picture: The last one that was drawn, or None.
     """
 
     def __init__(
-        self, robot: Robot, title: str, *, host: str = LOOPBACK, port: int = PORT,
-        rate: float = RATE, followed: str = "target", plain: bool = False,
+        self, robot: Robot, title: str, *, host: str = LOOPBACK_ADDRESS, port: int = DEFAULT_PORT,
+        rate: float = PUBLISH_RATE_MAX_HZ, followed: str = "target", plain: bool = False,
     ) -> None:  # fmt: skip
-        """Start to serve.
+        """Start the server.
 
         Args:
-            robot: What is shown.
-            title: Of the page.
+            robot: Robot to show.
+            title: Title of the page.
             host: Address to listen at.
             port: To listen at; the next free one where it is taken.
             rate: Pictures a second, at most.
-            followed: What the target of a picture is, in a word.
-            plain: Whether it should be cheap to draw, for a browser without a GPU.
+            followed: Word for the target of a picture.
+            plain: True for a page that is cheap to draw, for a browser without a GPU.
         """
         self.robot, self.rate, self._followed, self.plain = robot, rate, followed, plain
         self.server = start_server(host, port, title)
@@ -79,9 +79,9 @@ class Page:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         address = f"http://{self.server.get_host()}:{self.server.get_port()}"
-        return f"{address}/?fixedDpr={PLAIN_PIXELS:g}" if self.plain else address
+        return f"{address}/?fixedDpr={PLAIN_PIXEL_RATIO:g}" if self.plain else address
 
     def offer(self, picture: Picture) -> None:
         """Show a picture soon, unless a newer one comes first; never waits."""
@@ -96,7 +96,7 @@ class Page:
         """Show a status line."""
         if (text, problem) == self._said:
             return
-        every = PLAIN_STATUS_EVERY if self.plain else STATUS_EVERY
+        every = PLAIN_STATUS_INTERVAL_S if self.plain else STATUS_INTERVAL_S
         fresh = time.monotonic() - self._said_at < every
         if fresh and problem == self._said[1]:
             return
@@ -129,7 +129,7 @@ class Page:
             self.say(self._words(self.picture), problem=self.picture.problem)
 
     def _words(self, picture: Picture) -> str:
-        """Place, distance and sag below what the picture says itself."""
+        """Return position, distance and sag, shown below the picture's own status."""
         x, y, z = picture.position
         line = f"platform at {x:.3f}, {y:.3f}, {z:.3f} m"
         if picture.target is not None:
@@ -142,11 +142,11 @@ class Page:
         return "\n".join(filter(None, [picture.status, line, sag]))
 
     def _add_display(self) -> None:
-        """Settings of what is drawn."""
+        """Add the display settings."""
         gui: Any = self.server.gui
         with gui.add_folder("Display", order=90):
             enlarged = gui.add_slider(
-                "sag drawn times", min=1.0, max=MOST_ENLARGED, step=1.0,
+                "sag drawn times", min=1.0, max=SAG_FACTOR_MAX, step=1.0,
                 initial_value=self.scene.enlarged,
                 hint="The distance of each cable from its chord is drawn so many times larger.",
             )  # fmt: skip
@@ -161,24 +161,24 @@ class Page:
         forget.on_click(lambda _: self._forget())
 
     def _enlarge(self, factor: float) -> None:
-        """Draw sag larger."""
+        """Set the enlargement of the sag."""
         self.scene.enlarged = factor
         self.redraw()
 
     def _choose(self, trails: bool, labels: bool) -> None:
-        """Draw trails and labels, or not."""
+        """Show or hide trails and labels."""
         self.scene.trails, self.scene.labels = trails, labels
         self.scene.refresh()
         self.redraw()
 
     def _forget(self) -> None:
-        """Begin the trails anew."""
+        """Clear the trails."""
         self.scene.forget()
         self.redraw()
 
 
 def note_html(text: str, name: str = "note", *, problem: bool = True) -> str:
-    """Words on a coloured ground, with the id ``carosac-NAME``; no words leave nothing."""
+    """Return text on a coloured ground, with the id ``carosac-NAME``; empty for no text."""
     if not text:
         return ""
     color, ground = ("#8f1020", "#fde8ea") if problem else ("#1d4d2b", "#e9f5ec")
@@ -220,7 +220,7 @@ def start_server(host: str, port: int, title: str) -> Any:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether nobody but this machine reaches an address."""
+    """Return whether only this machine can reach an address."""
     if host == "localhost":
         return True
     try:

@@ -1,4 +1,4 @@
-"""The page of a live loop in a process of its own: threads of one process share Python's lock.
+"""Page of a live loop in its own process, as threads of one process share Python's lock.
 
 A thread that draws holds that lock now and then, and if the system takes the processor from it at
 that moment, the loop waits. Here the loop only sends numbers through a pipe, and gets targets back.
@@ -25,24 +25,24 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.viewer.live import Instant, LivePage, drawing
 from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.picture import take_picture
-from carosac_toolkit.viewer.publisher import RATE, Publisher
+from carosac_toolkit.viewer.publisher import PUBLISH_RATE_MAX_HZ, Publisher
 
-LATER = 10  # by so much the page's process is nicer than the loop's
-PATIENCE = 60.0  # [s] for the process to start, and for it to end
+PAGE_NICENESS = 10  # by so much the page's process is nicer than the loop's
+PROCESS_TIMEOUT_S = 60.0  # [s] for the process to start, and for it to end
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PageOptions:
-    """What the process needs to know.
+    """Settings of the page's process.
 
     Attributes:
-        robot: What is shown.
-        title: Of the page.
+        robot: Robot to show.
+        title: Title of the page.
         host: Address to serve at.
         port: To serve at, or the next free one.
         enlarged: Factor on the sag that is drawn.
         rate: Pictures a second, at most.
-        plain: Whether it should be cheap to draw.
+        plain: True for a page that is cheap to draw.
     """
 
     robot: Robot
@@ -50,24 +50,24 @@ class PageOptions:
     host: str
     port: int
     enlarged: float = 1.0
-    rate: float = RATE
+    rate: float = PUBLISH_RATE_MAX_HZ
     plain: bool = False
 
 
 class PageProcess:
-    """A page that shows instants and hands over targets. Close it.
+    """Page that shows instants and returns targets. Close it.
 
     Attributes:
-        url: Where the page is.
+        url: Address of the page.
         instants: Sends the latest instant, from a thread; closed by `follow`.
         drawn: Pictures that the page has drawn; known after `close`.
     """
 
     def __init__(self, options: PageOptions, moved: Callable[[Array], object]) -> None:
-        """Start it, and wait until it serves.
+        """Start the process, and wait until it serves.
 
         Args:
-            options: What is shown, and where.
+            options: Settings of the page.
             moved: Told of each new target in W [m], shape (3,).
 
         Raises:
@@ -82,7 +82,7 @@ class PageProcess:
         self._closing = False
         kind, value = self._first_word()
         if kind == "error":
-            self._process.join(PATIENCE)
+            self._process.join(PROCESS_TIMEOUT_S)
             raise CarosacError(str(value))
         self.url = str(value)
         self.instants: Publisher[Instant] = Publisher(self._send, rate=options.rate)
@@ -99,16 +99,16 @@ class PageProcess:
         self._closing = True
         self.instants.close()
         self._tell(("close", None))
-        self._listener.join(PATIENCE)
-        self._process.join(PATIENCE)
+        self._listener.join(PROCESS_TIMEOUT_S)
+        self._process.join(PROCESS_TIMEOUT_S)
         if self._process.is_alive():
             self._process.terminate()
             self._process.join()
 
     def _first_word(self) -> tuple[str, Any]:
-        """Its address, or what went wrong."""
+        """Return its address, or raise what went wrong."""
         try:
-            if self._pipe.poll(PATIENCE):
+            if self._pipe.poll(PROCESS_TIMEOUT_S):
                 kind, value = self._pipe.recv()
                 return kind, value
         except EOFError:
@@ -120,7 +120,7 @@ class PageProcess:
         self._tell(("instant", instant))
 
     def _tell(self, message: tuple[str, Any]) -> None:
-        """Send; a page that has ended hears nothing."""
+        """Send a message; a page that has ended gets nothing."""
         try:
             self._pipe.send(message)
         except (BrokenPipeError, OSError):
@@ -141,10 +141,12 @@ class PageProcess:
 
 
 def _serve(pipe: Connection, options: PageOptions) -> None:
-    """Be the process of the page until it is told to end, or its parent has gone."""
+    """Run the page's process until it is told to end, or its parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the loop, which then ends this
     if hasattr(os, "nice"):
-        os.nice(LATER)  # where the cores do not suffice for both, pictures are late, not the loop
+        os.nice(
+            PAGE_NICENESS
+        )  # where the cores do not suffice for both, pictures are late, not the loop
     try:
         page = Page(
             options.robot, options.title, host=options.host, port=options.port,
@@ -178,7 +180,7 @@ def _serve(pipe: Connection, options: PageOptions) -> None:
 
 
 def _show(pipe: Connection, page: Page, instants: Publisher[Instant]) -> None:
-    """Take what comes as fast as it comes; the newest is drawn."""
+    """Receive instants as fast as they come; the newest is drawn."""
     try:
         while True:
             kind, value = pipe.recv()

@@ -1,4 +1,4 @@
-"""One instant of a robot, as the viewer draws it."""
+"""Instant of a robot, as the viewer draws it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from carosac_toolkit.physics.cable.lengths import length_at_tension
 from carosac_toolkit.physics.cable.shapes import hanging_cables, offset_from_chord
 from carosac_toolkit.robot.robot import Robot
 
-SAMPLES = 24  # points of a cable
+CABLE_POINTS = 24  # points of a cable
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Picture:
-    """What is drawn at one instant; n cables.
+    """Drawing data of one instant; n cables.
 
     Attributes:
         time: [s].
@@ -24,12 +24,12 @@ class Picture:
         rotation: From P to W, shape (3, 3).
         points: Along each cable in W [m], shape (n, samples, 3).
         tension: At the platform [N], shape (n,); NaN where unknown.
-        straight: Cables whose shape nobody knows, drawn straight, shape (n,).
-        target: Where the platform should be in W [m], shape (3,), or None.
-        believed: Where an estimator believes it in W [m], shape (3,), or None.
-        held: Whether this is the last feasible pose, as what was asked for is none.
-        status: What to say of it.
-        problem: Whether that is bad news.
+        straight: Cables of unknown shape, drawn straight, shape (n,).
+        target: Reference position in W [m], shape (3,), or None.
+        believed: Estimated position in W [m], shape (3,), or None.
+        held: True if this is the last feasible pose, as the requested one is not.
+        status: Status line.
+        problem: True if the status reports a problem.
     """
 
     time: float
@@ -50,7 +50,7 @@ class Picture:
         return np.asarray(np.linalg.norm(offset_from_chord(self.points), axis=-1).max(axis=-1))
 
     def drawn(self, enlarged: float) -> Array:
-        """Points of the cables with the distance from their chords enlarged [m]."""
+        """Return points of the cables with the distance from their chords enlarged [m]."""
         if enlarged == 1.0:
             return self.points
         return self.points + (enlarged - 1.0) * offset_from_chord(self.points)
@@ -69,7 +69,7 @@ def take_picture(
     target: Array | None = None, believed: Array | None = None, held: bool = False,
     status: str = "", problem: bool = False, points: Array | None = None,
 ) -> Picture:  # fmt: skip
-    """Work out the shapes of the cables.
+    """Compute the shapes of the cables.
 
     From the first of these that is there: `points` as they are, `unstrained_length`, `tension`.
     A cable that cannot hang so, or of which nothing is known, is drawn straight, and marked.
@@ -81,12 +81,12 @@ def take_picture(
         time: [s].
         unstrained_length: [m], shape (n,), or None.
         tension: At the platform [N], shape (n,), or None; by default that of the shape.
-        target: Where the platform should be in W [m], shape (3,), or None.
-        believed: Where an estimator believes it in W [m], shape (3,), or None.
+        target: Reference position in W [m], shape (3,), or None.
+        believed: Estimated position in W [m], shape (3,), or None.
         held: As `Picture.held`.
         status: As `Picture.status`.
         problem: As `Picture.problem`.
-        points: Of the cables in W [m], shape (n, samples, 3), where somebody knows them.
+        points: Points of the cables in W [m], shape (n, samples, 3), if known.
     """
     straight = np.zeros(robot.n, dtype=bool)
     known = tension
@@ -96,12 +96,12 @@ def take_picture(
             unstrained_length = length_at_tension(robot, *pose, tension[None]).unstrained_length[0]
         if unstrained_length is None:
             unstrained_length = np.full(robot.n, np.nan)
-        found = hanging_cables(
-            robot, position[None], rotation[None], unstrained_length[None], samples=SAMPLES
+        hanging = hanging_cables(
+            robot, position[None], rotation[None], unstrained_length[None], samples=CABLE_POINTS
         )
-        straight = ~found.valid[0]
-        points = _straightened(robot, position, rotation, found.points[0], straight)
-        known = found.tension[0] if tension is None else tension
+        straight = ~hanging.valid[0]
+        points = _straightened(robot, position, rotation, hanging.points[0], straight)
+        known = hanging.tension[0] if tension is None else tension
     return Picture(
         time=time, position=position, rotation=rotation, points=points,
         tension=np.full(robot.n, np.nan) if known is None else known, straight=straight,

@@ -1,4 +1,4 @@
-"""Draws the latest picture in a thread of its own, at a limited rate; older ones are dropped."""
+"""Thread that draws the latest picture at a limited rate; older ones are dropped."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from typing import Generic, TypeVar
 
 from carosac_toolkit.base.numbers import check_positive
 
-RATE = 35.0  # pictures a second, at most
-QUIET = 0.25  # [s] without news, after which what was put off is drawn
+PUBLISH_RATE_MAX_HZ = 35.0  # pictures a second, at most
+QUIET_INTERVAL_S = 0.25  # [s] without news, after which what was put off is drawn
 T = TypeVar("T")
 
 
 class Publisher(Generic[T]):
-    """Takes what it is offered at once and hands the newest to `draw` later.
+    """Queue of one picture, handed to `draw` in a thread of its own.
 
     The one who offers never waits for the drawing.
 
     Attributes:
-        drawn: How many were drawn.
-        dropped: How many were replaced by a newer one before they were drawn.
-        error: What `draw` raised; nothing is drawn after it.
+        drawn: Number of pictures drawn.
+        dropped: Number of pictures replaced by a newer one before they were drawn.
+        error: Exception raised by `draw`; nothing is drawn after it.
     """
 
     def __init__(
-        self, draw: Callable[[T], None], *, rate: float = RATE,
+        self, draw: Callable[[T], None], *, rate: float = PUBLISH_RATE_MAX_HZ,
         settle: Callable[[], None] | None = None,
     ) -> None:  # fmt: skip
         """Start the thread.
@@ -51,11 +51,11 @@ class Publisher(Generic[T]):
 
     @property
     def due(self) -> bool:
-        """Whether a picture offered now would be drawn without delay; else none need be made."""
+        """Return whether a picture offered now would be drawn without delay."""
         return time.monotonic() >= self._next
 
     def offer(self, picture: T) -> None:
-        """Replace whatever waits to be drawn."""
+        """Replace the picture that waits to be drawn."""
         with self._news:
             if self._latest is not None:
                 self.dropped += 1
@@ -63,18 +63,18 @@ class Publisher(Generic[T]):
             self._news.notify()
 
     def close(self) -> None:
-        """Draw what waits, then end the thread."""
+        """Draw the waiting picture, then end the thread."""
         with self._news:
             self._closed = True
             self._news.notify()
         self._thread.join()
 
     def _run(self) -> None:
-        """Wait for something new, draw it, rest until the next may come."""
+        """Wait for a picture, draw it, pause until the next may come."""
         settled = True
         while True:
             with self._news:
-                heard = self._news.wait_for(self._has_news, None if settled else QUIET)
+                heard = self._news.wait_for(self._has_news, None if settled else QUIET_INTERVAL_S)
                 picture, self._latest = self._latest, None
                 over = self._closed
             if picture is None and heard and over:
@@ -93,7 +93,7 @@ class Publisher(Generic[T]):
             self._rest()
 
     def _has_news(self) -> bool:
-        """Whether there is something to draw, or nothing will come."""
+        """Return whether there is something to draw, or nothing will come."""
         return self._latest is not None or self._closed
 
     def _rest(self) -> None:

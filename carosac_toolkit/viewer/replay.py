@@ -1,4 +1,4 @@
-"""Plays a recorded run with a time line, and a second one as a ghost beside it."""
+"""Player of a recorded run with a time line, and a second run as a ghost beside it."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array, evenly
 from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.publisher import Publisher
-from carosac_toolkit.viewer.runs import Run
+from carosac_toolkit.viewer.runs import RecordedRun
 from carosac_toolkit.viewer.scene import RobotScene
 
-NONE = "none"
-SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "5", "10")
-TICK = 0.025  # [s]
-WAY = 400  # points of a trail
-SLIDER_EVERY = 0.2  # [s] between two moves of the slider while it plays
+NO_SELECTION = "none"
+PLAYBACK_SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "5", "10")
+PLAYBACK_TICK_S = 0.025  # [s]
+TRAIL_POINTS_MAX = 400  # points of a trail
+SLIDER_INTERVAL_S = 0.2  # [s] between two moves of the slider while it plays
 PLAY, PAUSE = "Play", "Pause"
 
 
 class Replay:
-    """Connects a page with runs.
+    """Connection of a page with runs.
 
     Attributes:
-        run: That is played.
-        ghost: That is played beside it, or None.
+        run: Run that is played.
+        ghost: Run that is played beside it, or None.
         now: Time of the run [s].
-        playing: Whether time passes.
-        over: Whether `play` shall end.
+        playing: True while time passes.
+        over: True to end `play`.
     """
 
-    def __init__(self, page: Page, runs: Sequence[Run], ghost: int | None = None) -> None:
-        """Add the controls; begin with the first run, and maybe another one as a ghost."""
+    def __init__(self, page: Page, runs: Sequence[RecordedRun], ghost: int | None = None) -> None:
+        """Add the controls; begin with the first run, and optionally a ghost."""
         self._page = page
         self._runs = {f"{k}: {run.name}": run for k, run in enumerate(runs)}
         names = list(self._runs)
@@ -51,25 +51,25 @@ class Replay:
         )
         self._ghost_scene.own_trails = False
         self._ghost_scene.visible = self.ghost is not None
-        self._add_controls(names, NONE if ghost is None else names[ghost])
+        self._add_controls(names, NO_SELECTION if ghost is None else names[ghost])
         self._times: Publisher[float] = Publisher(self.draw, rate=page.rate, settle=self._settle)
         self._times.offer(self.now)
 
     @property
     def pictures(self) -> int:
-        """How many were drawn while it played."""
+        """Number of pictures drawn while it played."""
         return self._times.drawn
 
     def play(self, duration: float | None = None) -> None:
-        """Let time pass until interrupted, or so long [s]."""
+        """Play until interrupted, or for a given time [s]."""
         begun = last = moved = time.monotonic()
         try:
             while not self.over and (duration is None or time.monotonic() - begun < duration):
-                time.sleep(TICK)
+                time.sleep(PLAYBACK_TICK_S)
                 passed, last = time.monotonic() - last, time.monotonic()
                 if self.playing:
                     self._advance(passed)
-                    if last - moved > SLIDER_EVERY:
+                    if last - moved > SLIDER_INTERVAL_S:
                         moved = last
                         self._slider.value = round(min(self.now, self._slider.max), 2)
         except KeyboardInterrupt:
@@ -78,7 +78,7 @@ class Replay:
             self._times.close()
 
     def draw(self, now: float) -> None:
-        """Draw both runs at a time [s], now and then with trails and plots."""
+        """Draw both runs at a time [s], occasionally with trails and plots."""
         with self._page.server.atomic():
             self.draw_pictures(now)
             if self._drawn % 6 == 0:
@@ -105,7 +105,7 @@ class Replay:
             self._ghost_scene.draw_way("platform", thinned(self.ghost.position))
 
     def _draw_slowly(self, k: int, now: float) -> None:
-        """Trails and plots, which need no high rate."""
+        """Draw trails and plots, which need no high rate."""
         scene, run = self._page.scene, self.run
         scene.draw_way("platform", thinned(run.position[: k + 1]))
         if run.target is not None:
@@ -117,7 +117,7 @@ class Replay:
         self._page.plots.show_run(run.time, run.tension, run.error, now)
 
     def _advance(self, passed: float) -> None:
-        """Let time pass; at the end the run begins anew."""
+        """Advance the time; at the end the run starts again."""
         with self._clock:
             self.now += passed * self._speed
             if self.now > self.run.duration:
@@ -133,7 +133,7 @@ class Replay:
         self._times.offer(now)
 
     def _add_controls(self, names: list[str], ghost: str) -> None:
-        """Time line, play, speed, and which runs."""
+        """Add time line, play button, speed and the choice of runs."""
         gui: Any = self._page.server.gui
         with self._page.controls:
             self._slider = gui.add_slider(
@@ -141,9 +141,9 @@ class Replay:
                 initial_value=0.0,
             )  # fmt: skip
             self._button = gui.add_button(PAUSE)
-            speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
+            speed = gui.add_dropdown("speed", PLAYBACK_SPEEDS, initial_value="1")
             which = gui.add_dropdown("run", names, initial_value=names[0])
-            beside = gui.add_dropdown("ghost", [NONE, *names], initial_value=ghost)
+            beside = gui.add_dropdown("ghost", [NO_SELECTION, *names], initial_value=ghost)
             self._source = gui.add_markdown(f"*{self.run.source}*")
 
         self._slider.on_update(self._slid)
@@ -153,7 +153,7 @@ class Replay:
         beside.on_update(lambda _: self._choose_ghost(beside.value))
 
     def _slid(self, event: Any) -> None:
-        """Somebody has moved the time line."""
+        """Seek to the time that the user chose."""
         if event.client_id is not None:
             self.seek(float(self._slider.value))
 
@@ -176,5 +176,5 @@ class Replay:
 
 
 def thinned(way: Array) -> Array:
-    """At most `WAY` points of a way, the last one included."""
-    return np.asarray(way[evenly(len(way), WAY)])
+    """Return at most `TRAIL_POINTS_MAX` points of a path, the last one included."""
+    return np.asarray(way[evenly(len(way), TRAIL_POINTS_MAX)])

@@ -1,4 +1,4 @@
-"""A robot at rest that somebody moves: by where it should be, or by the lengths of its cables."""
+"""Robot at rest that the user moves: by a target pose, or by its cable lengths."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from carosac_toolkit.viewer.picture import Picture, take_picture
 
 
 class RestingRobot:
-    """Remembers the last feasible pose: where what is asked for is none, it stays there.
+    """Robot that keeps the last feasible pose when an infeasible one is asked for.
 
     Attributes:
         rest: The pose of rest that is shown.
@@ -30,30 +30,31 @@ class RestingRobot:
         if not self.rest.converged[0]:
             reason = statics.STATUS_REASONS[self.rest.status[0]]
             raise CarosacError(
-                f"{robot.name}: no rest at its home position ({reason}); carosac check says more"
+                f"{robot.name}: no equilibrium at its home position ({reason}); "
+                "carosac check says more"
             )
 
     def home(self) -> Picture:
-        """The robot as it rests now."""
+        """Return the robot as it rests now."""
         return self._picture(self.rest, self.rest.position[0].copy(), "at rest", ())
 
     def follow_target(self, position: Array, rotation: Array | None = None) -> Picture:
-        """Go to a place, if the robot can rest there.
+        """Move to a position, if the robot can rest there.
 
         Args:
-            position: Of the platform origin in W [m], shape (3,).
+            position: Platform origin in W [m], shape (3,).
             rotation: From P to W, shape (3, 3); only with six cables or more.
         """
         held = None if self.robot.n < 6 or rotation is None else rotation[None]
-        found = statics.inverse_kinematics(
+        rest = statics.inverse_kinematics(
             self.robot, position[None], held, guess=self.rest if self.robot.n < 6 else None
         )
-        faults = self._faults(found)
+        faults = self._faults(rest)
         if faults:
             return self._stay("this target", faults, position)
-        self.rest = found
+        self.rest = rest
         notes = ("outside the workspace box",) if self._outside(position) else ()
-        return self._picture(found, position, "at rest", notes)
+        return self._picture(rest, position, "at rest", notes)
 
     def follow_lengths(self, length: Array) -> Picture:
         """Hang on cables of given unstrained lengths [m], shape (n,).
@@ -62,48 +63,48 @@ class RestingRobot:
         """
         if (length <= 0.0).any():
             return self._stay("these lengths", ("a length that is not positive",), None)
-        found = statics.forward_kinematics(self.robot, length[None], guess=self.rest)
-        if not found.converged[0]:
-            return self._stay("these lengths", ("no pose of rest found",), None)
-        if not found.stable[0]:
-            return self._stay("these lengths", ("the pose of rest is unstable",), None)
-        self.rest = found
-        return self._picture(found, None, "at rest on these lengths", self._strained(found))
+        rest = statics.forward_kinematics(self.robot, length[None], guess=self.rest)
+        if not rest.converged[0]:
+            return self._stay("these lengths", ("no equilibrium found",), None)
+        if not rest.stable[0]:
+            return self._stay("these lengths", ("the equilibrium is unstable",), None)
+        self.rest = rest
+        return self._picture(rest, None, "at rest with these lengths", self._strained(rest))
 
-    def _faults(self, found: Equilibrium) -> tuple[str, ...]:
-        """Why a pose cannot be taken; empty where it can."""
-        if not found.converged[0]:
-            return (statics.STATUS_REASONS[found.status[0]],)
-        faults = [] if found.stable[0] else ["the pose of rest is unstable"]
+    def _faults(self, rest: Equilibrium) -> tuple[str, ...]:
+        """Return the reasons why a pose cannot be taken; none if it can."""
+        if not rest.converged[0]:
+            return (statics.STATUS_REASONS[rest.status[0]],)
+        faults = [] if rest.stable[0] else ["the pose of rest is unstable"]
         faults += [
-            f"cable {self.robot.cable_names[i]} would be {found.unstrained_length[0, i]:.2f} m "
+            f"cable {self.robot.cable_names[i]} would be {rest.unstrained_length[0, i]:.2f} m "
             f"long; its winch holds {self.robot.length_min[i]:g} to {self.robot.length_max[i]:g} m"
-            for i in np.flatnonzero(~found.in_winch_range[0])
+            for i in np.flatnonzero(~rest.in_winch_range[0])
         ]
         return tuple(faults)
 
-    def _strained(self, found: Equilibrium) -> tuple[str, ...]:
-        """Cables outside their tension limits."""
-        robot, tension = self.robot, found.tension[0]
+    def _strained(self, rest: Equilibrium) -> tuple[str, ...]:
+        """Return cables outside their tension limits."""
+        robot, tension = self.robot, rest.tension[0]
         over = tension > robot.tension_max * (1.0 + 1e-9)
-        said = []
+        sentences = []
         for mask, word, limit in (
-            (found.slack[0], "slack", robot.tension_min),
+            (rest.slack[0], "slack", robot.tension_min),
             (over, "overloaded", robot.tension_max),
         ):
-            said += [
+            sentences += [
                 f"cable {robot.cable_names[i]} {word}: {tension[i]:.3g} N, limit {limit[i]:g} N"
                 for i in np.flatnonzero(mask)
             ]
-        return tuple(said)
+        return tuple(sentences)
 
     def _outside(self, position: Array) -> bool:
-        """Whether a place is outside the workspace box."""
+        """Return whether a position is outside the workspace box."""
         low, high = self.robot.workspace_min, self.robot.workspace_max
         return bool(((position < low) | (position > high)).any())
 
     def _stay(self, what: str, faults: tuple[str, ...], target: Array | None) -> Picture:
-        """The last feasible pose, marked as such."""
+        """Return the last feasible pose, marked as such."""
         status = f"INFEASIBLE: {what}: {'; '.join(faults)}\nshown: the last feasible pose"
         rest = self.rest
         return take_picture(
@@ -115,7 +116,7 @@ class RestingRobot:
     def _picture(
         self, rest: Equilibrium, target: Array | None, status: str, notes: tuple[str, ...]
     ) -> Picture:
-        """A pose of rest."""
+        """Return the picture of an equilibrium."""
         strained = status != "at rest" and bool(notes)
         words = "\n".join([f"OUTSIDE THE TENSION LIMITS: {notes[0]}", *notes[1:]]) if strained \
             else "; ".join([status, *notes])  # fmt: skip

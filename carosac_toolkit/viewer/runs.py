@@ -1,4 +1,4 @@
-"""Recorded runs as the viewer plays them: from a recording, or from the folder of a study."""
+"""Recorded runs for the viewer: from a recording, or from the folder of a study."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.rows import Row
 from carosac_toolkit.viewer.picture import Picture, take_picture
 
-MOST = 6_000  # samples of a run; longer ones are thinned out
-GAP = 0.5  # [s] without a pose that is bridged
+RUN_SAMPLES_MAX = 6_000  # samples of a run; longer ones are thinned out
+POSE_GAP_MAX_S = 0.5  # [s] without a pose that is bridged
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Run:
-    """One run, T samples of a robot with n cables.
+class RecordedRun:
+    """Run of T samples of a robot with n cables.
 
     Attributes:
         name: For people.
-        robot: Of its cables.
+        robot: Robot of the run.
         time: From its start [s], shape (T,).
         position: Platform origin in W [m], shape (T, 3).
         rotation: From P to W, shape (T, 3, 3).
         tension: At the platform [N], shape (T, n); NaN where unknown.
-        target: Where the platform should have been in W [m], shape (T, 3), or None.
-        believed: Where an estimator believed it in W [m], shape (T, 3), or None.
-        source: Where poses, tensions and target come from, in words.
+        target: Reference positions in W [m], shape (T, 3), or None.
+        believed: Estimated positions in W [m], shape (T, 3), or None.
+        source: Sources of poses, tensions and target, in words.
     """
 
     name: str
@@ -67,11 +67,11 @@ class Run:
         return np.asarray(np.linalg.norm(self.position - self.target, axis=1))
 
     def index(self, time: float) -> int:
-        """The sample that was the latest at a time [s]."""
+        """Return the latest sample at a time [s]."""
         return int(np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, None))
 
     def picture(self, k: int) -> Picture:
-        """What sample `k` looked like."""
+        """Return the picture of sample `k`."""
         return take_picture(
             self.robot, self.position[k], self.rotation[k], time=float(self.time[k]),
             tension=self.tension[k],
@@ -81,8 +81,8 @@ class Run:
         )  # fmt: skip
 
 
-def load_runs(where: str, robot: str | None = None) -> list[Run]:
-    """Load what there is to play.
+def load_runs(where: str, robot: str | None = None) -> list[RecordedRun]:
+    """Load the runs to play.
 
     Args:
         where: A recording (file, or name of a bundled one), or the folder of a study, of which
@@ -99,24 +99,24 @@ def load_runs(where: str, robot: str | None = None) -> list[Run]:
 
 
 def _numbered(where: str) -> tuple[Path, int | None]:
-    """A folder, and which of its runs."""
+    """Return a folder, and which of its runs."""
     folder, colon, number = where.rpartition(":")
     if colon and number.isdigit() and Path(folder).is_dir():
         return Path(folder), int(number)
     return Path(where), None
 
 
-def _study_runs(folder: Path, number: int | None) -> list[Run]:
-    """The cases of a study whose course was kept."""
+def _study_runs(folder: Path, number: int | None) -> list[RecordedRun]:
+    """Return the cases of a study whose time series was kept."""
     from carosac_toolkit.studies.run.folder import read_rows
 
     kept = [row for row in read_rows(folder) if row.get("series") is not None]
     runs = [run for row in kept if (run := _case_run(row)) is not None]
     if not runs:
         why = (
-            "none of its cases kept its course" if not kept else
+            "none of its cases kept its time series" if not kept else
             "its cases were kept without rotations and tensions, by an earlier version; run "
-            "the study anew"
+            "the study again"
         )  # fmt: skip
         raise InvalidFile(folder, [f"this study holds no run to replay: {why}"])
     if number is None:
@@ -126,8 +126,8 @@ def _study_runs(folder: Path, number: int | None) -> list[Run]:
     return [runs[number]]
 
 
-def _case_run(row: Row) -> Run | None:
-    """A case of a study, or None where too little of it was kept."""
+def _case_run(row: Row) -> RecordedRun | None:
+    """Return a case of a study, or None if too little of it was kept."""
     series: dict[str, Any] = json.loads(str(row["series"]))
     if series["position_m"] is None or series.get("quaternion") is None:
         return None
@@ -136,7 +136,7 @@ def _case_run(row: Row) -> Run | None:
     quaternion = np.array(series["quaternion"])
     tension = series.get("tension_N")
     names = [str(row[key]) for key in ("controller", "estimator", "trajectory", "perturbation")]
-    return Run(
+    return RecordedRun(
         name=f"{names[0]} with {names[1]}: {names[2]}, {names[3]}, seed {row['seed']}",
         robot=robot, time=time - time[0], position=np.array(series["position_m"]),
         rotation=to_matrix(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)),
@@ -147,17 +147,17 @@ def _case_run(row: Row) -> Run | None:
     )  # fmt: skip
 
 
-def _recorded_run(where: str, asked: str | None) -> Run:
-    """A recording."""
+def _recorded_run(where: str, asked: str | None) -> RecordedRun:
+    """Return the run of a recording."""
     from carosac_toolkit.recordings.bundled import find_recording
 
     path = find_recording(where)
     recording, believed = _load(path)
-    found = find_robot(recording, path, asked)
-    recording.require_cables(found.robot)
-    recording = calibrated(recording, found.robot)
+    robot_choice = find_robot(recording, path, asked)
+    recording.require_cables(robot_choice.robot)
+    recording = calibrated(recording, robot_choice.robot)
     thinned = _thinned(recording)
-    run = _run_of(Path(where).name, found.robot, thinned, believed)
+    run = _run_of(Path(where).name, robot_choice.robot, thinned, believed)
     if len(thinned.time) == len(recording.time):
         return run
     return replace(
@@ -166,7 +166,7 @@ def _recorded_run(where: str, asked: str | None) -> Run:
 
 
 def _load(path: Path) -> tuple[Recording, PoseSamples | None]:
-    """A recording, with what an estimator believed where it is the file of a run."""
+    """Load a recording, with the estimates if it is the file of a run."""
     recording = load_recording(path)
     if path.suffix.lower() != ".jsonl":
         return recording, None
@@ -176,29 +176,31 @@ def _load(path: Path) -> tuple[Recording, PoseSamples | None]:
 
 
 def _thinned(recording: Recording) -> Recording:
-    """At most `MOST` samples of the lengths."""
-    step = -(-len(recording.time) // MOST)
+    """Return at most `RUN_SAMPLES_MAX` samples of the lengths."""
+    step = -(-len(recording.time) // RUN_SAMPLES_MAX)
     return replace(
         recording, time=recording.time[::step],
         unstrained_length=recording.unstrained_length[::step],
     )  # fmt: skip
 
 
-def _run_of(name: str, robot: Robot, recording: Recording, believed: PoseSamples | None) -> Run:
-    """Poses as measured, else as believed, else at rest on the recorded lengths."""
+def _run_of(
+    name: str, robot: Robot, recording: Recording, believed: PoseSamples | None
+) -> RecordedRun:
+    """Return poses as measured, else as estimated, else at rest on the recorded lengths."""
     poses, source = recording.poses, "measured"
     if poses is None:
-        poses, source = believed, "believed by the estimator"
+        poses, source = believed, "as estimated"
         believed = None
     absolute = recording.metadata.length_kind == "unstrained"
     keep = np.ones(len(recording.time), dtype=bool)
     guess = None
     if poses is not None:
-        found = poses.at(recording.time, gap_max=GAP)
-        keep = found.valid
+        matched = poses.at(recording.time, gap_max=POSE_GAP_MAX_S)
+        keep = matched.valid
         if not keep.any():
             raise CarosacError(f"{name}: no pose near the time of any length; nothing to show")
-        guess = Pose(position=found.pose.position[keep], rotation=found.pose.rotation[keep])
+        guess = Pose(position=matched.pose.position[keep], rotation=matched.pose.rotation[keep])
     length, time = recording.unstrained_length[keep], recording.time[keep]
     rest = statics.forward_kinematics(robot, length, guess=guess) if absolute else None
     if guess is None:
@@ -215,25 +217,25 @@ def _run_of(name: str, robot: Robot, recording: Recording, believed: PoseSamples
         keep = np.ones(len(time), dtype=bool)
     tension, words = _tensions(recording.tension, rest, time, robot.n)
     target = _targets(robot, recording.command, time, guess) if absolute else None
-    return Run(
+    return RecordedRun(
         name=name, robot=robot, time=time[keep] - time[keep][0], position=guess.position[keep],
         rotation=guess.rotation[keep], tension=tension[keep],
         target=None if target is None else target[keep],
         believed=None if believed is None else
-        believed.at(time[keep], gap_max=GAP).pose.position,
+        believed.at(time[keep], gap_max=POSE_GAP_MAX_S).pose.position,
         source=f"poses {source}; tensions {words}{_of_target(recording.command, target)}",
     )  # fmt: skip
 
 
 def _of_target(command: Stamped | None, target: Array | None) -> str:
-    """Where the target is from, or why there is none."""
+    """Return the source of the target, or why there is none."""
     if target is not None:
         return "; target: where the commanded lengths would rest"
-    return "" if command is None else "; no target: some commanded lengths have no pose of rest"
+    return "" if command is None else "; no target: some commanded lengths have no equilibrium"
 
 
 def _tensions(recorded: Stamped | None, rest: Any, time: Array, n: int) -> tuple[Array, str]:
-    """Tensions at times [N], shape (T, n), and where they come from."""
+    """Return tensions at times [N], shape (T, n), and their source."""
     if recorded is not None:
         columns = [
             np.interp(time, recorded.time, recorded.value[:, i], left=np.nan, right=np.nan)
@@ -247,7 +249,7 @@ def _tensions(recorded: Stamped | None, rest: Any, time: Array, n: int) -> tuple
 
 
 def _targets(robot: Robot, command: Stamped | None, time: Array, guess: Pose) -> Array | None:
-    """Where the commanded lengths would rest in W [m], shape (T, 3); None if never known."""
+    """Return the equilibria of the commanded lengths in W [m], shape (T, 3); None if unknown."""
     if command is None:
         return None
     latest = np.searchsorted(command.time, time, side="right") - 1
@@ -259,6 +261,6 @@ def _targets(robot: Robot, command: Stamped | None, time: Array, guess: Pose) ->
     return rest.position
 
 
-def same_robot(runs: Sequence[Run]) -> list[Run]:
-    """Those runs that are of the robot of the first."""
+def same_robot(runs: Sequence[RecordedRun]) -> list[RecordedRun]:
+    """Return the runs of the same robot as the first."""
     return [run for run in runs if run.robot.name == runs[0].robot.name]

@@ -1,4 +1,4 @@
-"""The page of a robot at rest: drag its target, or move its cable lengths."""
+"""Page of a robot at rest: drag its target, or move its cable lengths."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.publisher import Publisher
 from carosac_toolkit.viewer.resting import RestingRobot
 
-BY_TARGET = "target"
-BY_LENGTHS = "cable lengths"
-REACH = 0.5  # [m] that the length of a cable can be moved each way
+TARGET_MODE = "target"
+LENGTHS_MODE = "cable lengths"
+LENGTH_RANGE_M = 0.5  # [m] that the length of a cable can be moved each way
 
 
 class Wish(NamedTuple):
-    """What somebody asks for: a pose, or lengths."""
+    """Request of the user: a pose, or lengths."""
 
     position: Array | None = None
     rotation: Array | None = None
@@ -30,7 +30,7 @@ class Wish(NamedTuple):
 
 
 class StaticsPage:
-    """Connects the controls of a page with a resting robot.
+    """Connection of the controls of a page with a resting robot.
 
     Attributes:
         resting: The robot.
@@ -52,7 +52,9 @@ class StaticsPage:
             page, rest.position[0], rest.rotation[0] if turns else None, rotations=turns
         )
         with page.controls:
-            self.mode = gui.add_dropdown("move", (BY_TARGET, BY_LENGTHS), initial_value=BY_TARGET)
+            self.mode = gui.add_dropdown(
+                "move", (TARGET_MODE, LENGTHS_MODE), initial_value=TARGET_MODE
+            )
             self.place = gui.add_vector3(
                 "target [m]", initial_value=tuple(rest.position[0].round(4)), step=0.05
             )
@@ -63,23 +65,23 @@ class StaticsPage:
         page.offer(self.resting.home())
 
     def close(self) -> None:
-        """Answer no more."""
+        """Stop answering."""
         self._wishes.close()
 
     def _add_sliders(self, gui: Any) -> list[Any]:
-        """One slider a cable, about its length now."""
+        """Add a slider per cable, about its current length."""
         robot, now = self.page.robot, self.resting.rest.unstrained_length[0]
         return [
             gui.add_slider(
-                f"{name} [m]", min=float(max(1e-3, round(now[i] - REACH, 3))),
-                max=float(round(now[i] + REACH, 3)), step=0.001,
+                f"{name} [m]", min=float(max(1e-3, round(now[i] - LENGTH_RANGE_M, 3))),
+                max=float(round(now[i] + LENGTH_RANGE_M, 3)), step=0.001,
                 initial_value=float(round(now[i], 3)), visible=False,
             )
             for i, name in enumerate(robot.cable_names)
         ]  # fmt: skip
 
     def _connect(self) -> None:
-        """Have the controls ask for something; what the server sets itself asks for nothing."""
+        """Connect the controls; values that the server sets trigger no request."""
         self.gizmo.on_update(lambda _: self._ask_for_target())
         self.place.on_update(self._typed)
         self.mode.on_update(lambda _: self._change_mode())
@@ -88,13 +90,13 @@ class StaticsPage:
             slider.on_update(self._slid)
 
     def _typed(self, event: Any) -> None:
-        """Somebody has typed a target."""
+        """Take a target typed by the user."""
         if event.client_id is not None:
             self.gizmo.position = self.place.value
             self._ask_for_target()
 
     def _slid(self, event: Any) -> None:
-        """Somebody has moved a length."""
+        """Take a length set by the user."""
         if event.client_id is not None:
             length = np.array([each.value for each in self.lengths])
             self._wishes.offer(Wish(length=length))
@@ -102,7 +104,7 @@ class StaticsPage:
     def _go_home(self) -> None:
         """Ask for the home pose."""
         robot = self.page.robot
-        self.mode.value = BY_TARGET
+        self.mode.value = TARGET_MODE
         self._put_target(robot.home_position, robot.home_rotation)
         self._ask_for_target()
 
@@ -119,22 +121,22 @@ class StaticsPage:
             self.gizmo.wxyz = from_matrix(rotation[None])[0]
 
     def _change_mode(self) -> None:
-        """Show the controls of the other way to move; it begins where the robot is."""
-        by_target = self.mode.value == BY_TARGET
+        """Show the controls of the other mode; it begins at the robot's pose."""
+        by_target = self.mode.value == TARGET_MODE
         rest = self.resting.rest
         if by_target:
             self._put_target(rest.position[0], rest.rotation[0])
         for slider, now in zip(self.lengths, rest.unstrained_length[0], strict=True):
             slider.visible = not by_target
             if not by_target:
-                slider.min = float(max(1e-3, round(now - REACH, 3)))
-                slider.max = float(round(now + REACH, 3))
+                slider.min = float(max(1e-3, round(now - LENGTH_RANGE_M, 3)))
+                slider.max = float(round(now + LENGTH_RANGE_M, 3))
                 slider.value = float(round(now, 3))
         self.gizmo.visible = self.place.visible = by_target
         self.page.offer(replace(self.resting.home(), time=self._now()))
 
     def _answer(self, wish: Wish) -> None:
-        """Move the robot; in the thread of the wishes."""
+        """Move the robot, in the thread of the requests."""
         if wish.length is not None:
             picture = self.resting.follow_lengths(wish.length)
         else:
@@ -145,5 +147,5 @@ class StaticsPage:
         self.answers += 1
 
     def _now(self) -> float:
-        """Since the page began [s]."""
+        """Return the time since the page began [s]."""
         return time.monotonic() - self._began

@@ -1,4 +1,4 @@
-"""Where a robot can go, by how much, and which limit stops it there."""
+"""Workspace of a robot: its extent, its margins, and the limit that ends it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Positions that cables cannot hold whatever the rotation: proofs, no search."""
+"""Positions that cables cannot hold in any rotation: proofs, no search."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from carosac_toolkit.robot.robot import Robot
 
 
 def beyond_frame(robot: Robot, position: Array) -> NDArray[np.bool_]:
-    """Whether all exit points lie on one side of the platform so that nothing balances its weight.
+    """Return whether all exit points lie on one side, so that nothing balances the weight.
 
     All of them below every anchor point there can be, or all of them on one side of a vertical
     plane, for any rotation. A hanging cable pulls into the vertical plane of its ends and lower
@@ -38,7 +38,7 @@ def beyond_frame(robot: Robot, position: Array) -> NDArray[np.bool_]:
 
 
 def too_flat(robot: Robot, position: Array) -> NDArray[np.bool_]:
-    """Whether cables at their upper tension limits are too flat to carry the weight.
+    """Return whether cables at their upper tension limits are too flat to carry the weight.
 
     No anchor point is farther from the platform origin than the longest lever, so that for any
     rotation a cable is no steeper than from the lowest place and the least distance that this
@@ -62,13 +62,13 @@ def too_flat(robot: Robot, position: Array) -> NDArray[np.bool_]:
 
 
 def _reach(robot: Robot) -> float:
-    """How far an anchor point, and a tangent point of a pulley, can be from where it is put [m]."""
+    """Return the largest distance of anchor and tangent points from their nominal place [m]."""
     lever = float(np.linalg.norm(robot.anchor_points, axis=1).max())
     return lever + 2.0 * float(robot.pulley_radius.max())
 
 
 def without_cable(robot: Robot, position: Array, rotation: Array | None) -> NDArray[np.bool_]:
-    """Whether an anchor point is on its exit point or inside its pulley, shape (B,)."""
+    """Return whether an anchor point is on its exit point or inside its pulley, shape (B,)."""
     cables = straight_length(robot, position, rotation)
     there = cables.valid.astype(bool) & (cables.length > 1e-6)
     missing: NDArray[np.bool_] = np.asarray((~there).any(axis=1))

@@ -11,7 +11,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.robot import Robot
 
-AXES = "xyz"
+GRID_AXES = "xyz"
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,19 +34,19 @@ class Grid:
 
     @property
     def positions(self) -> Array:
-        """All positions [m], shape (B, 3), z fastest."""
+        """Return all positions [m], shape (B, 3), z fastest."""
         grid = np.meshgrid(*self.axes, indexing="ij")
         return np.stack(grid, axis=-1).reshape(-1, 3)
 
     @property
     def lines(self) -> NDArray[np.int64]:
-        """Where each line of positions along z, or y where z is one value, begins."""
+        """Return where each line of positions along z, or y where z is one value, begins."""
         step = self.shape[2] if self.shape[2] > 1 else self.shape[1]
         return np.arange(0, int(np.prod(self.shape)), step)
 
 
 def box_grid(lower: Array, upper: Array, count: int) -> Grid:
-    """A grid of cubes as nearly as possible, positions in the middle of its cells.
+    """Return a grid of nearly cubic cells, positions in the middle of its cells.
 
     Args:
         lower: Lower corner of the box [m], shape (3,).
@@ -65,7 +65,7 @@ def box_grid(lower: Array, upper: Array, count: int) -> Grid:
 
 
 def slice_grid(lower: Array, upper: Array, axis: str, value: float, count: int) -> Grid:
-    """A plane of positions across the box, edges included.
+    """Return a plane of positions across the box, edges included.
 
     Args:
         lower: Lower corner of the box [m], shape (3,).
@@ -74,7 +74,7 @@ def slice_grid(lower: Array, upper: Array, axis: str, value: float, count: int) 
         value: Its coordinate there [m].
         count: About how many positions.
     """
-    across = AXES.index(axis)
+    across = GRID_AXES.index(axis)
     rest = [k for k in range(3) if k != across]
     axes = [np.array([value])] * 3
     for k, number in zip(rest, _numbers((upper - lower)[rest], count), strict=True):
@@ -83,7 +83,7 @@ def slice_grid(lower: Array, upper: Array, axis: str, value: float, count: int) 
 
 
 def _numbers(span: Array, count: int) -> NDArray[np.int64]:
-    """Numbers of cells along axes, alike in all directions and together about `count`.
+    """Return numbers of cells along axes, of equal size and together about `count`.
 
     A side thinner than these cells is one cell wide, and the others share them all.
     """
@@ -99,7 +99,7 @@ def _numbers(span: Array, count: int) -> NDArray[np.int64]:
 
 
 def box_of(robot: Robot, name: str) -> tuple[Array, Array]:
-    """Lower and upper corner of a box that a robot has [m].
+    """Return lower and upper corner of a box that a robot has [m].
 
     Args:
         robot: Robot description.

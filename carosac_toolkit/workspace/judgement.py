@@ -1,4 +1,4 @@
-"""Whether poses belong to the workspace, by how much, and which limit decides."""
+"""Verdicts on poses: inside the workspace or not, by what margin, and by which limit."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from carosac_toolkit.workspace.limits import Limit, tension_limit
 from carosac_toolkit.workspace.second_search import second_opinion
 from carosac_toolkit.workspace.settings import WorkspaceSettings
 
-WEIGHTLESS = 1e-9  # of its own density: a cable that heavy is straight to rounding
-CHUNK = 4096  # poses whose cable shapes are in memory at a time
+WEIGHTLESS_DENSITY_RATIO = 1e-9  # of its own density: a cable that heavy is straight to rounding
+SHAPE_CHUNK_POSES = 4096  # poses whose cable shapes are in memory at a time
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Verdicts:
-    """What was found for B poses.
+    """Verdicts on B poses.
 
     Attributes:
         rest: Equilibria with the tensions of the largest margin; where `rest.converged` is False
             there is none and only position and, with n >= 6, rotation mean something.
-        margin: How far the tensions can be kept from their limits [N], shape (B,), the least over
+        margin: Distance of the tensions from their limits [N], shape (B,), the least over
             the required wrenches; negative: by so much the limits would have to be widened.
             Minus infinity where nothing balances, NaN where it was not computed.
         limit: The `Limit` that keeps each pose out, `Limit.INSIDE` where none does, shape (B,).
@@ -56,16 +56,16 @@ class Verdicts:
 
     @property
     def inside(self) -> NDArray[np.bool_]:
-        """Whether each pose belongs to the workspace, shape (B,)."""
-        found: NDArray[np.bool_] = self.limit == Limit.INSIDE
-        return found
+        """True where a pose belongs to the workspace, shape (B,)."""
+        inside: NDArray[np.bool_] = self.limit == Limit.INSIDE
+        return inside
 
 
 def modelled(robot: Robot, settings: WorkspaceSettings) -> Robot:
-    """The robot that is judged: itself, or with cables so light that they are straight."""
+    """Return the robot to judge: itself, or with cables so light that they are straight."""
     if settings.sag:
         return robot
-    return replace(robot, linear_density=WEIGHTLESS * robot.linear_density)
+    return replace(robot, linear_density=WEIGHTLESS_DENSITY_RATIO * robot.linear_density)
 
 
 def judge(
@@ -83,8 +83,8 @@ def judge(
         position: Platform origin in W [m], shape (B, 3).
         rotation: Rotation from P to W, shape (B, 3, 3); None: the home rotation with n >= 6. With
             n < 6 it must be None: the rotation is found.
-        settings: What is asked of a pose; None: the defaults.
-        lines: Where each line of neighbouring poses begins; see `widest_rest.hold`.
+        settings: Demands on a pose; None: the defaults.
+        lines: Start of each line of neighbouring poses; see `widest_rest.hold`.
 
     Returns:
         A verdict for each pose. It does not depend on the other poses of the batch, apart from
@@ -127,7 +127,7 @@ def judge(
 
 
 def _rotation(robot: Robot, rotation: ArrayLike | None, size: int) -> Array | None:
-    """One rotation per pose, checked."""
+    """Return one rotation per pose, checked."""
     if rotation is None:
         return None
     if robot.n < 6:
@@ -143,7 +143,7 @@ def _hold(
     lines: ArrayLike | None,
     hopeless: NDArray[np.bool_],
 ) -> tuple[WidestRest, WidestRest]:
-    """The rest under the weight alone, and the one of the required wrench with the least margin.
+    """Return the rest under the weight alone, and that of the worst required wrench.
 
     Hopeless poses stay at home while the others are computed, which costs least.
     """
@@ -151,29 +151,29 @@ def _hold(
     turn = rotation
     if turn is not None:
         turn = np.where(hopeless[:, None, None], robot.home_rotation, turn)
-    found = hold(robot, where, turn, lines=lines)
+    held = hold(robot, where, turn, lines=lines)
     if robot.n < 6:
-        found = second_opinion(robot, found, ~hopeless)
+        held = second_opinion(robot, held, ~hopeless)
     shown = robot.home_rotation if rotation is None else rotation
     rest = replace(
-        found.rest,
+        held.rest,
         position=position,
-        rotation=np.where(hopeless[:, None, None], shown, found.rest.rotation),
-        converged=found.rest.converged & ~hopeless,
-        stable=found.rest.stable & ~hopeless,
-        status=np.where(hopeless, 2, found.rest.status).astype(np.int32),
-        stiffness=np.where(hopeless[:, None, None], np.nan, found.rest.stiffness),
+        rotation=np.where(hopeless[:, None, None], shown, held.rest.rotation),
+        converged=held.rest.converged & ~hopeless,
+        stable=held.rest.stable & ~hopeless,
+        status=np.where(hopeless, 2, held.rest.status).astype(np.int32),
+        stiffness=np.where(hopeless[:, None, None], np.nan, held.rest.stiffness),
     )
-    found = replace(found, rest=rest)
-    worst = found
+    held = replace(held, rest=rest)
+    worst = held
     for wrench in settings.wrenches():
         if wrench.any():
             worst = _worse(worst, hold(robot, where, turn, wrench=wrench, lines=lines))
-    return found, worst
+    return held, worst
 
 
 def _worse(one: WidestRest, other: WidestRest) -> WidestRest:
-    """Row by row the one with the smaller margin: proved to be none, not computed, then numbers."""
+    """Return row by row the smaller margin: proved infeasible, not computed, then numbers."""
     first, second = (
         np.where(np.isneginf(each.margin), 0, np.where(np.isnan(each.margin), 1, 2))
         for each in (one, other)
@@ -191,7 +191,7 @@ def _worse(one: WidestRest, other: WidestRest) -> WidestRest:
 
 
 def tilt_angle(robot: Robot, rotation: Array) -> Array:
-    """Angle of the platform's z axis to that at home [rad], shape (B,)."""
+    """Return the angle of the platform's z axis to that at home [rad], shape (B,)."""
     cosine = rotation[:, :, 2] @ robot.home_rotation[:, 2]
     across = np.linalg.norm(np.cross(rotation[:, :, 2], robot.home_rotation[:, 2]), axis=1)
     angle: Array = np.arctan2(across, cosine)
@@ -199,31 +199,31 @@ def tilt_angle(robot: Robot, rotation: Array) -> Array:
 
 
 def _distance(robot: Robot, rest: Equilibrium) -> tuple[Array, NDArray[np.int64]]:
-    """Smallest distance of two cables and which two they are; NaN without a rest."""
+    """Return the smallest distance of two cables and their indices; NaN without a rest."""
     size = len(rest.position)
     least, pair = np.full(size, np.nan), np.full((size, 2), -1)
     rows = np.flatnonzero(rest.converged)
     if len(separate_pairs(robot)) == 0:
         least[rows] = np.inf
         return least, pair
-    for start in range(0, len(rows), CHUNK):
-        part = rows[start : start + CHUNK]
-        found, pairs = cable_distances(robot, pick(rest, part))
-        first = np.argmin(found, axis=1)
-        least[part] = found[np.arange(len(part)), first]
+    for start in range(0, len(rows), SHAPE_CHUNK_POSES):
+        part = rows[start : start + SHAPE_CHUNK_POSES]
+        distances, pairs = cable_distances(robot, pick(rest, part))
+        first = np.argmin(distances, axis=1)
+        least[part] = distances[np.arange(len(part)), first]
         pair[part] = pairs[first]
     return least, pair
 
 
 def pick(rest: Equilibrium, rows: NDArray[np.intp]) -> Equilibrium:
-    """Some of the equilibria."""
+    """Return some of the equilibria."""
     return Equilibrium(**{name: value[rows] for name, value in vars(rest).items()})
 
 
 def _first_limit(
     robot: Robot, settings: WorkspaceSettings, rest: Equilibrium, tilt: Array, distance: Array
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """The first limit, apart from the tensions', that a rest breaks, and its cable."""
+    """Return the first limit, apart from the tensions', that a rest breaks, and its cable."""
     length = rest.unstrained_length
     short, long = length < robot.length_min, length > robot.length_max
     near = np.zeros(len(tilt), dtype=bool)

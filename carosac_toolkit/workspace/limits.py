@@ -1,4 +1,4 @@
-"""Which limit keeps a pose out of the workspace, or is nearest where none does."""
+"""Limits that exclude a pose from the workspace, or are nearest inside it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from carosac_toolkit.base.arrays import Array
 
 
 class Limit(IntEnum):
-    """What keeps a pose out of the workspace; in the order in which they are looked at."""
+    """Reason that excludes a pose from the workspace, in the order of the checks."""
 
     INSIDE = 0
     NOT_CONVERGED = 1  # a failure to compute, no statement on the robot
@@ -28,7 +28,7 @@ class Limit(IntEnum):
     COLLISION = 11  # two cables too near each other
 
 
-WORDS = {
+LIMIT_LABELS = {
     Limit.INSIDE: "inside",
     Limit.NOT_CONVERGED: "not converged",
     Limit.NO_PULL: "no cable pulls there",
@@ -42,13 +42,13 @@ WORDS = {
     Limit.TOO_LONG: "longer than its winch has",
     Limit.COLLISION: "cables too near each other",
 }
-OF_CABLE = (Limit.NO_EQUILIBRIUM, Limit.SLACK, Limit.OVERLOAD, Limit.TOO_SHORT, Limit.TOO_LONG)
+CABLE_LIMITS = (Limit.NO_EQUILIBRIUM, Limit.SLACK, Limit.OVERLOAD, Limit.TOO_SHORT, Limit.TOO_LONG)
 
 
 def tension_limit(
     margin: Array, low: Array, high: Array, lower: Array
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """The tension limit that counts most for a margin, and its cable.
+    """Return the tension limit that counts most for a margin, and its cable.
 
     The largest multiplier names it. Where only lower limits count and even limits of zero would
     leave the margin negative, cables would have to push: there is no equilibrium.
@@ -74,18 +74,18 @@ def tension_limit(
 
 
 def cable_of(limit: int, cable: int, names: Sequence[str]) -> str | None:
-    """Name of the cable that a limit is about, or None."""
-    return names[cable] if limit in OF_CABLE and cable >= 0 else None
+    """Return the name of the cable that a limit is about, or None."""
+    return names[cable] if limit in CABLE_LIMITS and cable >= 0 else None
 
 
 def words_of(limit: int, cable: int) -> str:
-    """Say a limit in words, without its cable."""
+    """Describe a limit in words, without its cable."""
     pushes = limit == Limit.NO_EQUILIBRIUM and cable >= 0
-    return "would have to push" if pushes else WORDS[Limit(limit)]
+    return "would have to push" if pushes else LIMIT_LABELS[Limit(limit)]
 
 
 def describe(limit: int, cable: int, names: Sequence[str]) -> str:
-    """Say a limit in words, with its cable."""
+    """Describe a limit in words, with its cable."""
     words, name = words_of(limit, cable), cable_of(limit, cable, names)
     if name is None:
         return words

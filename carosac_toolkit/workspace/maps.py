@@ -1,4 +1,4 @@
-"""How well poses are held: tilt, stiffness, natural frequency, sag, distance of cables."""
+"""Quality of poses: tilt, stiffness, natural frequency, sag, distance of cables."""
 
 from __future__ import annotations
 
@@ -12,16 +12,22 @@ from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.physics.rest.modes import natural_frequencies
 from carosac_toolkit.physics.rest.statics import Equilibrium, inverse_kinematics, sag
 from carosac_toolkit.robot.robot import Robot
-from carosac_toolkit.workspace.judgement import CHUNK, Verdicts, modelled, pick, tilt_angle
+from carosac_toolkit.workspace.judgement import (
+    SHAPE_CHUNK_POSES,
+    Verdicts,
+    modelled,
+    pick,
+    tilt_angle,
+)
 from carosac_toolkit.workspace.settings import WorkspaceSettings
 
-SAMPLES = 25  # points along a cable: they miss the largest sag by less than 0.2 %
-TENSIONS = ("widest", "least")
+SAG_SAMPLES = 25  # points along a cable: they miss the largest sag by less than 0.2 %
+TENSION_CHOICES = ("widest", "least")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Maps:
-    """Numbers of B poses; NaN where there is no rest.
+    """Maps over B poses; NaN where there is no rest.
 
     Attributes:
         tilt: Angle of the platform's z axis to that at home [rad], shape (B,).
@@ -62,8 +68,8 @@ def maps(
     Returns:
         The maps.
     """
-    if tensions not in TENSIONS:
-        raise InvalidField("tensions", repr(tensions), f"one of {list(TENSIONS)}")
+    if tensions not in TENSION_CHOICES:
+        raise InvalidField("tensions", repr(tensions), f"one of {list(TENSION_CHOICES)}")
     model = modelled(robot, settings or WorkspaceSettings())
     size = len(verdicts.margin)
     out = {
@@ -72,8 +78,8 @@ def maps(
         "frequency": np.full(size, np.nan), "sag": np.full(size, np.nan),
     }  # fmt: skip
     rows = np.flatnonzero(verdicts.rest.converged)
-    for start in range(0, len(rows), CHUNK):
-        part = rows[start : start + CHUNK]
+    for start in range(0, len(rows), SHAPE_CHUNK_POSES):
+        part = rows[start : start + SHAPE_CHUNK_POSES]
         rest = pick(verdicts.rest, part)
         if tensions == "least":
             rest = _least(model, rest)
@@ -85,7 +91,7 @@ def maps(
 
 
 def _least(robot: Robot, rest: Equilibrium) -> Equilibrium:
-    """The same positions with the least squared tensions."""
+    """Return the same positions with the least squared tensions."""
     if robot.n >= 6:
         return inverse_kinematics(robot, rest.position, rest.rotation)
     guess = Pose(position=rest.position, rotation=rest.rotation)
@@ -93,7 +99,7 @@ def _least(robot: Robot, rest: Equilibrium) -> Equilibrium:
 
 
 def _of_rest(robot: Robot, rest: Equilibrium) -> dict[str, Array]:
-    """All maps of equilibria."""
+    """Return all maps of equilibria."""
     stiffness, softest = _softest(rest.stiffness, slice(0, 3))
     turning, _ = _softest(rest.stiffness, slice(3, 6))
     return {
@@ -102,12 +108,12 @@ def _of_rest(robot: Robot, rest: Equilibrium) -> dict[str, Array]:
         "softest": np.where(rest.stable[:, None], softest, np.nan),
         "turning_stiffness": np.where(rest.stable, turning, np.nan),
         "frequency": natural_frequencies(robot, rest)[:, 0],
-        "sag": sag(robot, rest, samples=SAMPLES).max(axis=1),
+        "sag": sag(robot, rest, samples=SAG_SAMPLES).max(axis=1),
     }
 
 
 def _softest(stiffness: Array, part: slice) -> tuple[Array, Array]:
-    """Least stiffness of three coordinates with the others free, and its direction.
+    """Return the least stiffness of three coordinates with the others free, and its direction.
 
     It is the inverse of the largest eigenvalue of that block of the compliance.
     """

@@ -1,4 +1,4 @@
-"""The workspace on a grid: its volume, what bounds it, in numbers and in words."""
+"""Workspace on a grid: its volume and what bounds it, in numbers and words."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.workspace.grid import Grid
 from carosac_toolkit.workspace.judgement import Verdicts, judge
-from carosac_toolkit.workspace.limits import WORDS, Limit, cable_of, describe
+from carosac_toolkit.workspace.limits import LIMIT_LABELS, Limit, cable_of, describe
 from carosac_toolkit.workspace.settings import WorkspaceSettings
 
 
@@ -25,7 +25,7 @@ class Region:
     Attributes:
         robot: The robot.
         grid: The positions.
-        settings: What was asked of a pose.
+        settings: Demands on a pose.
         verdicts: One for each position of `grid.positions`; with several orientations the worst.
     """
 
@@ -50,7 +50,7 @@ class Region:
         return int((self.verdicts.limit == Limit.NOT_CONVERGED).sum())
 
     def causes(self, *, at_the_end: bool = False) -> list[tuple[int, int, int]]:
-        """Limit, cable (-1: none) and number of positions it keeps out, the largest first.
+        """Return limit, cable (-1: none) and number of positions it excludes, the largest first.
 
         Args:
             at_the_end: Only of the positions beside one that is inside, where a platform that
@@ -61,12 +61,12 @@ class Region:
         pairs = np.stack([out.limit, out.cable], axis=1)[chosen]
         if len(pairs) == 0:
             return []
-        found, counts = np.unique(pairs, axis=0, return_counts=True)
+        groups, counts = np.unique(pairs, axis=0, return_counts=True)
         order = np.argsort(-counts, kind="stable")
-        return [(int(found[k, 0]), int(found[k, 1]), int(counts[k])) for k in order]
+        return [(int(groups[k, 0]), int(groups[k, 1]), int(counts[k])) for k in order]
 
     def _beside(self) -> NDArray[np.bool_]:
-        """Positions outside, next to one inside along x, y or z."""
+        """Return positions outside, next to one inside along x, y or z."""
         inside = self.verdicts.inside.reshape(self.grid.shape)
         near = np.zeros_like(inside)
         for axis in range(3):
@@ -79,7 +79,7 @@ class Region:
         return beside
 
     def sentence(self) -> str:
-        """The result in words."""
+        """Return the result in words."""
         name = self.robot.name
         share = f"{self.share:.1%}".replace("%", " %")
         if self.verdicts.inside.all():
@@ -96,18 +96,18 @@ class Region:
         return text
 
     def _nearest(self) -> str:
-        """What comes nearest inside."""
+        """Describe the limit nearest to the positions inside."""
         out = self.verdicts
         k = int(np.nanargmin(np.where(np.isfinite(out.margin), out.margin, np.nan)))
         which = describe(out.nearest[k], out.nearest_cable[k], self.robot.cable_names)
         verb = {Limit.SLACK: "first to fall slack", Limit.OVERLOAD: "first to be overloaded"}
         cable = self.robot.cable_names[out.nearest_cable[k]]
         place = ", ".join(f"{x:.2f}" for x in out.rest.position[k])
-        said = verb.get(Limit(int(out.nearest[k])), which)
-        return f"the least margin is {out.margin[k]:.3g} N at ({place}) m, {cable} {said}"
+        text = verb.get(Limit(int(out.nearest[k])), which)
+        return f"the least margin is {out.margin[k]:.3g} N at ({place}) m, {cable} {text}"
 
     def _words(self, at_the_end: bool) -> str:
-        """What keeps positions out, the three most frequent causes."""
+        """Describe what excludes positions, the three most frequent causes."""
         causes = self.causes(at_the_end=at_the_end)
         total = sum(count for _, _, count in causes)
         return ", ".join(
@@ -116,7 +116,7 @@ class Region:
         )
 
     def data(self) -> dict[str, Any]:
-        """The numbers, as JSON knows them."""
+        """Return the numbers, ready for JSON."""
         out = self.verdicts
         finite = out.margin[np.isfinite(out.margin)]
         inside = out.margin[out.inside]
@@ -139,11 +139,11 @@ class Region:
         }
 
     def _listed(self, *, at_the_end: bool) -> list[dict[str, Any]]:
-        """The causes, as JSON knows them."""
+        """Return the causes, ready for JSON."""
         names = self.robot.cable_names
         return [
             {
-                "limit": WORDS[Limit(limit)],
+                "limit": LIMIT_LABELS[Limit(limit)],
                 "cable": cable_of(limit, cable, names),
                 "positions": count,
             }
@@ -163,7 +163,7 @@ def compute(
     Args:
         robot: Robot description, n cables.
         grid: Positions; see `box_grid` and `slice_grid`.
-        settings: What is asked of a pose; None: the defaults.
+        settings: Demands on a pose; None: the defaults.
         orientations: Rotations from P to W, each (3, 3), with all of which a position must be held
             (n >= 6 only); None: the home rotation, or with n < 6 the one that is found.
 
@@ -177,30 +177,30 @@ def compute(
         return Region(robot=robot, grid=grid, settings=asked, verdicts=verdicts)
     if len(orientations) == 0:
         raise InvalidField("orientations", "none", "at least one rotation, or None")
-    found = [
+    judged = [
         judge(robot, where, np.broadcast_to(turn, (len(where), 3, 3)), settings=asked)
         for turn in orientations
     ]
-    return Region(robot=robot, grid=grid, settings=asked, verdicts=_worst(found))
+    return Region(robot=robot, grid=grid, settings=asked, verdicts=_worst(judged))
 
 
-def _worst(found: Sequence[Verdicts]) -> Verdicts:
-    """Row by row the verdict that is outside, or has the least margin."""
-    margin = np.stack([np.where(np.isnan(v.margin), -np.inf, v.margin) for v in found])
-    inside = np.stack([v.inside for v in found])
+def _worst(verdicts: Sequence[Verdicts]) -> Verdicts:
+    """Return row by row the verdict that is outside, or has the least margin."""
+    margin = np.stack([np.where(np.isnan(v.margin), -np.inf, v.margin) for v in verdicts])
+    inside = np.stack([v.inside for v in verdicts])
     chosen = np.lexsort((margin, inside), axis=0)[0]
-    worst: Verdicts = _choose(found, chosen)
+    worst: Verdicts = _choose(verdicts, chosen)
     return worst
 
 
-def _choose(found: Sequence[Any], chosen: NDArray[np.intp]) -> Any:
-    """Row by row one of several records of equal arrays."""
+def _choose(records: Sequence[Any], chosen: NDArray[np.intp]) -> Any:
+    """Return row by row one of several records of equal arrays."""
     rows = np.arange(len(chosen))
     values = {}
-    for field in fields(found[0]):
-        parts = [getattr(record, field.name) for record in found]
+    for field in fields(records[0]):
+        parts = [getattr(record, field.name) for record in records]
         if isinstance(parts[0], np.ndarray):
             values[field.name] = np.stack(parts)[chosen, rows]
         else:
             values[field.name] = _choose(parts, chosen)
-    return type(found[0])(**values)
+    return type(records[0])(**values)

@@ -1,4 +1,4 @@
-"""A second search where the first one found no rest, or hardly none."""
+"""Second search where the first one found no rest, or barely one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from carosac_toolkit.physics.rest.hold import WidestRest
 from carosac_toolkit.physics.rest.statics import Equilibrium, inverse_kinematics
 from carosac_toolkit.robot.robot import Robot
 
-NEAR = 0.05  # of the weight: a margin not more negative than this may be one of a poor search
+NEAR_MARGIN_RATIO = (
+    0.05  # of the weight: a margin not more negative than this may be one of a poor search
+)
 
 
 def second_opinion(robot: Robot, found: WidestRest, asked: NDArray[np.bool_]) -> WidestRest:
@@ -27,7 +29,7 @@ def second_opinion(robot: Robot, found: WidestRest, asked: NDArray[np.bool_]) ->
         rest, and the other one found a stable rest within the limits, that rest, with its own
         margin.
     """
-    near = (found.margin < 0.0) & (found.margin > -NEAR * robot.weight)
+    near = (found.margin < 0.0) & (found.margin > -NEAR_MARGIN_RATIO * robot.weight)
     shaky = found.rest.converged & ~found.rest.stable
     doubtful = np.isnan(found.margin) | near | shaky
     rows = np.flatnonzero(doubtful & asked)

@@ -1,4 +1,4 @@
-"""What is asked of a pose to belong to the workspace."""
+"""Demands on a pose of the workspace."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class WorkspaceSettings:
     """Demands on a pose; tension limits, winch lengths and stability are always demanded.
 
     Attributes:
-        sag: Whether cables hang under their own weight; False: straight elastic cables.
+        sag: True if cables hang under their own weight; False: straight elastic cables.
         force: Extra forces to be withstood besides the weight, at the platform origin: any within
             plus or minus these along x, y, z of W [N].
         moment: The same of extra moments about x, y, z of W [N m].
@@ -43,7 +43,7 @@ class WorkspaceSettings:
             raise InvalidField("tilt_max", f"{self.tilt_max} rad", "0 to pi rad, or None")
 
     def wrenches(self) -> Array:
-        """Corners of the box of extra wrenches [N, N m], shape (K, 6); one of zeros without a box.
+        """Return corners of the box of extra wrenches [N, N m], (K, 6); one of zeros without a box.
 
         The largest margin is concave in the wrench where cables are straight and the rotation is
         held, so that its least value over the box is at a corner.

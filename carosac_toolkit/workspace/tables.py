@@ -1,4 +1,4 @@
-"""The poses that were judged, as a table for other programs."""
+"""Table of the judged poses, for other programs."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carosac_toolkit.workspace.limits import OF_CABLE, WORDS, Limit
+from carosac_toolkit.workspace.limits import CABLE_LIMITS, LIMIT_LABELS, Limit
 from carosac_toolkit.workspace.maps import Maps
 from carosac_toolkit.workspace.region import Region
 
 
 def columns(region: Region, found: Maps | None = None) -> dict[str, NDArray[Any]]:
-    """Columns by name; numbers are NaN where there is no rest.
+    """Return columns by name; numbers are NaN where there is no rest.
 
     Args:
         region: Verdicts on a grid.
@@ -23,9 +23,9 @@ def columns(region: Region, found: Maps | None = None) -> dict[str, NDArray[Any]
     """
     out, rest = region.verdicts, region.verdicts.rest
     names = np.array([*region.robot.cable_names, ""])
-    words = np.array([WORDS[limit] for limit in Limit])
-    of_cable = np.isin(out.limit, OF_CABLE)
-    near_cable = np.isin(out.nearest, OF_CABLE)
+    words = np.array([LIMIT_LABELS[limit] for limit in Limit])
+    of_cable = np.isin(out.limit, CABLE_LIMITS)
+    near_cable = np.isin(out.nearest, CABLE_LIMITS)
     table: dict[str, NDArray[Any]] = {
         **{f"{axis}_m": rest.position[:, k] for k, axis in enumerate("xyz")},
         "inside": out.inside,
@@ -70,7 +70,7 @@ def write_table(path: Path, table: dict[str, NDArray[Any]]) -> None:
 
 
 def _cell(value: Any) -> str:
-    """One cell of a CSV file; empty for NaN."""
+    """Return one cell of a CSV file; empty for NaN."""
     if isinstance(value, bool):
         return str(int(value))
     if isinstance(value, float):

@@ -28,7 +28,7 @@ from carosac_toolkit.physics.device import check_device
 from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies.run.cluster import remote_client
-from carosac_toolkit.studies.run.folder import MANIFEST
+from carosac_toolkit.studies.run.folder import MANIFEST_FILE
 from learned.changes import check_changes, read_changes, read_variations
 from learned.curve import CURVE, read_curve
 from learned.presets import Preset, Stage, find_preset
@@ -124,7 +124,7 @@ def _train_once(options: Options, preset: Preset, training: Training) -> Command
     robot = load_robot(options.robot)
     place = _name(options, training, robot.name, f"seed{options.seed}")
     folder = options.output or FOLDER / place
-    if (folder / MANIFEST).exists():
+    if (folder / MANIFEST_FILE).exists():
         raise InvalidField("--output", f"'{folder}'", "a folder without a study in it")
     jobs = training.jobs(robot, folder)
     print(wrapped(f"{training.name}: {preset.summary}; robot {robot.name}, seed {options.seed}",

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.pictures.drawing import (
-    COLORS,
-    MEASURED,
-    REST,
+    MEASURED_COLOR,
+    REST_COLOR,
+    SERIES_COLORS,
     draw_bell,
     draw_violin,
     limits_of,
@@ -36,7 +36,7 @@ BOX = "#8a8a8a"
 BINS = 40
 SHOWN = 99.0  # percent of the values that a histogram must show
 FAR = 1.5  # times as far as those: the rest is counted, not drawn
-MOST = len(COLORS)  # paths that can be told apart
+MOST = len(SERIES_COLORS)  # paths that can be told apart
 
 
 def error_histograms(
@@ -55,7 +55,7 @@ def error_histograms(
         "mean position error": batch("mean_error", mean_error, ()),
         "mean |length error|": batch("mean_length_error", mean_length_error, ()),
     }
-    for axes, color, (label, values) in zip(panels, COLORS, errors.items(), strict=False):
+    for axes, color, (label, values) in zip(panels, SERIES_COLORS, errors.items(), strict=False):
         _histogram(axes, MM * values, color)
         axes.set_xlabel(f"{label} of a trajectory [mm]")
         axes.set_ylabel("trajectories [-]")
@@ -75,7 +75,7 @@ def error_violins(errors: ArrayLike, path: str | Path, *, what: str = "position 
     values = MM * np.abs(batch("errors", errors, (3,)))
     figure = new_figure(6.4, 4.6)
     axes = figure.subplots()
-    for place, (column, color) in enumerate(zip(values.T, COLORS, strict=False)):
+    for place, (column, color) in enumerate(zip(values.T, SERIES_COLORS, strict=False)):
         draw_violin(axes, column, place, color)
     medians = np.median(values, axis=0)
     names = [f"{name}\nmedian {median:.1f} mm" for name, median in zip("xyz", medians, strict=True)]
@@ -135,7 +135,7 @@ def rmse_gaussians(groups: Mapping[str, ArrayLike], path: str | Path) -> Figure:
         raise InvalidField("groups", len(groups), f"1 to {MOST} groups")
     figure = new_figure(12.0, 4.6)
     panels = figure.subplots(1, 3)
-    colors = dict(zip(groups, COLORS, strict=False))
+    colors = dict(zip(groups, SERIES_COLORS, strict=False))
     for place, (name, errors) in enumerate(groups.items()):
         values = MM * batch(name, errors, (3,))
         for axes, column in zip(panels, values.T, strict=True):
@@ -146,7 +146,7 @@ def rmse_gaussians(groups: Mapping[str, ArrayLike], path: str | Path) -> Figure:
         axes.set_yticks([])
         axes.set_xlim(-0.02 * axes.get_xlim()[1], 1.1 * axes.get_xlim()[1])
         axes.set_ylim(-0.13 * (len(groups) + 0.6), 1.08)
-        axes.axhline(0.0, color=MEASURED, lw=0.6)
+        axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
         axes.grid(axis="x", alpha=0.25)
     figure.suptitle(
         "RMSE per trajectory: its normal distribution, scaled to one height; "
@@ -178,7 +178,7 @@ def errors_over_time(
     when = batch("time", time, ())
     figure = new_figure(12.0, 7.6)
     panels = figure.subplots(3, 1, sharex=True)
-    for (name, given), color in zip(errors.items(), COLORS, strict=False):
+    for (name, given), color in zip(errors.items(), SERIES_COLORS, strict=False):
         values = MM * np.abs(batch(name, given, (3,)))
         if len(values) != len(when):
             raise InvalidField(name, f"{len(values)} errors", f"{len(when)}, one for each time")
@@ -187,9 +187,9 @@ def errors_over_time(
     for axes, name in zip(panels, "xyz", strict=True):
         for k, (first, last) in enumerate(rests):
             label = None if k else "winches at rest"
-            axes.axvspan(first, last, color=REST, lw=0, zorder=0, label=label)
+            axes.axvspan(first, last, color=REST_COLOR, lw=0, zorder=0, label=label)
         for mark in marks:
-            axes.axvline(mark, color=MEASURED, lw=0.6, ls=":")
+            axes.axvline(mark, color=MEASURED_COLOR, lw=0.6, ls=":")
         axes.set_ylabel(f"|error| in {name} [mm]")
         axes.set_ylim(bottom=0.0)
         axes.margins(x=0.005)
@@ -209,7 +209,7 @@ def _histogram(axes: Any, values: Array, color: str) -> None:
     axes.hist(shown, bins=BINS, range=(0.0, float(shown.max()) or 1.0), color=color, alpha=0.6)
     for style, name, percent in (("-", "median", 50.0), ("--", "95th percentile", 95.0)):
         value = float(np.percentile(values, percent))
-        axes.axvline(value, color=MEASURED, lw=1.2, ls=style, label=f"{name} {value:.1f} mm")
+        axes.axvline(value, color=MEASURED_COLOR, lw=1.2, ls=style, label=f"{name} {value:.1f} mm")
     far = len(values) - len(shown)
     if far:
         axes.plot([], [], " ", label=f"not shown: {far}, up to {values.max():.0f} mm")
@@ -233,8 +233,8 @@ def _paths(axes: Any, wanted: Array, found: Array, robot: Robot, view: tuple[int
         axes.plot(*np.stack(edge).T, color=BOX, lw=0.9, ls=":", label=label)
     for k, reference in enumerate(wanted[..., columns]):
         label = None if k else "reference"
-        axes.plot(*reference.T, color=MEASURED, lw=0.9, ls="--", label=label, zorder=3)
-        axes.plot(*reference[:1].T, "o", color=MEASURED, ms=3.5, zorder=3)
+        axes.plot(*reference.T, color=MEASURED_COLOR, lw=0.9, ls="--", label=label, zorder=3)
+        axes.plot(*reference[:1].T, "o", color=MEASURED_COLOR, ms=3.5, zorder=3)
     for k, reached in enumerate(found[..., columns]):
         label = None if k else "reached"
-        axes.plot(*reached.T, color=COLORS[k], lw=1.5, label=label, zorder=2)
+        axes.plot(*reached.T, color=SERIES_COLORS[k], lw=1.5, label=label, zorder=2)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from carosac_toolkit.pictures.paper_figure import Drawn, PaperFigure, Source, of_kind
+from carosac_toolkit.pictures.paper_figure import Drawn, FigureSource, PaperFigure, of_kind
 from learned.pictures.evaluation import draw_histograms, draw_paths, draw_violins
 from learned.pictures.reward_figure import paper_reward_terms
 from learned.pictures.training import Curve, curve_of, learning_curves
@@ -31,10 +31,10 @@ def _made(draw: Callable[[Path], Figure]) -> Figure:
 
 def _evaluated(
     draw: Callable[[SavedScores, Path], Figure], protocols: Sequence[str]
-) -> Callable[[Sequence[Source]], list[Drawn]]:
+) -> Callable[[Sequence[FigureSource]], list[Drawn]]:
     """A figure of an evaluation: of the first of these protocols that there is."""
 
-    def drawn(sources: Sequence[Source]) -> list[Drawn]:
+    def drawn(sources: Sequence[FigureSource]) -> list[Drawn]:
         there = {folder: SavedScores.read(folder) for folder in of_kind(sources, "evaluation")}
         sound = {k: saved for k, saved in there.items() if sound_paths(saved.scores[POLICY]).any()}
         for protocol in protocols:
@@ -47,7 +47,7 @@ def _evaluated(
     return drawn
 
 
-def _trained(sources: Sequence[Source]) -> list[Drawn]:
+def _trained(sources: Sequence[FigureSource]) -> list[Drawn]:
     """One figure for each stage, with the curves of all its trainings."""
     stages: dict[str, dict[Path, Curve]] = {}
     folders = of_kind(sources, "training")
@@ -67,7 +67,7 @@ def _trained(sources: Sequence[Source]) -> list[Drawn]:
     ]  # fmt: skip
 
 
-def _rewards(sources: Sequence[Source]) -> list[Drawn]:
+def _rewards(sources: Sequence[FigureSource]) -> list[Drawn]:
     """From the functions that train: no data."""
     return [Drawn(figure=_made(paper_reward_terms))]
 

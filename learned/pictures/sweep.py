@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from carosac_toolkit.base.arrays import batch
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.pictures.drawing import COLORS, MEASURED, new_figure
+from carosac_toolkit.pictures.drawing import MEASURED_COLOR, SERIES_COLORS, new_figure
 from learned.pictures.files import save
 
 if TYPE_CHECKING:
@@ -38,10 +38,10 @@ def sweep(errors: Mapping[str, ArrayLike], path: str | Path) -> Figure:
     axes = figure.subplots()
     found = {name: MM * batch(name, values, ()) for name, values in errors.items()}
     for k, values in enumerate(found.values()):
-        axes.plot(values, np.full(len(values), k), "o", color=COLORS[1], ms=6.0, alpha=0.7,
+        axes.plot(values, np.full(len(values), k), "o", color=SERIES_COLORS[1], ms=6.0, alpha=0.7,
                   mew=0.0)  # fmt: skip
         middle = float(np.median(values))
-        axes.plot([middle, middle], [k - HALF, k + HALF], color=MEASURED, lw=1.6)
+        axes.plot([middle, middle], [k - HALF, k + HALF], color=MEASURED_COLOR, lw=1.6)
     every = np.concatenate(list(found.values()))
     if every.min() > 0.0 and every.max() > WIDE * every.min():
         axes.set_xscale("log")

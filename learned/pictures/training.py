@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.pictures.drawing import COLORS, MEASURED, new_figure, put_legend
+from carosac_toolkit.pictures.drawing import MEASURED_COLOR, SERIES_COLORS, new_figure, put_legend
 from learned.curve import CURVE, EPISODES, read_curve, read_episodes
 from learned.pictures.files import save
 
@@ -86,9 +86,9 @@ def reward_terms(terms: Mapping[str, tuple[str, ArrayLike, ArrayLike]], path: st
     figure = new_figure(4.0 * columns, 0.5 + 2.8 * rows)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, (name, (label, variable, term)) in zip(panels, terms.items(), strict=False):
-        axes.axhline(0.0, color=MEASURED, lw=0.6)
+        axes.axhline(0.0, color=MEASURED_COLOR, lw=0.6)
         x, y = _pair(label, variable, name, term)
-        axes.plot(x, y, color=COLORS[1], lw=1.8)
+        axes.plot(x, y, color=SERIES_COLORS[1], lw=1.8)
         axes.set_title(name, fontsize=10)
         axes.set_xlabel(label)
         axes.margins(x=0.02, y=0.1)
@@ -119,9 +119,9 @@ def learning_curves(
     figure = new_figure(9.0, 7.0 if evaluated else 4.4)
     panels = figure.subplots(2 if evaluated else 1, 1, sharex=True, squeeze=False).ravel()
     for k, curve in enumerate(curves):
-        _draw_reward(panels[0], curve, COLORS[k % len(COLORS)], _name(curve, k))
+        _draw_reward(panels[0], curve, SERIES_COLORS[k % len(SERIES_COLORS)], _name(curve, k))
         if "median_error" in curve:
-            _draw_errors(panels[1], curve, COLORS[k % len(COLORS)])
+            _draw_errors(panels[1], curve, SERIES_COLORS[k % len(SERIES_COLORS)])
     panels[0].set_ylabel("reward of an episode [-]")
     if evaluated:
         _finish_errors(panels[1], marks or {})
@@ -200,7 +200,7 @@ def _finish_errors(axes: Any, marks: Mapping[str, float]) -> None:
 
     drawn = np.concatenate([line.get_ydata() for line in axes.lines])
     for name, mark in marks.items():
-        axes.axhline(MM * mark, color=MEASURED, lw=1.0, ls="--")
+        axes.axhline(MM * mark, color=MEASURED_COLOR, lw=1.0, ls="--")
         axes.annotate(
             f"{name}: {MM * mark:g} mm", (0.0, MM * mark), xycoords=axes.get_yaxis_transform(),
             xytext=(5, 3), textcoords="offset points", fontsize=8,

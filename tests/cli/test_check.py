@@ -40,7 +40,7 @@ def test_a_robot_that_cannot_hang_at_home_is_a_negative_answer(tmp_path, capsys)
     words = ["check", str(path), "--json", str(tmp_path / "x.json")]
     assert main([*words, "--picture", str(tmp_path / "x.png")]) == 1
     captured = capsys.readouterr()
-    assert "cannot be at its home position:\n  no tensions within the limits" in captured.err
+    assert "cannot stay at its home position:\n  no tensions within the limits" in captured.err
     assert "cable front_left would need 84.5 N at home, its maximum is 30 N" in captured.err
     assert json.loads((tmp_path / "x.json").read_text())["cables"][0]["home_tension_N"] is None
     assert (tmp_path / "x.png").exists()

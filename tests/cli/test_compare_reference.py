@@ -57,7 +57,7 @@ def test_the_whole_suite_then_an_entry_beside_what_was_published(small_suite, ca
     entry = ["--controllers", mine, "--against", "all", "--output", "mine"]
     assert main([*words, *entry, "--json", "y.json"]) == 0
     out = " ".join(capsys.readouterr().out.split())
-    assert "What ran here and was published agrees within 0.00 %" in out
+    assert "The cases that ran here agree with the published ones within 0.00 %" in out
     parts = json.loads(Path("y.json").read_text())["parts"]
     assert [part["part"] for part in parts] == ["tracking"]
     labels = [one["label"] for one in parts[0]["blocks"][0]["compared"]]

@@ -9,11 +9,11 @@ import pytest
 from carosac_toolkit.cli.figures import all_figures
 from carosac_toolkit.cli.main import main
 from carosac_toolkit.pictures.paper import length_errors
-from carosac_toolkit.pictures.validation import PICTURES
+from carosac_toolkit.pictures.validation import VALIDATION_PICTURES
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies.run.folder import opened
 from carosac_toolkit.validation import validate
-from carosac_toolkit.validation.saved import SAMPLES, read_samples, samples_bytes
+from carosac_toolkit.validation.saved import SAMPLES_FILE, read_samples, samples_bytes
 from learned.curve import CURVE, EPISODES, Episode, write_curve, write_episodes
 from learned.saved_scores import SavedScores
 from learned.scores import Scores
@@ -83,7 +83,7 @@ def folders(tmp_path_factory):
         training_in(top / "train" / "paper-seed0" / stage)
     result = validate(perfect(0.03), ROBOT, ["straight_line"])
     (top / "validate").mkdir()
-    (top / "validate" / SAMPLES).write_bytes(samples_bytes(result))
+    (top / "validate" / SAMPLES_FILE).write_bytes(samples_bytes(result))
     return top
 
 
@@ -131,13 +131,13 @@ def test_bad_input_is_one_message_and_writes_nothing(words, message, tmp_path, m
 
 def test_a_validation_is_drawn_from_its_file_as_it_was(tmp_path):
     result = validate(perfect(0.03), ROBOT, ["straight_line"])
-    (tmp_path / SAMPLES).write_bytes(samples_bytes(result))
+    (tmp_path / SAMPLES_FILE).write_bytes(samples_bytes(result))
     back = read_samples(tmp_path)
     assert back.robot.name == result.robot.name and back.rests == result.rests
     rmse = [one.models["straight_line"].scores.rmse for one in (result, back)]
     assert rmse[0] == pytest.approx(rmse[1])
     for name in ("paths", "error_violins", "length_errors"):
-        first, second = PICTURES[name](result), PICTURES[name](back)
+        first, second = VALIDATION_PICTURES[name](result), VALIDATION_PICTURES[name](back)
         for a, b in zip(first.axes, second.axes, strict=True):
             assert a.get_xlim() == pytest.approx(b.get_xlim())
             for mine, theirs in zip(a.lines, b.lines, strict=True):

@@ -80,7 +80,7 @@ def test_what_means_nothing_is_refused_in_one_message(tmp_path, capsys):
     assert "--plain or --html" in refused(capsys, "carosac", "--plain", "--html", str(file))
     assert "--live --priority" in refused(capsys, "carosac", "--priority")
     assert ".html" in refused(capsys, "carosac", "--html", str(tmp_path / "x.png"))
-    assert "what the options say" in refused(
+    assert "nothing: an option of the command sets it" in refused(
         capsys, "carosac", "--live", "--set", "driver.real_time=false"
     )
     assert list(tmp_path.iterdir()) == []

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from carosac_toolkit.validation.phases import REST_DURATION, find_phases, slope
+from carosac_toolkit.validation.phases import REST_DURATION_MIN_S, find_phases, slope
 
 
 def test_the_slope_of_a_line_is_exact_at_uneven_times():
@@ -28,7 +28,7 @@ def test_slow_and_short_pauses_are_told_apart():
     assert time[end - 1] == pytest.approx(2.0, abs=0.2)
     assert time[again] == pytest.approx(6.0, abs=0.2)
     assert phases.resting.sum() == end - first + last - again
-    assert time[end - 1] - time[first] >= REST_DURATION
+    assert time[end - 1] - time[first] >= REST_DURATION_MIN_S
 
 
 def test_one_sample_rests_nowhere():

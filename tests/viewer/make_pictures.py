@@ -20,12 +20,12 @@ import carosac_toolkit as ct
 from carosac_toolkit.live.hand_target import HandTarget
 from carosac_toolkit.loop import plugins
 from carosac_toolkit.viewer.geometry import extent
-from carosac_toolkit.viewer.gizmo import SIZE
+from carosac_toolkit.viewer.gizmo import GIZMO_SIZE
 from carosac_toolkit.viewer.live import LivePage, drawing, follow
 from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.replay import Replay
-from carosac_toolkit.viewer.runs import Run, load_runs
-from carosac_toolkit.viewer.statics_page import BY_LENGTHS, StaticsPage
+from carosac_toolkit.viewer.runs import RecordedRun, load_runs
+from carosac_toolkit.viewer.statics_page import LENGTHS_MODE, StaticsPage
 from tests.viewer.browser import browser, drag, open_page, picture_of, pixel_of, wait_for
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
@@ -52,7 +52,7 @@ def shoot(window: Any, folder: Path, name: str) -> None:
 def drag_target(window: Any, client: Any, page: Page, way: np.ndarray) -> None:
     """Drag the vertical arrow of a page by so much [m]."""
     position = page.picture.position
-    arrow = 0.7 * SIZE * np.ptp(extent(page.robot), axis=0).max()
+    arrow = 0.7 * GIZMO_SIZE * np.ptp(extent(page.robot), axis=0).max()
     grip = position + np.array([0.0, 0.0, arrow])
     drag(window, pixel_of(client, grip), pixel_of(client, grip + way))
 
@@ -73,7 +73,7 @@ def lengths(window: Any, folder: Path) -> None:
     with page_of("cogiro", "cogiro at rest") as page:
         connected = StaticsPage(page)
         open_page(window, page)
-        connected.mode.value = BY_LENGTHS
+        connected.mode.value = LENGTHS_MODE
         longer = connected.resting.rest.unstrained_length[0].copy()
         longer[[0, 3]] += 0.25
         for slider, value in zip(connected.lengths, longer, strict=True):
@@ -136,7 +136,7 @@ def replay(window: Any, folder: Path) -> None:
         thread.join()
 
 
-def apart(one: Run, other: Run) -> np.ndarray:
+def apart(one: RecordedRun, other: RecordedRun) -> np.ndarray:
     """Distance of the platforms of two runs at the times of the first [m]."""
     there = [np.interp(one.time, other.time, other.position[:, k]) for k in range(3)]
     return np.linalg.norm(one.position - np.stack(there, axis=1), axis=1)

@@ -13,7 +13,7 @@ from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.viewer.colors import tension_colors
 from carosac_toolkit.viewer.export import still_html
 from carosac_toolkit.viewer.geometry import extent
-from carosac_toolkit.viewer.gizmo import SIZE
+from carosac_toolkit.viewer.gizmo import GIZMO_SIZE
 from carosac_toolkit.viewer.page import Page
 from carosac_toolkit.viewer.statics_page import StaticsPage
 from tests.viewer.browser import (
@@ -69,7 +69,7 @@ def test_the_mouse_drags_the_target_and_platform_and_cables_follow(window, stati
     client = open_page(window, page)
     before = wait_for(lambda: page.picture, "a first picture")
     first = picture_of(window, artifacts / "before_drag.png")
-    arrow = 0.7 * SIZE * np.ptp(extent(page.robot), axis=0).max()
+    arrow = 0.7 * GIZMO_SIZE * np.ptp(extent(page.robot), axis=0).max()
     grip = before.position + np.array([0.0, 0.0, arrow])
     drag(window, pixel_of(client, grip), pixel_of(client, grip + np.array([0.0, 0.0, UP])))
     wait_for(lambda: statics.answers and page.picture.position[2] > before.position[2] + 0.5 * UP,

@@ -5,7 +5,13 @@ import pytest
 
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.file import load_robot
-from carosac_toolkit.viewer.colors import OVER, SCALE, SLACK, UNKNOWN, tension_colors
+from carosac_toolkit.viewer.colors import (
+    OVERLOAD_COLOR,
+    SLACK_COLOR,
+    TENSION_COLOR_SCALE,
+    UNKNOWN_COLOR,
+    tension_colors,
+)
 from carosac_toolkit.viewer.picture import take_picture
 
 
@@ -48,15 +54,18 @@ def test_a_cable_that_nobody_knows_is_straight_grey_and_counted(rest):
     picture = taken(robot, found, tension=tension)
     assert picture.straight.tolist() == [False, True, False, False]
     assert picture.sag[1] == pytest.approx(0.0, abs=1e-12)
-    assert tuple(tension_colors(robot, picture.tension)[1]) == UNKNOWN
+    assert tuple(tension_colors(robot, picture.tension)[1]) == UNKNOWN_COLOR
 
 
 def test_colours_run_from_limit_to_limit_and_mark_what_is_beyond(rest):
     robot, _ = rest
     low, high = robot.tension_min, robot.tension_max
-    assert (tension_colors(robot, low) == SCALE[0]).all()
-    assert (tension_colors(robot, high) == SCALE[-1]).all()
-    assert (tension_colors(robot, 0.9 * low) == SLACK).all()
-    assert (tension_colors(robot, 1.1 * high) == OVER).all()
+    assert (tension_colors(robot, low) == TENSION_COLOR_SCALE[0]).all()
+    assert (tension_colors(robot, high) == TENSION_COLOR_SCALE[-1]).all()
+    assert (tension_colors(robot, 0.9 * low) == SLACK_COLOR).all()
+    assert (tension_colors(robot, 1.1 * high) == OVERLOAD_COLOR).all()
     middle = tension_colors(robot, np.sqrt(low * high))
-    assert not (middle == SCALE[0]).any() and not (middle == SCALE[-1]).any()
+    assert (
+        not (middle == TENSION_COLOR_SCALE[0]).any()
+        and not (middle == TENSION_COLOR_SCALE[-1]).any()
+    )

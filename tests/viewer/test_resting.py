@@ -78,5 +78,5 @@ def test_a_robot_that_cannot_rest_at_home_is_refused():
 
     robot = load_robot("scampi")
     heavy = replace(robot, mass=400.0)  # more than its cables may carry
-    with pytest.raises(CarosacError, match="no rest at its home position"):
+    with pytest.raises(CarosacError, match="no equilibrium at its home position"):
         RestingRobot(heavy)

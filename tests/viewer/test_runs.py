@@ -56,7 +56,7 @@ def test_the_file_of_a_run_is_played_as_its_estimator_believed(way, tmp_path):
     (run,) = load_runs(str(file))
     assert run.position == pytest.approx(moved)
     assert run.rotation == pytest.approx(rest.rotation, abs=1e-6)
-    assert "believed by the estimator" in run.source
+    assert "as estimated" in run.source
 
 
 def test_cases_of_a_study_are_played_as_the_plant_moved(tmp_path):

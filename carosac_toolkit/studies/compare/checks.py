@@ -1,4 +1,4 @@
-"""Whether a study can run at all: names that lead somewhere, numbers in their range."""
+"""Checks that a study can run: names that exist, numbers in their range."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from carosac_toolkit.loop.protocols import replays
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.robot.perturbations import CONDITIONS_BY_NAME
 from carosac_toolkit.studies.run.folder import check_statuses
-from carosac_toolkit.studies.run.run_case import GIVEN, own_settings, plugin_name
+from carosac_toolkit.studies.run.run_case import CASE_DRIVER_SETTINGS, own_settings, plugin_name
 
 if TYPE_CHECKING:
     from carosac_toolkit.studies.compare.study import Study
 
 
-RECORDED = "recorded"  # the path of a recording, the only one on a driver that replays
+RECORDED_TRAJECTORY = "recorded"  # the path of a recording, the only one on a driver that replays
 
 
 def check_study(study: Study) -> None:
@@ -41,16 +41,16 @@ def check_study(study: Study) -> None:
         load_robot(robot)
     driver = _plugin("drivers", study.driver)
     paths = (
-        (RECORDED, *trajectories.TRAJECTORY_NAMES)
+        (RECORDED_TRAJECTORY, *trajectories.TRAJECTORY_NAMES)
         if replays(driver)
         else trajectories.TRAJECTORY_NAMES
     )
     _known("trajectory", study.trajectories, paths)
     _known("perturbation", study.perturbations, sorted(CONDITIONS_BY_NAME))
     own = own_settings(study.driver, study.driver_settings)
-    for taken in sorted(set(GIVEN) & set(own)):
-        value = repr(own[taken])
-        raise InvalidField(f"driver_settings.{taken}", value, "none: each case says it")
+    for name in sorted(set(CASE_DRIVER_SETTINGS) & set(own)):
+        value = repr(own[name])
+        raise InvalidField(f"driver_settings.{name}", value, "none: each case sets it")
     _check_suites(driver, study.driver, study.suites)
     _check_settings("driver_settings", study.driver, driver, own)
     for kind in ("controllers", "estimators"):
@@ -66,7 +66,7 @@ def check_study(study: Study) -> None:
 
 
 def _check_execution(study: Study) -> None:
-    """Refuse what `run_cases` would refuse, before anybody is told that something runs."""
+    """Refuse what `run_cases` would refuse, before anything is said to run."""
     if not 0.0 < study.timeout < 1e7:
         raise InvalidField("timeout", f"{study.timeout} s", "0 < timeout < 1e7 s")
     check_statuses(study.retry)
@@ -79,7 +79,7 @@ def _check_execution(study: Study) -> None:
 
 
 def _positive(name: str, value: Any, unit: str) -> None:
-    """Refuse what is no positive finite number."""
+    """Refuse anything but a positive finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InvalidField(name, repr(value), f"a number [{unit}]")
     if not (value > 0.0 and np.isfinite(value)):
@@ -90,12 +90,12 @@ def _known(field: str, names: Any, allowed: Sequence[str]) -> None:
     """Refuse names that are not in a list."""
     for name in names:
         if name not in allowed:
-            said = f"one of {list(allowed)}{did_you_mean(name, allowed)}"
-            raise InvalidField(field, repr(name), said)
+            choices = f"one of {list(allowed)}{did_you_mean(name, allowed)}"
+            raise InvalidField(field, repr(name), choices)
 
 
 def _plugin(kind: Any, name: str) -> Any:
-    """Import a plug-in; whatever its import raises is one message.
+    """Import a plug-in; whatever its import raises becomes one message.
 
     Raises:
         CarosacError: Its label is empty, it is not there, cannot be imported or has no `build`.
@@ -149,17 +149,17 @@ def _check_settings(field: str, name: str, plugin: Any, wanted: Mapping[str, Any
 
 
 def _ask(name: str, check: Any, chosen: Any) -> None:
-    """Let a plug-in check its settings; whatever that raises is one message."""
+    """Let a plug-in check its settings; whatever that raises becomes one message."""
     try:
         check(chosen)
     except CarosacError:
         raise
     except Exception as error:
-        said = f"{name}: check_settings raised {type(error).__name__}: {error}"
-        raise CarosacError(said) from error
+        message = f"{name}: check_settings raised {type(error).__name__}: {error}"
+        raise CarosacError(message) from error
 
 
 def _check_truth(driver: Any, name: str) -> None:
-    """Refuse the estimator `truth` where nobody knows it."""
+    """Refuse the estimator `truth` where the driver knows no truth."""
     if replays(driver) or not callable(getattr(driver, "truth", None)):
         raise InvalidField("estimator", "'truth'", f"another one: driver {name} knows no truth")

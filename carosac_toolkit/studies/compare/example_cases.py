@@ -1,4 +1,4 @@
-"""Example cases: how one case of each kind went, kept with its row for pictures."""
+"""Example cases: time series of one case of each kind, kept with its row for pictures."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.studies.compare.results import scored, tracked
 from carosac_toolkit.studies.run.rows import Row
 
-MM = 1e3
-REST_SPEED = 5e-3  # [m/s]: slower references count as rest
-REST_TIME = 0.3  # [s]: shorter ones are the beginning of a motion
+MM_PER_M = 1e3
+REST_SPEED_MAX_M_S = 5e-3  # [m/s]: slower references count as rest
+REST_DURATION_MIN_S = 0.3  # [s]: shorter ones are the beginning of a motion
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Example:
-    """One case as it went, S samples.
+    """Time series of one case, S samples.
 
     Attributes:
         trajectory: Its name.
@@ -51,30 +51,30 @@ class Example:
     def rests(self) -> list[tuple[float, float]]:
         """Start and end of each rest of the reference [s]."""
         speed = np.linalg.norm(np.diff(self.reference, axis=0), axis=1) / np.diff(self.time)
-        resting = np.concatenate([[False], speed < REST_SPEED, [False]]).astype(int)
+        resting = np.concatenate([[False], speed < REST_SPEED_MAX_M_S, [False]]).astype(int)
         edges = np.flatnonzero(np.diff(resting))
         spans = [(float(self.time[a]), float(self.time[b])) for a, b in edges.reshape(-1, 2)]
-        return [(start, end) for start, end in spans if end - start > REST_TIME]
+        return [(start, end) for start, end in spans if end - start > REST_DURATION_MIN_S]
 
 
 def examples_of(rows: Sequence[Row]) -> list[Example]:
-    """Cases whose course was kept."""
+    """Return the tracking cases whose time series was kept."""
     return [example for row in tracked(rows) if (example := _example(row)) is not None]
 
 
 def estimates_of(rows: Sequence[Row]) -> list[Example]:
-    """Cases whose course was kept with what was believed, also those that track nothing."""
+    """Return the cases whose estimates were kept, also those that track nothing."""
     examples = (_example(row) for row in scored(rows))
     return [one for one in examples if one is not None and one.belief is not None]
 
 
 def _absolute(error: Array) -> Array:
-    """Error (S, 3) [m] per axis and in norm [mm], shape (S, 4)."""
-    return MM * np.column_stack([np.abs(error), np.linalg.norm(error, axis=1)])
+    """Return an error (S, 3) [m] per axis and in norm [mm], shape (S, 4)."""
+    return MM_PER_M * np.column_stack([np.abs(error), np.linalg.norm(error, axis=1)])
 
 
 def _example(row: Row) -> Example | None:
-    """The course of a case, or None where it was not kept."""
+    """Return the time series of a case, or None if it was not kept."""
     if row.get("series") is None:
         return None
     series = json.loads(str(row["series"]))

@@ -1,4 +1,4 @@
-"""What the numbers of a study say, in sentences computed from them."""
+"""Conclusions of a study, in sentences computed from its numbers."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from carosac_toolkit.base.tables import counted
-from carosac_toolkit.studies.compare.paired import LEVEL
+from carosac_toolkit.studies.compare.paired import SIGNIFICANCE_LEVEL
 from carosac_toolkit.studies.compare.pairs import compare
 from carosac_toolkit.studies.compare.results import (
-    PAIR,
-    WAYS,
+    COMPARED_COLUMNS,
+    PAIR_COLUMNS,
     StudyResults,
     estimated,
     pooled,
@@ -20,16 +20,16 @@ from carosac_toolkit.studies.compare.results import (
 from carosac_toolkit.studies.run.rows import Row
 from carosac_toolkit.validation.quantities import say_length
 
-SWAY_MIN = 1e-3  # [m]: a smaller swing is not worth a sentence
-CLOSE = 1.2  # ratio below which two digits do not tell what is between
-ENOUGH = 3  # seeds that can show that a covariance is right
-ALIKE = 1.01  # ratio of two errors below which they are not told apart
-BLOCKS = 3  # robots and perturbations that get sentences
+SWAY_MIN_M = 1e-3  # [m]: a smaller swing is not worth a sentence
+CLOSE_RATIO_MAX = 1.2  # ratio below which two digits do not tell what is between
+COVARIANCE_SEEDS_MIN = 3  # seeds that can show that a covariance is right
+EQUAL_RATIO_MAX = 1.01  # ratio of two errors below which they are not told apart
+BLOCKS_MAX = 3  # robots and perturbations that get sentences
 
 
 @dataclass(frozen=True)
-class _Compared:
-    """An error that groups are compared by."""
+class _ComparedError:
+    """Error by which groups are compared."""
 
     error: str
     verb: str
@@ -38,40 +38,42 @@ class _Compared:
     rows: Callable[[Sequence[Row]], list[Row]]
 
     def errors(self, results: StudyResults, members: Sequence[int]) -> dict[int, float]:
-        """The RMSE in norm of those groups that have one [m]."""
-        found = {k: results.summary[k][self.summary]["norm"] for k in members}
-        return {k: error for k, error in found.items() if error is not None}
+        """Return the RMSE in norm of the groups that have one [m]."""
+        by_group = {k: results.summary[k][self.summary]["norm"] for k in members}
+        return {k: error for k, error in by_group.items() if error is not None}
 
 
-TRACKING = _Compared("tracking", "track", "tracking_rmse_norm_m", "tracking_rmse_m", tracked)
-ESTIMATION = _Compared(
+TRACKING_QUANTITY = _ComparedError(
+    "tracking", "track", "tracking_rmse_norm_m", "tracking_rmse_m", tracked
+)
+ESTIMATION_QUANTITY = _ComparedError(
     "estimation", "estimate", "estimation_rmse_norm_m", "estimation_rmse_m", estimated
 )
 
 
 def conclusions(results: StudyResults) -> list[str]:
-    """Say who estimates and tracks best and by how much, over cases that they share."""
+    """State who estimates and tracks best and by how much, over shared cases."""
     blocks: dict[tuple[str, str], list[int]] = {}
     for k, line in enumerate(results.summary):
         blocks.setdefault((line["robot"], line["perturbation"]), []).append(k)
-    said = []
-    for names, members in list(blocks.items())[:BLOCKS]:
+    sentences = []
+    for names, members in list(blocks.items())[:BLOCKS_MAX]:
         where = f"On {names[0]}, {names[1]}: " if len(blocks) > 1 else ""
-        said += [where + text for text in _of_block(results, members)]
-    return said + _notes(results)
+        sentences += [where + text for text in _of_block(results, members)]
+    return sentences + _notes(results)
 
 
 def _of_block(results: StudyResults, members: list[int]) -> Iterator[str]:
     """Compare the groups of one robot and perturbation."""
     if len({results.summary[k]["estimator"] for k in members}) > 1:
-        yield from _compared(results, members, ESTIMATION)
+        yield from _compared(results, members, ESTIMATION_QUANTITY)
     yield from (text for k in members if (text := _consistency(results, k)))
-    yield from _compared(results, members, TRACKING)
-    errors = TRACKING.errors(results, members)
+    yield from _compared(results, members, TRACKING_QUANTITY)
+    errors = TRACKING_QUANTITY.errors(results, members)
     ranked = sorted(errors, key=lambda k: errors[k])
-    if len(ranked) < 2 or errors[ranked[-1]] <= ALIKE * errors[ranked[0]]:
+    if len(ranked) < 2 or errors[ranked[-1]] <= EQUAL_RATIO_MAX * errors[ranked[0]]:
         return
-    labels = results.labels_of(WAYS)
+    labels = results.labels_of(COMPARED_COLUMNS)
     spread = [
         f"{say_length(results.summary[k]['tracking_std_m'])} for {labels[k]}"
         for k in (ranked[0], ranked[-1])
@@ -80,20 +82,20 @@ def _of_block(results: StudyResults, members: list[int]) -> Iterator[str]:
     if len(spread) == 2:
         yield (f"From case to case the RMSE has a standard deviation of {spread[0]}, {spread[1]}.")
     sway = {k: results.summary[k]["residual_sway_m"] for k in (ranked[0], ranked[-1])}
-    if all(size is not None and size > SWAY_MIN for size in sway.values()):
+    if all(size is not None and size > SWAY_MIN_M for size in sway.values()):
         swings = " and ".join(f"{say_length(size)} after {labels[k]}" for k, size in sway.items())
         yield f"At the end the platform still swings: by {swings} (RMS)."
 
 
-def _compared(results: StudyResults, members: list[int], what: _Compared) -> Iterator[str]:
+def _compared(results: StudyResults, members: list[int], what: _ComparedError) -> Iterator[str]:
     """Compare the best group with the second and with the last one."""
     errors = what.errors(results, members)
     ranked = sorted(errors, key=lambda k: errors[k])
     if len(ranked) == 1:
-        label = results.labels_of(WAYS)[ranked[0]]
+        label = results.labels_of(COMPARED_COLUMNS)[ranked[0]]
         yield f"{label} {what.verb}s with {say_length(errors[ranked[0]])} RMSE."
-    if len(ranked) > 2 and errors[ranked[-1]] <= ALIKE * errors[ranked[0]]:
-        names = ", ".join(results.labels_of(WAYS)[k] for k in ranked)
+    if len(ranked) > 2 and errors[ranked[-1]] <= EQUAL_RATIO_MAX * errors[ranked[0]]:
+        names = ", ".join(results.labels_of(COMPARED_COLUMNS)[k] for k in ranked)
         size = f"{say_length(errors[ranked[0]])} to {say_length(errors[ranked[-1]])}"
         yield f"All {what.verb} alike: {size} RMSE ({names})."
     elif len(ranked) > 1:
@@ -101,25 +103,25 @@ def _compared(results: StudyResults, members: list[int], what: _Compared) -> Ite
             yield _pair(results, ranked[0], other, what)
 
 
-def _pair(results: StudyResults, one: int, two: int, what: _Compared) -> str:
+def _pair(results: StudyResults, one: int, two: int, what: _ComparedError) -> str:
     """Compare two groups over the cases in which both have an error."""
     by_case = [
-        {tuple(row[name] for name in PAIR): row for row in what.rows(results.groups[k])}
+        {tuple(row[name] for name in PAIR_COLUMNS): row for row in what.rows(results.groups[k])}
         for k in (one, two)
     ]
     common = [key for key in by_case[0] if key in by_case[1]]
     rows = [[table[key] for key in common] for table in by_case]
     size = [pooled(part, what.column, steps(part)) for part in rows]
-    labels = results.labels_of(WAYS)
+    labels = results.labels_of(COMPARED_COLUMNS)
     names = [labels[one], labels[two]]
     if size[0] is None or size[1] is None:
-        return f"{names[0]} and {names[1]} succeeded in no case together: no comparison."
+        return f"{names[0]} and {names[1]} share no successful case: no comparison."
     if size[0] > size[1]:  # the ranking is over all cases, this is over those they share
         rows, size, names = rows[::-1], size[::-1], names[::-1]
     low, high = float(size[0] or 0.0), float(size[1] or 0.0)
     single = len(common) == 1
     over = "RMSE in the one case of both" if single else f"RMSE over the same {len(common)} cases"
-    if high <= ALIKE * low:
+    if high <= EQUAL_RATIO_MAX * low:
         texts = f"{say_length(low)} and {say_length(high)}"
         return f"{names[0]} and {names[1]} {what.verb} alike: {texts} {over}."
     worse = sum(
@@ -127,7 +129,9 @@ def _pair(results: StudyResults, one: int, two: int, what: _Compared) -> str:
         for a, b in zip(*rows, strict=True)
     )
     ratio = high / low if low > 0.0 else None
-    factor = "larger than" if ratio is None else f"{ratio:.{3 if ratio < CLOSE else 2}g} times"
+    factor = (
+        "larger than" if ratio is None else f"{ratio:.{3 if ratio < CLOSE_RATIO_MAX else 2}g} times"
+    )
     often = "" if single else f", larger in {worse} of them"
     often += "" if single else _doubt(*rows, column=what.column)
     return (
@@ -137,15 +141,15 @@ def _pair(results: StudyResults, one: int, two: int, what: _Compared) -> str:
 
 
 def _doubt(better: Sequence[Row], worse: Sequence[Row], *, column: str) -> str:
-    """That a difference may be chance, where the seeds do not rule it out."""
+    """Note that a difference may be chance, unless the seeds rule it out."""
     pair = compare(better, worse, column)
-    if pair.p is None or pair.p <= LEVEL:
+    if pair.p is None or pair.p <= SIGNIFICANCE_LEVEL:
         return ""
     return f"; with {counted(pair.seeds, 'seed')} this may be chance (p = {pair.p:.2g})"
 
 
 def _consistency(results: StudyResults, group: int) -> str | None:
-    """Whether an estimator is as good as it says."""
+    """Judge whether an estimator's covariance matches its errors."""
     line, label = results.summary[group], _believer(results, group)
     square = line["nees_pose"]
     if line["covariance_faults"]:
@@ -158,16 +162,16 @@ def _consistency(results: StudyResults, group: int) -> str | None:
         return None
     mean, (low, high) = square["mean"], square["band"]
     band = f"95 % band {low:.2f} to {high:.2f} of {counted(square['seeds'], 'seed')}"
-    if low <= mean <= high and square["seeds"] < ENOUGH:
+    if low <= mean <= high and square["seeds"] < COVARIANCE_SEEDS_MIN:
         return f"Nothing contradicts {label}: NEES of the pose {mean:.2f}, in the {band}."
     if low <= mean <= high:
-        return f"{label} is as good as it says: NEES of the pose {mean:.2f}, in the {band}."
-    sure = "too sure of itself" if mean > high else "better than it says"
-    return f"{label} is {sure}: NEES of the pose {mean:.3g}, outside the {band}."
+        return f"{label} is consistent: NEES of the pose {mean:.2f}, in the {band}."
+    verdict = "overconfident" if mean > high else "underconfident"
+    return f"{label} is {verdict}: NEES of the pose {mean:.3g}, outside the {band}."
 
 
 def _believer(results: StudyResults, group: int) -> str:
-    """The estimator of a group, and what else tells it from the other groups."""
+    """Name the estimator of a group, and how it differs from the other groups."""
     line = results.summary[group]
     label = str(line["estimator"])
     for name, word in (("controller", "under"), ("suite", "on")):
@@ -177,13 +181,13 @@ def _believer(results: StudyResults, group: int) -> str:
 
 
 def _notes(results: StudyResults) -> list[str]:
-    """What a reader has to know to read the numbers right."""
+    """Return notes that the reader needs to interpret the numbers."""
     notes = []
     failed = sum(line["failures"] for line in results.summary)
     if failed:
         notes.append(
-            f"{failed} of {counted(len(results.rows), 'case')} without a score: errors of a row "
-            "are those of its own other cases; comparisons are over the cases of both."
+            f"{failed} of {counted(len(results.rows), 'case')} without a score: the errors of "
+            "a row are over its other cases, comparisons over the cases that both solved."
         )
     short = sum(line["incomplete"] for line in results.summary)
     if short:

@@ -1,4 +1,4 @@
-"""A study as paired comparisons with a baseline, for each robot, condition and error."""
+"""Paired comparisons of a study with a baseline, for each robot, condition and error."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.studies.compare.pairs import Estimate, Pair, compare, typical_of
+from carosac_toolkit.studies.compare.pairs import IntervalEstimate, Pair, compare, typical_of
 from carosac_toolkit.studies.compare.resampling import holm
-from carosac_toolkit.studies.compare.results import WAYS, StudyResults, labels_by
-from carosac_toolkit.studies.run.rows import LATENCIES, Row
+from carosac_toolkit.studies.compare.results import COMPARED_COLUMNS, StudyResults, labels_by
+from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS, Row
 
-BLOCK = ("robot", "perturbation")  # groups that met the same plants
-LEVEL = 0.05  # of a difference that counts
+BLOCK_COLUMNS = ("robot", "perturbation")  # groups that met the same plants
+SIGNIFICANCE_LEVEL = 0.05  # of a difference that counts
 
-ERRORS = {  # column of the rows by name
+ERROR_COLUMNS = {  # column of the rows by name
     "tracking": "tracking_rmse_norm_m",
     "tracking_centre": "tracking_centre_m",
     "tracking_boundary": "tracking_boundary_m",
@@ -26,13 +26,13 @@ ERRORS = {  # column of the rows by name
 
 @dataclass(frozen=True, kw_only=True)
 class Compared:
-    """One way of control beside the baseline, by the errors that it has.
+    """Group of a study beside the baseline, by its errors.
 
     Attributes:
-        label: What tells it from the others.
+        label: Label that distinguishes it from the others.
         names: Controller, estimator and suite.
-        cases: That were run.
-        failures: Of these, without a score.
+        cases: Number of cases run.
+        failures: Number of these without a score.
         typical: Typical value of each error over the cases [m].
         pairs: Against the baseline; empty for the baseline itself.
         best: Errors in which it is better than each of the others, beyond doubt.
@@ -43,13 +43,13 @@ class Compared:
     names: Mapping[str, str]
     cases: int
     failures: int
-    typical: Mapping[str, Estimate]
+    typical: Mapping[str, IntervalEstimate]
     pairs: Mapping[str, Pair]
     best: frozenset[str]
     latency: Mapping[str, float | None]
 
     def data(self) -> dict[str, Any]:
-        """All numbers, for JSON."""
+        """Return all numbers, for JSON."""
         return {
             "label": self.label,
             **self.names,
@@ -63,15 +63,15 @@ class Compared:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Block:
-    """All that was compared on one robot and in one condition.
+class PairedBlock:
+    """Comparisons on one robot and in one condition.
 
     Attributes:
         robot: Its name.
         perturbation: The condition that its plants are drawn from.
         baseline: Label of what the others are compared with.
         seeds: Independent draws.
-        trajectories: Of each seed.
+        trajectories: Number of trajectories of each seed.
         compared: In the order of the study.
     """
 
@@ -83,31 +83,32 @@ class Block:
     compared: tuple[Compared, ...]
 
     def data(self) -> dict[str, Any]:
-        """All numbers, for JSON."""
+        """Return all numbers, for JSON."""
         return vars(self) | {"compared": [one.data() for one in self.compared]}
 
 
-def paired_blocks(results: StudyResults, baseline: str | None = None) -> list[Block]:
+def paired_blocks(results: StudyResults, baseline: str | None = None) -> list[PairedBlock]:
     """Compare every group with the baseline of its robot and condition.
 
     Args:
-        results: Of the study.
-        baseline: Label as `labels_by` gives for `WAYS`; by default the first group of each block.
+        results: Results of the study.
+        baseline: Label as `labels_by` gives for `COMPARED_COLUMNS`; by default the first
+            group of each block.
 
     Raises:
         InvalidField: There is no such group.
     """
-    labels = results.labels_of(WAYS)
+    labels = results.labels_of(COMPARED_COLUMNS)
     if baseline is not None:
         check_baseline(baseline, labels)
     members: dict[tuple[str, ...], list[int]] = {}
     for k, line in enumerate(results.summary):
-        members.setdefault(tuple(line[name] for name in BLOCK), []).append(k)
+        members.setdefault(tuple(line[name] for name in BLOCK_COLUMNS), []).append(k)
     return [_block(results, group, labels, baseline) for group in members.values()]
 
 
 def check_baseline(baseline: str, labels: Sequence[str]) -> None:
-    """Refuse a baseline that is not there.
+    """Refuse a baseline that is not a group.
 
     Raises:
         InvalidField: There is no such group.
@@ -119,44 +120,44 @@ def check_baseline(baseline: str, labels: Sequence[str]) -> None:
 def ways_of(
     controllers: Sequence[str], estimators: Sequence[str], suites: Sequence[str]
 ) -> list[str]:
-    """Labels that the groups of a study will have."""
+    """Return the labels that the groups of a study will have."""
     lines = [
-        dict(zip(WAYS, (c, e, s), strict=True))
+        dict(zip(COMPARED_COLUMNS, (c, e, s), strict=True))
         for c in controllers for e in estimators for s in suites
     ]  # fmt: skip
-    return labels_by(WAYS, lines)
+    return labels_by(COMPARED_COLUMNS, lines)
 
 
 def _block(
     results: StudyResults, members: Sequence[int], labels: Sequence[str], baseline: str | None
-) -> Block:
+) -> PairedBlock:
     """Compare the groups of one robot and condition."""
     base = next((k for k in members if labels[k] == baseline), members[0])
     rows = {k: results.groups[k] for k in members}
     typical = {
         name: {k: one for k in members if (one := typical_of(rows[k], column))}
-        for name, column in ERRORS.items()
+        for name, column in ERROR_COLUMNS.items()
     }
-    errors = [name for name, found in typical.items() if found]
-    pairs = {name: _against(rows, base, ERRORS[name]) for name in errors}
-    best = {name: _best(rows, ERRORS[name], typical[name]) for name in errors}
+    errors = [name for name, by_label in typical.items() if by_label]
+    pairs = {name: _against(rows, base, ERROR_COLUMNS[name]) for name in errors}
+    best = {name: _best(rows, ERROR_COLUMNS[name], typical[name]) for name in errors}
     compared = []
     for k in members:
         line = results.summary[k]
         compared.append(
             Compared(
                 label=labels[k],
-                names={name: str(line[name]) for name in WAYS},
+                names={name: str(line[name]) for name in COMPARED_COLUMNS},
                 cases=line["cases"],
                 failures=line["failures"],
                 typical={name: typical[name][k] for name in errors if k in typical[name]},
                 pairs={name: pairs[name][k] for name in errors if k != base},
                 best=frozenset(name for name in errors if best[name] == k),
-                latency={name: line[name] for name in LATENCIES},
+                latency={name: line[name] for name in LATENCY_COLUMNS},
             )
         )
     first = rows[base]
-    return Block(
+    return PairedBlock(
         robot=str(first[0]["robot"]),
         perturbation=str(first[0]["perturbation"]),
         baseline=labels[base],
@@ -174,12 +175,12 @@ def _against(rows: Mapping[int, Sequence[Row]], base: int, column: str) -> dict[
 
 
 def _best(
-    rows: Mapping[int, Sequence[Row]], column: str, typical: Mapping[int, Estimate]
+    rows: Mapping[int, Sequence[Row]], column: str, typical: Mapping[int, IntervalEstimate]
 ) -> int | None:
-    """The group that is better than each of the others beyond doubt, or None.
+    """Return the group that is significantly better than all others, or None.
 
     The intervals of its differences to all others exclude zero, and no p of these comparisons,
-    adjusted for their number, is above `LEVEL`.
+    adjusted for their number, is above `SIGNIFICANCE_LEVEL`.
     """
     if len(typical) < 2:
         return None
@@ -190,7 +191,7 @@ def _best(
         and pair.difference.value > 0.0
         and pair.difference.excludes(0.0)
         and pair.p_holm is not None
-        and pair.p_holm <= LEVEL
+        and pair.p_holm <= SIGNIFICANCE_LEVEL
         for k, pair in pairs.items()
         if k in typical
     )

@@ -1,4 +1,4 @@
-"""Two ways of control on the same draws: paired differences, and who won how many cases."""
+"""Two groups on the same draws: paired differences, and the cases that each won."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.studies.compare.resampling import interval, sign_flip_p, typical
-from carosac_toolkit.studies.compare.results import PAIR
+from carosac_toolkit.studies.compare.results import PAIR_COLUMNS
 from carosac_toolkit.studies.run.rows import Row
 
 
 @dataclass(frozen=True, kw_only=True)
-class Estimate:
-    """A number and its 95 % interval.
+class IntervalEstimate:
+    """Number and its 95 % interval.
 
     Attributes:
         value: The number.
@@ -29,11 +29,11 @@ class Estimate:
     high: float | None = None
 
     def excludes(self, value: float) -> bool:
-        """Whether a value lies outside the interval, which there must be."""
+        """Return whether a value lies outside the interval, which must exist."""
         return self.low is not None and self.high is not None and not self.low <= value <= self.high
 
     def data(self) -> dict[str, float | None]:
-        """The number and its ends, for JSON; None where it is not finite."""
+        """Return all numbers, for JSON; None where a number is not finite."""
         return {
             name: x if x is not None and np.isfinite(x) else None for name, x in vars(self).items()
         }
@@ -41,7 +41,7 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class Pair:
-    """One error of A against that of B, over the cases that both were asked to run.
+    """Error of A against that of B, over the cases that both were asked to run.
 
     Differences and typical errors are over the cases in which both have the error. Won, lost and
     the p of them count failures: who fails where the other does not has lost the case, and where
@@ -49,7 +49,7 @@ class Pair:
 
     Attributes:
         cases: Cases of both, without those in which this error means nothing.
-        scored: Of these, cases in which both have the error.
+        scored: Number of these in which both have the error.
         seeds: Different seeds of these cases.
         failed: Cases without a score of A and of B.
         won: Cases in which the error of A is smaller, or B alone failed.
@@ -57,7 +57,7 @@ class Pair:
         typical: Typical error of A, of B, over the scored cases; see `typical`.
         difference: Typical paired difference, A minus B: negative is in favour of A.
         ratio: Typical error of A over that of B; None where that of B is zero.
-        p: Two-sided, of won and lost, exchanged seed by seed; None without a case.
+        p: Two-sided, of won and lost, permutation test over seeds; None without a case.
         p_holm: The same for as many comparisons as stand together; None before that is known.
     """
 
@@ -68,8 +68,8 @@ class Pair:
     won: int
     lost: int
     typical: tuple[float, float] | None
-    difference: Estimate | None
-    ratio: Estimate | None
+    difference: IntervalEstimate | None
+    ratio: IntervalEstimate | None
     p: float | None
     p_holm: float | None = None
 
@@ -79,11 +79,11 @@ class Pair:
         return self.won / self.cases if self.cases else float("nan")
 
     def adjusted(self, p: float | None) -> Pair:
-        """The same with its p among others."""
+        """Return the same with its p among others."""
         return replace(self, p_holm=p)
 
     def data(self) -> dict[str, Any]:
-        """All numbers, for JSON."""
+        """Return all numbers, for JSON; None where a number is not finite."""
         return {
             "cases": self.cases,
             "scored": self.scored,
@@ -109,13 +109,13 @@ def compare(rows: Sequence[Row], others: Sequence[Row], column: str) -> Pair:
     that succeeded without this error are left out, such as paths that never come near the boundary.
 
     Args:
-        rows: Of A, on one robot and condition.
-        others: Of B, on the same.
+        rows: Rows of A, on one robot and condition.
+        others: Rows of B, on the same.
         column: Name of the error, which is smaller for the better one.
     """
     mine, theirs = errors_by_case(rows, column), errors_by_case(others, column)
     shared = [key for key in mine if key in theirs]
-    a, b = (_table(shared, [found[key] for key in shared]) for found in (mine, theirs))
+    a, b = (_table(shared, [errors[key] for key in shared]) for errors in (mine, theirs))
     failed = (int(np.isinf(a).sum()), int(np.isinf(b).sum()))
     outcomes = np.where(a == b, 0.0, np.sign(np.where(a == b, 0.0, b) - np.where(a == b, 0.0, a)))
     both = np.isfinite(a) & np.isfinite(b)
@@ -135,22 +135,22 @@ def compare(rows: Sequence[Row], others: Sequence[Row], column: str) -> Pair:
     )
 
 
-def typical_of(rows: Sequence[Row], column: str) -> Estimate | None:
-    """Typical error over the cases of a group that have it, with its interval."""
-    found = {key: x for key, x in errors_by_case(rows, column).items() if np.isfinite(x)}
-    return estimate(_table(list(found), list(found.values()))) if found else None
+def typical_of(rows: Sequence[Row], column: str) -> IntervalEstimate | None:
+    """Return the typical error over the cases of a group that have it, with its interval."""
+    errors = {key: x for key, x in errors_by_case(rows, column).items() if np.isfinite(x)}
+    return estimate(_table(list(errors), list(errors.values()))) if errors else None
 
 
 def typical_value(rows: Sequence[Row], column: str) -> float | None:
-    """Typical error over the cases of a group that have it, without an interval."""
-    found = {key: x for key, x in errors_by_case(rows, column).items() if np.isfinite(x)}
-    return _typical(_table(list(found), list(found.values()))) if found else None
+    """Return the typical error over the cases of a group that have it, without an interval."""
+    errors = {key: x for key, x in errors_by_case(rows, column).items() if np.isfinite(x)}
+    return _typical(_table(list(errors), list(errors.values()))) if errors else None
 
 
-def estimate(table: Array) -> Estimate:
-    """Typical value of a table (S, T), one row per seed, NaN where there is no case."""
+def estimate(table: Array) -> IntervalEstimate:
+    """Return the typical value of a table (S, T), one row per seed, NaN where there is no case."""
     ends = interval(typical, table)
-    return Estimate(
+    return IntervalEstimate(
         value=_typical(table), low=ends[0] if ends else None, high=ends[1] if ends else None
     )
 
@@ -160,31 +160,33 @@ def _typical(table: Array) -> float:
 
 
 def errors_by_case(rows: Sequence[Row], column: str) -> dict[tuple[str, int], float]:
-    """An error by trajectory and seed: infinite where the case failed, absent where it has none."""
-    found: dict[tuple[str, int], float] = {}
+    """Return an error by trajectory and seed: infinite for a failed case, absent without one."""
+    errors: dict[tuple[str, int], float] = {}
     for row in rows:
-        trajectory, seed = (row[name] for name in PAIR)
+        trajectory, seed = (row[name] for name in PAIR_COLUMNS)
         value = row.get(column) if row["status"] == "ok" else np.inf
         if value is not None:
-            found[str(trajectory), int(seed or 0)] = float(value)
-    return found
+            errors[str(trajectory), int(seed or 0)] = float(value)
+    return errors
 
 
-def _ratio(a: Array, b: Array) -> Estimate:
-    """Ratio of the typical values of two tables with the same gaps."""
+def _ratio(a: Array, b: Array) -> IntervalEstimate:
+    """Return the ratio of the typical values of two tables with the same gaps."""
 
     def ratio(one: Array, other: Array) -> Array:
         with np.errstate(divide="ignore"):
-            found: Array = typical(one) / typical(other)
-        return found
+            ratios: Array = typical(one) / typical(other)
+        return ratios
 
     ends = interval(ratio, a, b)
     value = _typical(a) / _typical(b)
-    return Estimate(value=value, low=ends[0] if ends else None, high=ends[1] if ends else None)
+    return IntervalEstimate(
+        value=value, low=ends[0] if ends else None, high=ends[1] if ends else None
+    )
 
 
 def _table(keys: Sequence[tuple[str, int]], values: Sequence[float]) -> Array:
-    """Values by seed and trajectory, shape (S, T), NaN where there is none."""
+    """Return values by seed and trajectory, shape (S, T), NaN where there is none."""
     seeds = {seed: k for k, seed in enumerate(dict.fromkeys(seed for _, seed in keys))}
     paths = {name: k for k, name in enumerate(dict.fromkeys(name for name, _ in keys))}
     table = np.full((len(seeds), len(paths)), np.nan)

@@ -8,32 +8,38 @@ from dataclasses import dataclass
 from math import floor, isfinite, log10
 
 from carosac_toolkit.base.tables import counted, fit, wrapped
-from carosac_toolkit.studies.compare.paired import LEVEL, Block, Compared
-from carosac_toolkit.studies.compare.pairs import Estimate, Pair
-from carosac_toolkit.studies.compare.resampling import CONFIDENCE, FEWEST, smallest_p
-from carosac_toolkit.studies.compare.results import WAYS
-from carosac_toolkit.studies.run.rows import LATENCIES
+from carosac_toolkit.studies.compare.paired import SIGNIFICANCE_LEVEL, Compared, PairedBlock
+from carosac_toolkit.studies.compare.pairs import IntervalEstimate, Pair
+from carosac_toolkit.studies.compare.resampling import (
+    CONFIDENCE_LEVEL,
+    INTERVAL_SEEDS_MIN,
+    smallest_p,
+)
+from carosac_toolkit.studies.compare.results import COMPARED_COLUMNS
+from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS
 
-TITLES = {
+QUANTITY_TITLES = {
     "tracking": "tracking",
     "tracking_centre": "centre",
     "tracking_boundary": "boundary",
     "residual_sway": "sway",
     "estimation": "estimation",
 }
-SHOWN = ("tracking", "estimation")  # in the terminal
-MM = 1e3
-MOST_DECIMALS = 2
-DIGITS = 3  # significant ones of the smallest number of a column, where it is not below them
-P_SHOWN = 1e-3
+TERMINAL_QUANTITIES = ("tracking", "estimation")  # in the terminal
+MM_PER_M = 1e3
+DECIMALS_MAX = 2
+SIGNIFICANT_DIGITS = (
+    3  # significant ones of the smallest number of a column, where it is not below them
+)
+P_VALUE_SHOWN_MIN = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sheet:
-    """One table, cells as text without any mark-up.
+    """Table of cells as text without any mark-up.
 
     Attributes:
-        title: What it is of.
+        title: Subject of the table.
         header: Column titles, with units.
         rows: Cells.
         left: Columns on the left that hold names.
@@ -47,19 +53,19 @@ class Sheet:
     bold: frozenset[tuple[int, int]] = frozenset()
 
 
-def sheets(blocks: Sequence[Block]) -> list[Sheet]:
-    """All tables of a study: errors of each block, and its paired differences."""
-    found = []
+def sheets(blocks: Sequence[PairedBlock]) -> list[Sheet]:
+    """Return all tables of a study: errors of each block, and its paired differences."""
+    tables = []
     for block in blocks:
-        found.append(_errors(block))
+        tables.append(_errors(block))
         if differing(block):
-            found.append(_differences(block))
-    return found
+            tables.append(_differences(block))
+    return tables
 
 
-def explanation(blocks: Sequence[Block]) -> str:
-    """What the columns of all tables mean."""
-    percent = f"{100 * CONFIDENCE:.0f} %"
+def explanation(blocks: Sequence[PairedBlock]) -> str:
+    """Explain the columns of all tables."""
+    percent = f"{100 * CONFIDENCE_LEVEL:.0f} %"
     seeds = min(block.seeds for block in blocks)
     text = (
         "Errors are RMSEs of a case in norm. Typical: median over the seeds of each path, mean "
@@ -70,54 +76,55 @@ def explanation(blocks: Sequence[Block]) -> str:
         "path and noise, minus the baseline, over the cases that both solved; ratio: of the "
         "typical errors in the same cases. Won: cases with the smaller error; a case that failed "
         "is lost. Intervals: cluster bootstrap over the seeds, expanded percentiles. p: two-sided, "
-        "of cases won against lost, labels exchanged seed by seed, adjusted by Holm for all "
+        "of cases won against lost, paired permutation test over seeds, Holm-corrected for all "
         "comparisons of the same error in a table. Bold: smallest, and better than each of the "
-        "others: all intervals of its paired differences exclude zero, and p after Holm is at "
-        f"most {LEVEL:g}."
+        "others: all intervals of its paired differences exclude zero, and the corrected p is "
+        f"at most {SIGNIFICANCE_LEVEL:g}."
     )
-    if seeds < FEWEST:
-        text += f" Intervals need {FEWEST} seeds or more; here are {seeds}."
+    if seeds < INTERVAL_SEEDS_MIN:
+        text += f" Intervals need {INTERVAL_SEEDS_MIN} seeds or more; here are {seeds}."
     lowest, fewest, others = max(
         (_lowest_p(block), block.seeds, _others(block)) for block in blocks
     )
-    if lowest > LEVEL:
+    if lowest > SIGNIFICANCE_LEVEL:
         text += (
-            f" With {counted(fewest, 'seed')} and {counted(others, 'comparison')} no p is below "
-            f"{lowest:.2g} after Holm: nothing can be shown at the level {LEVEL:g}."
+            f" With {counted(fewest, 'seed')} and {counted(others, 'comparison')} no corrected p "
+            f"is below {lowest:.2g}: nothing can be significant at the level "
+            f"{SIGNIFICANCE_LEVEL:g}."
         )
     return text
 
 
-def _others(block: Block) -> int:
-    """How many are compared with one."""
+def _others(block: PairedBlock) -> int:
+    """Return how many groups are compared with the baseline."""
     return max(len(block.compared) - 1, 1)
 
 
-def _lowest_p(block: Block) -> float:
-    """The smallest p that a comparison can have, adjusted for the number of them."""
+def _lowest_p(block: PairedBlock) -> float:
+    """Return the smallest p that a comparison can have, Holm-corrected."""
     return min(1.0, _others(block) * smallest_p(block.seeds))
 
 
-def text_tables(blocks: Sequence[Block], width: int) -> str:
-    """The paired differences of tracking and estimation, within a width."""
+def text_tables(blocks: Sequence[PairedBlock], width: int) -> str:
+    """Format the paired differences of tracking and estimation within a width."""
     parts = []
     for block in blocks:
-        if any(name in differing(block) for name in SHOWN):
-            sheet = _differences(block, SHOWN)
+        if any(name in differing(block) for name in TERMINAL_QUANTITIES):
+            sheet = _differences(block, TERMINAL_QUANTITIES)
             parts.append(wrapped(f"Paired, {sheet.title}", width) + f"\n\n{_text(sheet, width)}")
     return "\n\n".join(parts)
 
 
-def text_errors(blocks: Sequence[Block], width: int) -> str:
-    """The typical errors, within a width."""
-    found = [_errors(block) for block in blocks]
-    return "\n\n".join(f"{wrapped(one.title, width)}\n\n{_text(one, width)}" for one in found)
+def text_errors(blocks: Sequence[PairedBlock], width: int) -> str:
+    """Format the typical errors within a width."""
+    tables = [_errors(block) for block in blocks]
+    return "\n\n".join(f"{wrapped(one.title, width)}\n\n{_text(one, width)}" for one in tables)
 
 
-def differing(block: Block) -> list[str]:
-    """Errors in which anything differs from the baseline: estimates may move nothing, say."""
+def differing(block: PairedBlock) -> list[str]:
+    """Return the errors in which any group differs from the baseline."""
     return [
-        name for name in TITLES
+        name for name in QUANTITY_TITLES
         if any(
             (pair := one.pairs.get(name)) is not None and (pair.won or pair.lost)
             for one in block.compared
@@ -126,47 +133,49 @@ def differing(block: Block) -> list[str]:
 
 
 def _text(sheet: Sheet, width: int) -> str:
-    """One table within a width."""
+    """Format one table within a width."""
     groups = (sheet.left, *[1] * (len(sheet.header) - sheet.left))
     return fit(sheet.header, list(sheet.rows), groups, width)
 
 
-def markdown(blocks: Sequence[Block], origin: str = "") -> str:
-    """All tables as Markdown.
+def markdown(blocks: Sequence[PairedBlock], origin: str = "") -> str:
+    """Return all tables as Markdown.
 
     Args:
-        blocks: Of the study.
-        origin: How they were made, as a last paragraph.
+        blocks: Blocks of the study.
+        origin: Origin of the numbers, as a last paragraph.
     """
     parts = [f"**{sheet.title}**\n\n{markdown_table(sheet)}" for sheet in sheets(blocks)]
     return "\n\n".join(filter(None, [*parts, explanation(blocks), origin])) + "\n"
 
 
-def latex(blocks: Sequence[Block], origin: str = "") -> str:
-    r"""All tables as LaTeX, to be read with ``\input``; they need the package booktabs.
+def latex(blocks: Sequence[PairedBlock], origin: str = "") -> str:
+    r"""Return all tables as LaTeX, to be read with ``\input``; they need the package booktabs.
 
     Args:
-        blocks: Of the study.
-        origin: How they were made, as a comment.
+        blocks: Blocks of the study.
+        origin: Origin of the numbers, as a comment.
     """
     head = ["% \\usepackage{booktabs}", *(f"% {line}" for line in origin.splitlines())]
     notes = f"% {explanation(blocks)}"
     return "\n\n".join(["\n".join([*head, notes]), *map(_latex_table, sheets(blocks))]) + "\n"
 
 
-def _errors(block: Block) -> Sheet:
-    """Typical errors, and latencies."""
+def _errors(block: PairedBlock) -> Sheet:
+    """Return the table of typical errors and latencies."""
     names = _names(block)
-    errors = [name for name in TITLES if any(name in one.typical for one in block.compared)]
+    errors = [
+        name for name in QUANTITY_TITLES if any(name in one.typical for one in block.compared)
+    ]
     rows, bold = [], set()
     places = {name: _decimals([_value(one, name) for one in block.compared]) for name in errors}
     for k, one in enumerate(block.compared):
-        cells = [_estimate(one.typical.get(name), MM, places[name]) for name in errors]
-        latency = " / ".join(_milliseconds(one.latency[name]) for name in LATENCIES)
+        cells = [_estimate(one.typical.get(name), MM_PER_M, places[name]) for name in errors]
+        latency = " / ".join(_milliseconds(one.latency[name]) for name in LATENCY_COLUMNS)
         known = [one.names[name] for name in names]
         rows.append((*known, *cells, f"{one.failures}/{one.cases}", latency))
         bold |= {(k, len(names) + errors.index(name)) for name in one.best}
-    titles = [f"{TITLES[name]} [mm]" for name in errors]
+    titles = [f"{QUANTITY_TITLES[name]} [mm]" for name in errors]
     header = (*names, *titles, "failed", "latency 50/95/99 % [ms]")
     title = f"{_where(block)}: typical errors"
     return Sheet(
@@ -174,17 +183,21 @@ def _errors(block: Block) -> Sheet:
     )
 
 
-def _differences(block: Block, wanted: Sequence[str] = tuple(TITLES)) -> Sheet:
-    """Paired differences with the baseline."""
+def _differences(block: PairedBlock, wanted: Sequence[str] = tuple(QUANTITY_TITLES)) -> Sheet:
+    """Return the table of paired differences with the baseline."""
     names, rows = _names(block), []
     errors = [name for name in wanted if name in differing(block)]
     for name in errors:
         pairs = [(one, one.pairs[name]) for one in block.compared if name in one.pairs]
         places = _decimals(
-            [abs(pair.difference.value) * MM for _, pair in pairs if pair.difference is not None]
+            [
+                abs(pair.difference.value) * MM_PER_M
+                for _, pair in pairs
+                if pair.difference is not None
+            ]
         )
         rows += [
-            (TITLES[name], *(one.names[x] for x in names), *_pair(pair, places))
+            (QUANTITY_TITLES[name], *(one.names[x] for x in names), *_pair(pair, places))
             for one, pair in pairs
         ]
     header = ("error", *names, "difference [mm]", "ratio [-]", "won", "p", "failed")
@@ -193,9 +206,9 @@ def _differences(block: Block, wanted: Sequence[str] = tuple(TITLES)) -> Sheet:
 
 
 def _pair(pair: Pair, places: int) -> tuple[str, ...]:
-    """Cells of a comparison."""
+    """Return the cells of a comparison."""
     return (
-        _estimate(pair.difference, MM, places, signed=True),
+        _estimate(pair.difference, MM_PER_M, places, signed=True),
         _estimate(pair.ratio, 1.0, 2),
         f"{pair.won}/{pair.cases}",
         _p(pair.p_holm),
@@ -203,33 +216,35 @@ def _pair(pair: Pair, places: int) -> tuple[str, ...]:
     )
 
 
-def _where(block: Block) -> str:
-    """What a table is of."""
+def _where(block: PairedBlock) -> str:
+    """Name the robot and condition of a table."""
     draws = f"{counted(block.seeds, 'seed')} x {counted(block.trajectories, 'path')}"
     return f"{block.robot}, {block.perturbation}, {draws}"
 
 
-def _names(block: Block) -> list[str]:
-    """What tells the groups of a block apart."""
-    varies = [n for n in WAYS if len({one.names[n] for one in block.compared}) > 1]
+def _names(block: PairedBlock) -> list[str]:
+    """Return the names that distinguish the groups of a block."""
+    varies = [n for n in COMPARED_COLUMNS if len({one.names[n] for one in block.compared}) > 1]
     return varies or ["controller"]
 
 
 def _value(one: Compared, name: str) -> float:
-    """A typical error in mm; not finite where there is none."""
-    return MM * one.typical[name].value if name in one.typical else float("nan")
+    """Return a typical error in mm; not finite if there is none."""
+    return MM_PER_M * one.typical[name].value if name in one.typical else float("nan")
 
 
 def _decimals(values: Sequence[float]) -> int:
-    """How many decimals a column of numbers has: the same for all."""
+    """Return the number of decimals of a column, the same for all its cells."""
     known = [abs(value) for value in values if isfinite(value) and value != 0.0]
     if not known:
         return 1
-    return min(MOST_DECIMALS, max(0, DIGITS - 1 - floor(log10(min(known)))))
+    return min(DECIMALS_MAX, max(0, SIGNIFICANT_DIGITS - 1 - floor(log10(min(known)))))
 
 
-def _estimate(one: Estimate | None, factor: float, places: int, *, signed: bool = False) -> str:
-    """A number with its interval."""
+def _estimate(
+    one: IntervalEstimate | None, factor: float, places: int, *, signed: bool = False
+) -> str:
+    """Format a number with its interval."""
     if one is None:
         return "-"
     sign = "+" if signed else ""
@@ -241,10 +256,10 @@ def _estimate(one: Estimate | None, factor: float, places: int, *, signed: bool 
 
 
 def _p(value: float | None) -> str:
-    """A p; small ones only as such."""
+    """Format a p; a small one as a bound."""
     if value is None:
         return "-"
-    return f"<{P_SHOWN:g}" if value < P_SHOWN else f"{value:.3f}"
+    return f"<{P_VALUE_SHOWN_MIN:g}" if value < P_VALUE_SHOWN_MIN else f"{value:.3f}"
 
 
 def _milliseconds(value: float | None) -> str:
@@ -252,7 +267,7 @@ def _milliseconds(value: float | None) -> str:
 
 
 def markdown_table(sheet: Sheet) -> str:
-    """One table as Markdown."""
+    """Return one table as Markdown."""
     lines = [f"| {' | '.join(sheet.header)} |"]
     lines.append("|" + "---|" * sheet.left + "---:|" * (len(sheet.header) - sheet.left))
     for k, row in enumerate(sheet.rows):
@@ -262,7 +277,7 @@ def markdown_table(sheet: Sheet) -> str:
 
 
 def _latex_table(sheet: Sheet) -> str:
-    """One table as LaTeX."""
+    """Return one table as LaTeX."""
     columns = "l" * sheet.left + "r" * (len(sheet.header) - sheet.left)
     body = []
     for k, row in enumerate(sheet.rows):
@@ -277,18 +292,18 @@ def _latex_table(sheet: Sheet) -> str:
     ])  # fmt: skip
 
 
-_LATEX = {
+_LATEX_ESCAPES = {
     "\\": r"\textbackslash{}", "_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#", "$": r"\$",
     "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
     "<": "$<$", ">": "$>$", "\u00b1": r"$\pm$",
 }  # fmt: skip
 
 
-_SIGNED = re.compile(r"(?<![\w.])([+-]\d[\d.]*)")
+_SIGNED_NUMBER_PATTERN = re.compile(r"(?<![\w.])([+-]\d[\d.]*)")
 
 
 def _latex_cell(text: str, bold: bool = False) -> str:
-    """Text for LaTeX: special characters, and numbers with a true minus sign."""
-    done = "".join(_LATEX.get(character, character) for character in text)
-    done = _SIGNED.sub(r"$\1$", done)
+    """Return text for LaTeX: special characters escaped, numbers with a true minus sign."""
+    done = "".join(_LATEX_ESCAPES.get(character, character) for character in text)
+    done = _SIGNED_NUMBER_PATTERN.sub(r"$\1$", done)
     return rf"\textbf{{{done}}}" if bold else done

@@ -1,4 +1,4 @@
-"""Intervals and tests from resampling, where only seeds are independent of each other.
+"""Intervals and tests by resampling, where only seeds are independent of each other.
 
 The cases of one seed share the plant and the biases of the sensors, so a study with S seeds and T
 trajectories has S independent draws, not S x T. All tables here have one row per seed, and whole
@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 
-CONFIDENCE = 0.95
-RESAMPLES = 5000
-FEWEST = 5  # seeds from which an interval is given
-EXACT = 14  # seeds up to which all sign changes are tried
-CHUNK = 2_000_000  # numbers that are sorted at once
-ROUNDING = 1e-9  # share of the largest sum by which equal sums may differ
+CONFIDENCE_LEVEL = 0.95
+BOOTSTRAP_RESAMPLES = 5000
+INTERVAL_SEEDS_MIN = 5  # seeds from which an interval is given
+EXACT_TEST_SEEDS_MAX = 14  # seeds up to which all sign changes are tried
+SORTED_VALUES_MAX = 2_000_000  # numbers that are sorted at once
+ROUNDING_TOLERANCE = 1e-9  # share of the largest sum by which equal sums may differ
 
 Statistic = Callable[..., Array]  # tables (R, S, T), one for each given, to values (R,)
 
 
 def typical(table: Array) -> Array:
-    """Median over the seeds of each trajectory, then the mean over the trajectories.
+    """Return the median over the seeds of each trajectory, then the mean over the trajectories.
 
     Trajectories differ in how hard they are, so that errors of all of them together have several
     modes, between which a median of all would jump; over the seeds of one it is robust.
@@ -43,18 +43,18 @@ def typical(table: Array) -> Array:
     middle, some = (0.5 * (low + high))[:, 0], (count > 0)[:, 0]
     total = np.where(some, middle, 0.0).sum(axis=1)
     paths = some.sum(axis=1)
-    found: Array = np.where(paths > 0, total / np.maximum(paths, 1), np.nan)
-    return found
+    means: Array = np.where(paths > 0, total / np.maximum(paths, 1), np.nan)
+    return means
 
 
 def interval(
     statistic: Statistic,
     *tables: Array,
-    confidence: float = CONFIDENCE,
-    resamples: int = RESAMPLES,
+    confidence: float = CONFIDENCE_LEVEL,
+    resamples: int = BOOTSTRAP_RESAMPLES,
     seed: int = 0,
 ) -> tuple[float, float] | None:
-    """Confidence interval of a statistic: cluster bootstrap, expanded percentiles.
+    """Return the confidence interval of a statistic: cluster bootstrap, expanded percentiles.
 
     Seeds are drawn with replacement, each with all its cases and in all tables alike. Percentile
     intervals of few clusters are too short: their variance lacks a factor S / (S - 1), and the
@@ -65,14 +65,14 @@ def interval(
     Args:
         statistic: Called with one table of shape (R, S, T) for each of `tables`.
         tables: Shape (S, T), NaN where there is no case; one row per seed.
-        confidence: Of the interval.
-        resamples: How many.
-        seed: Of the resampling.
+        confidence: Confidence level of the interval.
+        resamples: Number of resamples.
+        seed: Seed of the resampling.
 
     Returns:
-        Lower and upper end; None with fewer than `FEWEST` seeds, in all or on a trajectory that has
-        any, or where a resample has no value. Resamples without a trajectory are left out, as they
-        would be of something else.
+        Lower and upper end; None with fewer than `INTERVAL_SEEDS_MIN` seeds, in all or on a
+        trajectory that has any, or where a resample has no value. Resamples without a trajectory
+        are left out, as they would estimate something else.
 
     References:
         Davison and Hinkley, *Bootstrap Methods and their Application*, 1997, section 3.8.
@@ -83,10 +83,10 @@ def interval(
     kept = [table[known] for table in tables]
     seeds = len(kept[0])
     found_on = np.array([(~np.isnan(table)).sum(axis=0) for table in kept])
-    if seeds < FEWEST or (found_on[found_on > 0] < FEWEST).any():
+    if seeds < INTERVAL_SEEDS_MIN or (found_on[found_on > 0] < INTERVAL_SEEDS_MIN).any():
         return None
     rng = np.random.default_rng(seed)
-    step = max(1, CHUNK // kept[0].size)
+    step = max(1, SORTED_VALUES_MAX // kept[0].size)
     values = []
     for first in range(0, resamples, step):
         rows = min(step, resamples - first)
@@ -94,35 +94,37 @@ def interval(
         for table in kept:
             drawn = drawn[_with_all_paths(table, drawn)]
         values.append(statistic(*(table[drawn] for table in kept)))
-    found = np.concatenate(values)
-    if np.isnan(found).any():
+    samples = np.concatenate(values)
+    if np.isnan(samples).any():
         return None
     tail = _tail(confidence, seeds)
-    low = np.quantile(found, tail, method="lower")
-    return float(low), float(np.quantile(found, 1.0 - tail, method="higher"))
+    low = np.quantile(samples, tail, method="lower")
+    return float(low), float(np.quantile(samples, 1.0 - tail, method="higher"))
 
 
 def _with_all_paths(table: Array, drawn: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which draws of rows (R, S) have a case on every trajectory of a table that has any, (R,)."""
+    """Return the draws of rows (R, S) that have a case on every trajectory with any, (R,)."""
     there = ~np.isnan(table)
     gaps = there[:, there.any(axis=0) & ~there.all(axis=0)]
     on_each: NDArray[np.bool_] = np.asarray(gaps[drawn].any(axis=1))
     return np.asarray(on_each.all(axis=1))
 
 
-def sign_flip_p(outcomes: Array, *, draws: int = RESAMPLES, seed: int = 0) -> float | None:
-    """Two-sided p of the net number of cases won, labels exchanged seed by seed.
+def sign_flip_p(
+    outcomes: Array, *, draws: int = BOOTSTRAP_RESAMPLES, seed: int = 0
+) -> float | None:
+    """Return the two-sided p of the net number of cases won: a paired permutation test over seeds.
 
-    Under the hypothesis that it makes no difference which of the two is which, the labels of all
-    cases of a seed may be exchanged. With S seeds no p is below 2 / 2^S. Up to `EXACT` seeds all
+    Under the null hypothesis that the two are equal, the labels of all cases of a seed may be
+    exchanged. With S seeds no p is below 2 / 2^S. Up to `EXACT_TEST_SEEDS_MAX` seeds all
     exchanges are tried and the test is exact. It is a sign test for clusters: like the median, it
-    does not ask by how much a case is won, so that a few large errors decide nothing.
+    ignores by how much a case is won, so that a few large errors decide nothing.
 
     Args:
         outcomes: 1, 0 or -1 for a case that the first of the two won, that nobody won, or that it
             lost, shape (S, T), one row per seed; NaN where there is no case.
-        draws: Random exchanges with more seeds than `EXACT`.
-        seed: Of these.
+        draws: Random exchanges with more seeds than `EXACT_TEST_SEEDS_MAX`.
+        seed: Seed of these exchanges.
 
     Returns:
         p, or None without a case.
@@ -137,7 +139,7 @@ def sign_flip_p(outcomes: Array, *, draws: int = RESAMPLES, seed: int = 0) -> fl
 
 
 def holm(p_values: Sequence[float | None]) -> list[float | None]:
-    """Adjust p for as many tests: the chance of any false finding stays below their level.
+    """Adjust each p for their number (Holm), which bounds the chance of any false finding.
 
     References:
         Holm, A Simple Sequentially Rejective Multiple Test Procedure, *Scandinavian Journal of
@@ -153,24 +155,30 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
 
 
 def smallest_p(seeds: int) -> float:
-    """The smallest p that this many seeds can give."""
-    return float(min(1.0, 2.0 ** (1 - seeds))) if seeds <= EXACT else 1.0 / (RESAMPLES + 1)
+    """Return the smallest p that this many seeds can give."""
+    return (
+        float(min(1.0, 2.0 ** (1 - seeds)))
+        if seeds <= EXACT_TEST_SEEDS_MAX
+        else 1.0 / (BOOTSTRAP_RESAMPLES + 1)
+    )
 
 
 def _flipped(sums: Array, draws: int, seed: int) -> float:
-    """Share of sign changes whose total is as far from zero as that of the sums (S,)."""
+    """Return the share of sign changes whose total is as far from zero as that of the sums (S,)."""
     seeds = len(sums)
-    if seeds <= EXACT:
+    if seeds <= EXACT_TEST_SEEDS_MAX:
         bits = np.arange(2**seeds)[:, None] >> np.arange(seeds) & 1
     else:
         bits = np.random.default_rng(seed).integers(0, 2, size=(draws, seeds))
     totals = np.abs((1.0 - 2.0 * bits) @ sums)
-    far = totals >= abs(sums.sum()) - ROUNDING * float(np.abs(sums).sum())
-    return float(far.mean()) if seeds <= EXACT else float((1 + far.sum()) / (1 + draws))
+    far = totals >= abs(sums.sum()) - ROUNDING_TOLERANCE * float(np.abs(sums).sum())
+    return (
+        float(far.mean()) if seeds <= EXACT_TEST_SEEDS_MAX else float((1 + far.sum()) / (1 + draws))
+    )
 
 
 def _tail(confidence: float, seeds: int) -> float:
-    """Percentile of the lower end."""
+    """Return the percentile of the lower end."""
     from scipy.special import ndtr, stdtrit
 
     quantile = float(stdtrit(seeds - 1, 0.5 + 0.5 * confidence))

@@ -1,4 +1,4 @@
-"""What a study found: its rows, and one line per way of control.
+"""Results of a study: its rows, and one summary line per group.
 
 How rows become one line:
 
@@ -26,13 +26,16 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit.loop.consistency import POSE_SIZE, STATE_SIZE, band
-from carosac_toolkit.studies.run.rows import LATENCIES, Row
+from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS, Row
 
-WAYS = ("controller", "estimator", "suite")  # what is compared
-GROUP = ("robot", "controller", "estimator", "suite", "perturbation")
-PAIR = ("trajectory", "seed")  # with robot and perturbation: the same plant on the same path
-NAMES = ("x", "y", "z", "norm")
-_NUMBER = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
+COMPARED_COLUMNS = ("controller", "estimator", "suite")  # what is compared
+GROUP_COLUMNS = ("robot", "controller", "estimator", "suite", "perturbation")
+PAIR_COLUMNS = (
+    "trajectory",
+    "seed",
+)  # with robot and perturbation: the same plant on the same path
+AXIS_NAMES = ("x", "y", "z", "norm")
+_NUMBER_PATTERN = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,7 +44,7 @@ class StudyResults:
 
     Attributes:
         rows: One per case, in the order of the cases.
-        folder: Where they are kept.
+        folder: Folder that holds them.
     """
 
     rows: tuple[Row, ...]
@@ -50,32 +53,32 @@ class StudyResults:
     @cached_property
     def groups(self) -> list[list[Row]]:
         """Rows of each robot, controller, estimator, suite and perturbation, in order."""
-        found: dict[tuple[Any, ...], list[Row]] = {}
+        by_group: dict[tuple[Any, ...], list[Row]] = {}
         for row in self.rows:
-            found.setdefault(tuple(row[name] for name in GROUP), []).append(row)
-        return list(found.values())
+            by_group.setdefault(tuple(row[name] for name in GROUP_COLUMNS), []).append(row)
+        return list(by_group.values())
 
     @cached_property
     def summary(self) -> list[dict[str, Any]]:
-        """One line per group; what is unknown is None."""
+        """One line per group; unknown values are None."""
         return [_line(rows) for rows in self.groups]
 
     @cached_property
     def labels(self) -> list[str]:
-        """Short names of the groups, all different: what they do not share."""
-        return self.labels_of(GROUP)
+        """Short, distinct names of the groups: the fields that they do not share."""
+        return self.labels_of(GROUP_COLUMNS)
 
     def labels_of(self, names: Sequence[str]) -> list[str]:
-        """Names of the groups by those of some fields that they do not share."""
+        """Name the groups by those of some fields that they do not share."""
         return labels_by(names, self.summary)
 
     @property
     def complete(self) -> bool:
-        """Whether at least one case of every group succeeded."""
+        """True if at least one case of every group succeeded."""
         return all(line["failures"] < line["cases"] for line in self.summary)
 
     def data(self) -> dict[str, Any]:
-        """All numbers under names with units, ready for JSON."""
+        """Return all numbers under names with units, ready for JSON."""
         return {"summary": self.summary, "cases": len(self.rows)}
 
 
@@ -86,22 +89,22 @@ def labels_by(names: Sequence[str], lines: Sequence[Mapping[str, Any]]) -> list[
 
 
 def scored(rows: Sequence[Row]) -> list[Row]:
-    """Rows of cases that succeeded."""
+    """Return the rows of cases that succeeded."""
     return [row for row in rows if row["status"] == "ok"]
 
 
 def tracked(rows: Sequence[Row]) -> list[Row]:
-    """Rows with a tracking error: a driver that follows commands, and a known truth."""
+    """Return the rows with a tracking error: a driver that follows commands, and a known truth."""
     return [row for row in scored(rows) if row.get("tracking_rmse_norm_m") is not None]
 
 
 def estimated(rows: Sequence[Row]) -> list[Row]:
-    """Rows with an estimation error: cases that succeeded, and a known truth."""
+    """Return the rows with an estimation error: cases that succeeded, and a known truth."""
     return [row for row in scored(rows) if row.get("estimation_rmse_norm_m") is not None]
 
 
 def pooled(rows: Sequence[Row], name: str, weights: Sequence[float]) -> float | None:
-    """Root of the weighted mean of squares of a column, None where no row has it."""
+    """Return the root of the weighted mean of squares of a column, None if no row has it."""
     pairs = [(row.get(name), w) for row, w in zip(rows, weights, strict=True)]
     known = [(float(value), w) for value, w in pairs if value is not None and w > 0]
     if not known:
@@ -111,31 +114,31 @@ def pooled(rows: Sequence[Row], name: str, weights: Sequence[float]) -> float | 
 
 
 def steps(rows: Sequence[Row]) -> list[float]:
-    """Number of steps of each row."""
+    """Return the number of steps of each row."""
     return [_number(row, "steps") for row in rows]
 
 
 def reasons(rows: Sequence[Row]) -> dict[str, int]:
-    """Why cases have no scores, the most frequent first; those that differ in numbers are one."""
+    """Count why cases have no scores, most frequent first, whatever their numbers."""
     counts: dict[str, int] = {}
     shown: dict[str, str] = {}
     for row in rows:
         if row["status"] == "ok":
             continue
         text = f"{str(row['status']).replace('_', ' ')}: {row['reason']}"
-        kind = shown.setdefault(_NUMBER.sub("#", text), text)
+        kind = shown.setdefault(_NUMBER_PATTERN.sub("#", text), text)
         counts[kind] = counts.get(kind, 0) + 1
     return dict(sorted(counts.items(), key=lambda pair: -pair[1]))
 
 
 def _line(rows: Sequence[Row]) -> dict[str, Any]:
-    """Summary of one group."""
+    """Return the summary of one group."""
     good, moved = scored(rows), tracked(rows)
     norms = [float(row["tracking_rmse_norm_m"] or 0.0) for row in moved]
     inside = [_number(row, "centre_steps") for row in moved]
     outside = [all_steps - k for all_steps, k in zip(steps(moved), inside, strict=True)]
     return {
-        **{name: rows[0][name] for name in GROUP},
+        **{name: rows[0][name] for name in GROUP_COLUMNS},
         "cases": len(rows),
         "failures": len(rows) - len(good),
         "incomplete": sum(row.get("completed") is False for row in good),
@@ -154,30 +157,30 @@ def _line(rows: Sequence[Row]) -> dict[str, Any]:
         "residual_sway_m": pooled(moved, "residual_sway_m", [1.0] * len(moved)),
         "command_rmse_m": pooled(good, "command_rmse_m", steps(good)),
         "limited": int(sum(_number(row, "limited") for row in good)),
-        **{name: _middle(good, name) for name in LATENCIES},
+        **{name: _middle(good, name) for name in LATENCY_COLUMNS},
         "reasons": reasons(rows),
     }
 
 
 def _per_axis(rows: Sequence[Row], what: str) -> dict[str, float | None]:
-    """Pooled error per axis and in norm [m]."""
-    return {axis: pooled(rows, f"{what}_rmse_{axis}_m", steps(rows)) for axis in NAMES}
+    """Return the pooled error per axis and in norm [m]."""
+    return {axis: pooled(rows, f"{what}_rmse_{axis}_m", steps(rows)) for axis in AXIS_NAMES}
 
 
 def _mean(rows: Sequence[Row], name: str) -> float | None:
-    """Mean of a column, None where no row has it."""
+    """Return the mean of a column, None if no row has it."""
     known = [float(value) for row in rows if (value := row.get(name)) is not None]
     return float(np.mean(known)) if known else None
 
 
 def _middle(rows: Sequence[Row], name: str) -> float | None:
-    """Median of a column, None where no row has it."""
+    """Return the median of a column, None if no row has it."""
     known = [float(value) for row in rows if (value := row.get(name)) is not None]
     return float(np.median(known)) if known else None
 
 
 def _normalised(rows: Sequence[Row], name: str, dof: float | None) -> dict[str, Any] | None:
-    """Mean of normalised squares over cases, with the band that 95 % of such means lie in."""
+    """Return the mean of normalised squares over cases, with the 95 % band of such means."""
     mean, seeds = _mean(rows, name), len({x["seed"] for x in rows if x.get(name) is not None})
     if mean is None or dof is None:
         return None
@@ -185,6 +188,6 @@ def _normalised(rows: Sequence[Row], name: str, dof: float | None) -> dict[str, 
 
 
 def _number(row: Row, name: str) -> float:
-    """A number of a row; 0 where it has none."""
+    """Return a number of a row; 0 if it has none."""
     value = row.get(name)
     return float(value) if isinstance(value, int | float) else 0.0

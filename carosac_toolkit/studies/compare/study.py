@@ -1,4 +1,4 @@
-"""A comparative study as one value: what is compared, on what, and how it is run."""
+"""Comparative study as one value: its axes, its conditions and its execution."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from typing import Any
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.plugins import name_of
-from carosac_toolkit.studies.compare.checks import RECORDED, check_study
+from carosac_toolkit.studies.compare.checks import RECORDED_TRAJECTORY, check_study
 from carosac_toolkit.studies.compare.results import StudyResults
 from carosac_toolkit.studies.run.batching import Batching
 from carosac_toolkit.studies.run.case import Case, product
 from carosac_toolkit.studies.run.cluster import remote_client, usable_cores
-from carosac_toolkit.studies.run.engine import TIMEOUT, run_cases
+from carosac_toolkit.studies.run.engine import DEFAULT_TIMEOUT_S, run_cases
 from carosac_toolkit.studies.run.folder import free_folder
-from carosac_toolkit.studies.run.run_case import DRIVER, robot_digest
+from carosac_toolkit.studies.run.run_case import robot_digest
 
-FUNCTION = "carosac_toolkit.studies.run.run_case:run_case"
-GROUP = "carosac_toolkit.studies.run.run_together:group_of"
-TOGETHER = "carosac_toolkit.studies.run.run_together:run_together"
-FOLDER = Path("carosac-results") / "compare"
-SEEDS = 10
+CASE_FUNCTION = "carosac_toolkit.studies.run.run_case:run_case"
+GROUPING_FUNCTION = "carosac_toolkit.studies.run.run_together:group_of"
+BATCH_FUNCTION = "carosac_toolkit.studies.run.run_together:run_together"
+DEFAULT_STUDY_FOLDER = Path("carosac-results") / "compare"
+DEFAULT_SEEDS = 10
 QUICK_SEEDS = 2
-CONTROLLERS = ("straight_line", "kinematic_solver")
-ESTIMATORS = ("kinematic_solver",)
-TRAJECTORIES = ("minimum_snap", "cubic_spline", "waypoints", "circle", "spiral")
+DEFAULT_CONTROLLERS = ("straight_line", "kinematic_solver")
+DEFAULT_ESTIMATORS = ("kinematic_solver",)
+DEFAULT_TRAJECTORIES = ("minimum_snap", "cubic_spline", "waypoints", "circle", "spiral")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,21 +55,22 @@ class Study:
         output: Folder of the results; a second run with the same folder goes on. None is
             ``carosac-results/compare``, numbered where another study is there already.
         scheduler: Address of a dask scheduler, or None for processes of this machine.
-        workers: How many processes; 0 is this one; None is as many as there are cores.
-        timeout: How long a case may run [s].
+        workers: Number of processes; 0 runs in this one; None is one per core.
+        timeout: Time limit of a case [s].
         retry: Statuses of finished cases to run again: ``failed``, ``crashed``, ``timed_out``.
-        batch: How many seeds run together in one simulation, where driver, controller and estimator
-            can; 1 is each alone. The rows are the same to rounding, but without latencies.
+        batch: Number of seeds that run together in one simulation, if driver, controller and
+            estimator can; 1 is each alone. The rows are the same to rounding, but without
+            latencies.
     """
 
     robots: Sequence[str] = ("carosac",)
-    controllers: Sequence[Any] = CONTROLLERS
-    estimators: Sequence[Any] = ESTIMATORS
+    controllers: Sequence[Any] = DEFAULT_CONTROLLERS
+    estimators: Sequence[Any] = DEFAULT_ESTIMATORS
     suites: Sequence[str] = ("lengths",)
-    trajectories: Sequence[str] = TRAJECTORIES
+    trajectories: Sequence[str] = DEFAULT_TRAJECTORIES
     perturbations: Sequence[str] = ("nominal-1",)
-    seeds: int | Sequence[int] = SEEDS
-    driver: Any = DRIVER
+    seeds: int | Sequence[int] = DEFAULT_SEEDS
+    driver: Any = DEFAULT_DRIVER
     speed_max: float = 1.0
     acceleration_max: float = 1.0
     controller_settings: Mapping[Any, Mapping[str, Any]] = field(default_factory=dict)
@@ -78,7 +79,7 @@ class Study:
     output: str | Path | None = None
     scheduler: str | None = None
     workers: int | None = None
-    timeout: float = TIMEOUT
+    timeout: float = DEFAULT_TIMEOUT_S
     retry: Sequence[str] = ()
     batch: int = 1
 
@@ -86,7 +87,7 @@ class Study:
         """Turn lists into tuples and classes into names; refuse a string instead of a list."""
         for item in fields(self):
             value = getattr(self, item.name)
-            if item.name in ("seeds", "retry", *AXES) and not isinstance(value, int):
+            if item.name in ("seeds", "retry", *STUDY_AXES) and not isinstance(value, int):
                 if isinstance(value, str) or not isinstance(value, Sequence):
                     raise InvalidField(item.name, repr(value), "a list")
                 object.__setattr__(self, item.name, tuple(value))
@@ -99,34 +100,34 @@ class Study:
             object.__setattr__(self, f"{kind[:-1]}_settings", by_name)
         known = self.trajectories and set(self.trajectories) <= set(trajectories.NAMES)
         if self.driver == "replay" and known:  # `check` refuses all others
-            object.__setattr__(self, "trajectories", (RECORDED,))
+            object.__setattr__(self, "trajectories", (RECORDED_TRAJECTORY,))
         if isinstance(self.seeds, int) and (isinstance(self.seeds, bool) or self.seeds < 1):
             raise InvalidField("seeds", repr(self.seeds), "1 or more, or a list of seeds")
 
     def quick(self) -> Study:
-        """The same with the first two seeds: for a first look, in under a minute."""
+        """Return the same study with the first two seeds: a first look, in under a minute."""
         return replace(self, seeds=self.seed_list[:QUICK_SEEDS])
 
     @property
     def seed_list(self) -> tuple[int, ...]:
-        """The seeds themselves."""
+        """Seeds of the study."""
         return tuple(range(self.seeds)) if isinstance(self.seeds, int) else tuple(self.seeds)
 
     def cases(self) -> list[Case]:
-        """All cases, those of one controller and estimator together, the seeds changing fastest.
+        """Return all cases, grouped by controller and estimator, the seeds changing fastest.
 
         Raises:
             InvalidField: An axis is empty or names a value twice, or a value is not allowed.
         """
         cases = product(
-            **{name: getattr(self, name) for name in AXES},
+            **{name: getattr(self, name) for name in STUDY_AXES},
             seeds=self.seed_list,
             settings=self._settings(),
         )
         return [replace(case, settings=self._settings_of(case)) for case in cases]
 
     def check(self) -> None:
-        """Refuse what could not run, before any work is done and anything is written.
+        """Refuse a study that could not run, before any work is done or anything is written.
 
         Raises:
             CarosacError: A name that leads nowhere, a number out of its range, a scheduler that
@@ -138,14 +139,18 @@ class Study:
                 pass
 
     def folder(self) -> Path:
-        """Where the results go."""
-        return Path(self.output) if self.output is not None else free_folder(FOLDER, self.cases())
+        """Return the folder of the results."""
+        return (
+            Path(self.output)
+            if self.output is not None
+            else free_folder(DEFAULT_STUDY_FOLDER, self.cases())
+        )
 
     def run(self, *, progress: bool = True) -> StudyResults:
-        """Check everything, run what is missing in the folder, and score.
+        """Check everything, run the missing cases of the folder, and score.
 
         Args:
-            progress: Whether to tell on standard error how far it is.
+            progress: True to report progress on standard error.
 
         Raises:
             CarosacError: As `check` and `run_cases`.
@@ -153,7 +158,7 @@ class Study:
         self.check()
         folder = self.folder()
         rows = run_cases(
-            self.cases(), FUNCTION, folder=folder, scheduler=self.scheduler,
+            self.cases(), CASE_FUNCTION, folder=folder, scheduler=self.scheduler,
             workers=self._worker_count(), timeout=self.timeout, retry=self.retry,
             batching=self._batching(),
             progress=progress,
@@ -161,13 +166,13 @@ class Study:
         return StudyResults(rows=tuple(rows), folder=folder)
 
     def _batching(self) -> Batching | None:
-        """How cases run together."""
+        """Return how cases run together."""
         if self.batch == 1:
             return None
-        return Batching(group=GROUP, function=TOGETHER, size=self.batch)
+        return Batching(group=GROUPING_FUNCTION, function=BATCH_FUNCTION, size=self.batch)
 
     def _worker_count(self) -> int | None:
-        """Workers to ask for: code from outside never runs in this process unless asked to.
+        """Return the number of workers; user code runs in this process only on request.
 
         A plug-in of the user may hang or end its process, which must cost its own cases only.
         """
@@ -177,7 +182,7 @@ class Study:
         return self.workers
 
     def _settings(self) -> dict[str, Any]:
-        """What all cases share; pictures are of the first seed."""
+        """Return the settings that all cases share; pictures are of the first seed."""
         settings: dict[str, Any] = {
             "driver": self.driver,
             "speed_max": float(self.speed_max),
@@ -189,7 +194,7 @@ class Study:
         return settings
 
     def _settings_of(self, case: Case) -> dict[str, Any]:
-        """Settings of one case, those of its own controller and estimator included."""
+        """Return the settings of one case, with those of its controller and estimator."""
         settings = dict(case.settings) | {"robot_digest": robot_digest(case.robot)}
         if case.controller in self.controller_settings:
             settings["controller_settings"] = dict(self.controller_settings[case.controller])
@@ -198,4 +203,4 @@ class Study:
         return settings
 
 
-AXES = ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations")
+STUDY_AXES = ("robots", "controllers", "estimators", "suites", "trajectories", "perturbations")

@@ -1,4 +1,4 @@
-"""The summary of a study as rows for people: mm and ms."""
+"""Summary of a study as readable rows, in mm and ms."""
 
 from __future__ import annotations
 
@@ -6,44 +6,44 @@ import textwrap
 from typing import Any
 
 from carosac_toolkit.base.tables import Rows, counted, fit
-from carosac_toolkit.studies.compare.results import NAMES, StudyResults
+from carosac_toolkit.studies.compare.results import AXIS_NAMES, StudyResults
 
-UNITS = (
+ERROR_TABLE_CAPTION = (
     "Errors in mm. x, y, z, norm: RMSE of the tracking error, all steps of all cases; std: "
     "standard deviation of the norm from case to case; centre: in the middle half of each side "
     "of the workspace box, boundary: the rest; estimate: RMSE of the estimation error in norm; "
-    "p95: its 95th percentile; turn: RMSE of the believed orientation in mrad; sway: RMS in the "
+    "p95: its 95th percentile; turn: RMSE of the estimated orientation in mrad; sway: RMS in the "
     "3 s after the end; failed: cases without a score; cycle: latency of estimator and "
     "controller, 95th percentile."
 )
-CONSISTENCY = (
+CONSISTENCY_CAPTION = (
     " NEES: normalised estimation error squared, of pose (6) and of pose and twist (12); NIS: "
     "normalised innovation squared; each over its degrees of freedom, mean over all cases: 1 is "
     "right. + is above the band that 95 % of the means of as many independent draws as there are "
-    "seeds lie in: the estimator is too sure of itself; - is below. rejected: cycles in which a "
-    "measurement was not believed."
+    "seeds lie in: the estimator is overconfident; - is below. rejected: cycles in which a "
+    "measurement was rejected."
 )
-COLUMNS = (
-    *NAMES, "std", "centre", "boundary", "estimate", "p95", "turn", "sway", "failed",
+ERROR_TABLE_COLUMNS = (
+    *AXIS_NAMES, "std", "centre", "boundary", "estimate", "p95", "turn", "sway", "failed",
     "cycle [ms]",
 )  # fmt: skip
-GROUPS = (3, 2, 2, 3, 2, 1)  # columns that stay together
-SQUARES = {"nees_pose": "NEES 6", "nees": "NEES 12", "nis": "NIS"}
+COLUMN_GROUPS = (3, 2, 2, 3, 2, 1)  # columns that stay together
+CONSISTENCY_TITLES = {"nees_pose": "NEES 6", "nees": "NEES 12", "nis": "NIS"}
 REASONS_SHOWN = 3  # of a group
 
 
 def header(results: StudyResults) -> tuple[str, ...]:
-    """Titles of the columns."""
-    return (*_names(results), *COLUMNS, *_consistency_columns(results))
+    """Return the titles of the columns."""
+    return (*_names(results), *ERROR_TABLE_COLUMNS, *_consistency_columns(results))
 
 
 def units(results: StudyResults) -> str:
-    """What the columns mean."""
-    return UNITS + (CONSISTENCY if _consistency_columns(results) else "")
+    """Explain the columns."""
+    return ERROR_TABLE_CAPTION + (CONSISTENCY_CAPTION if _consistency_columns(results) else "")
 
 
 def rows(results: StudyResults) -> Rows:
-    """One row per group."""
+    """Return one row per group."""
     return [
         (*(str(line[name]) for name in _names(results)), *_cells(line), *more)
         for line, more in zip(results.summary, _consistency_cells(results), strict=True)
@@ -51,17 +51,17 @@ def rows(results: StudyResults) -> Rows:
 
 
 def name_columns(results: StudyResults) -> int:
-    """How many columns on the left hold names."""
+    """Return how many columns on the left hold names."""
     return len(_names(results))
 
 
 def text_table(results: StudyResults, width: int) -> str:
-    """The table within a width, in as many blocks as it takes."""
+    """Format the table within a width, in as many blocks as needed."""
     titles, cells = header(results), rows(results)
     left = name_columns(results)
     widths = [max(len(line[i]) for line in [titles, *cells]) for i in range(len(titles))]
     more = len(_consistency_columns(results))
-    groups = (*GROUPS, more) if more else GROUPS
+    groups = (*COLUMN_GROUPS, more) if more else COLUMN_GROUPS
     ends = [left + sum(groups[: k + 1]) for k in range(len(groups))]
     starts = zip([left, *ends], ends, strict=False)
     numbers = max(sum(w + 2 for w in widths[first:end]) for first, end in starts)
@@ -72,7 +72,7 @@ def text_table(results: StudyResults, width: int) -> str:
 
 
 def failures(results: StudyResults) -> list[str]:
-    """Which groups lost cases, and why; lines that begin with a blank belong to the last one."""
+    """List the groups that lost cases, and why; indented lines belong to the one above."""
     lines = []
     for label, line in zip(results.labels, results.summary, strict=True):
         if not line["failures"]:
@@ -87,19 +87,19 @@ def failures(results: StudyResults) -> list[str]:
         if any("no tensions within the limits" in reason for reason, _ in listed):
             robot = line["robot"]
             lines.append(
-                "  paths are drawn in the workspace box of the robot file; where in it the robot "
-                f"can rest says carosac workspace {robot}"
+                "  paths are drawn in the workspace box of the robot file; carosac workspace "
+                f"{robot} shows where in it the robot can rest"
             )
     return lines
 
 
 def _short(reason: str) -> str:
-    """First 200 characters on one line."""
+    """Return the first 200 characters on one line."""
     return textwrap.shorten(reason, 200, placeholder=" ...")
 
 
 def _names(results: StudyResults) -> list[str]:
-    """Names that every row shows, and those that vary."""
+    """Return the names that every row shows, and those that vary."""
     always = ["controller", "estimator", "suite"]
     several = [
         name
@@ -110,10 +110,10 @@ def _names(results: StudyResults) -> list[str]:
 
 
 def _cells(line: dict[str, Any]) -> list[str]:
-    """Numbers of one group."""
+    """Return the numbers of one group."""
     tracking, turn = line["tracking_rmse_m"], line["orientation_rmse_rad"]
     lengths = [
-        *(tracking[axis] for axis in NAMES), line["tracking_std_m"], line["tracking_centre_m"],
+        *(tracking[axis] for axis in AXIS_NAMES), line["tracking_std_m"], line["tracking_centre_m"],
         line["tracking_boundary_m"], line["estimation_rmse_m"]["norm"], line["estimation_p95_m"],
         turn, line["residual_sway_m"],
     ]  # fmt: skip
@@ -123,18 +123,20 @@ def _cells(line: dict[str, Any]) -> list[str]:
 
 
 def _consistency_columns(results: StudyResults) -> list[str]:
-    """Titles of the columns on covariances, where any estimator has one."""
-    titles = [title for name, title in SQUARES.items() if any(x[name] for x in results.summary)]
+    """Return the titles of the covariance columns, if any estimator has one."""
+    titles = [
+        title for name, title in CONSISTENCY_TITLES.items() if any(x[name] for x in results.summary)
+    ]
     rejects = any(line["rejected_share"] is not None for line in results.summary)
     return titles + (["rejected"] if rejects else [])
 
 
 def _consistency_cells(results: StudyResults) -> list[list[str]]:
-    """What is in these columns, by group."""
+    """Return the covariance cells by group."""
     titles = _consistency_columns(results)
     cells = []
     for line in results.summary:
-        shown = {title: _square(line[name]) for name, title in SQUARES.items()}
+        shown = {title: _square(line[name]) for name, title in CONSISTENCY_TITLES.items()}
         share = line["rejected_share"]
         shown["rejected"] = "-" if share is None else f"{100.0 * share:.1f} %"
         cells.append([shown[title] for title in titles])
@@ -142,7 +144,7 @@ def _consistency_cells(results: StudyResults) -> list[list[str]]:
 
 
 def _square(value: dict[str, Any] | None) -> str:
-    """A normalised square, marked where it is outside its band."""
+    """Format a normalised square, marked if it is outside its band."""
     if value is None:
         return "-"
     low, high = value["band"]
@@ -151,5 +153,5 @@ def _square(value: dict[str, Any] | None) -> str:
 
 
 def _millimetres(metres: float | None) -> str:
-    """A length in mm, or an angle in mrad."""
+    """Format a length in mm, or an angle in mrad."""
     return "-" if metres is None else f"{metres * 1e3:.1f}"

@@ -1,4 +1,4 @@
-"""The reference suite: fixed studies that controllers and estimators of anybody can enter."""
+"""Reference suite: fixed studies that anybody's controllers and estimators can enter."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from carosac_toolkit.studies.compare.study import Study
 from carosac_toolkit.studies.run.case import canonical
 from carosac_toolkit.studies.run.run_case import robot_digest
 
-LATEST = "reference-1"
-NEWEST = "reference"  # the name of whatever is the latest
-QUICK_SEEDS = 2
+LATEST_SUITE = "reference-1"
+LATEST_SUITE_ALIAS = "reference"  # the name of whatever is the latest
+REFERENCE_QUICK_SEEDS = 2
 TRACKING, ESTIMATION = "tracking", "estimation"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Task:
-    """One study of a suite: a part of it on one robot.
+class SuiteTask:
+    """Study of a suite: a part of it on one robot.
 
     Attributes:
         part: ``tracking`` or ``estimation``.
@@ -38,17 +38,17 @@ class Task:
 
     @property
     def baseline(self) -> tuple[str, str]:
-        """The controller and estimator that all others are compared with."""
+        """Controller and estimator that all others are compared with."""
         return self.study.controllers[0], self.study.estimators[0]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceSuite:
-    """What is run, and nothing about how.
+    """Definition of the studies of a suite, independent of their execution.
 
     Attributes:
         name: With its version.
-        definition: As in its file: names and numbers.
+        definition: Content of its file: names and numbers.
     """
 
     name: str
@@ -56,23 +56,23 @@ class ReferenceSuite:
 
     @classmethod
     def load(cls, name: str) -> ReferenceSuite:
-        """The suite of a name.
+        """Return the suite of a name.
 
         Raises:
             InvalidField: There is none.
         """
         from carosac_toolkit.base.yaml import load_yaml
 
-        name = LATEST if name == NEWEST else name
+        name = LATEST_SUITE if name == LATEST_SUITE_ALIAS else name
         if name not in suites():
-            allowed = f"one of {[NEWEST, *suites()]}; sensors are chosen with --suites"
+            allowed = f"one of {[LATEST_SUITE_ALIAS, *suites()]}; sensors are chosen with --suites"
             raise InvalidField("suite", repr(name), allowed)
         data = load_yaml(_file(name).read_text(encoding="utf-8"))
         return cls(name=name, definition=data)
 
     @cached_property
     def digest(self) -> str:
-        """Sixteen hexadecimal digits of all that decides the draws: equal ones can be compared."""
+        """Sixteen hexadecimal digits of all that decides the draws; equal ones are comparable."""
         names = self.definition["robots"]
         whole = {
             "definition": dict(self.definition),
@@ -82,17 +82,17 @@ class ReferenceSuite:
         return hashlib.sha256(canonical(whole).encode()).hexdigest()[:16]
 
     def quick(self) -> ReferenceSuite:
-        """Two seeds of one trajectory: another definition, to see that all runs."""
+        """Return two seeds of one trajectory: another definition, to see that all runs."""
         fewer = {
-            "seeds": self.definition["seeds"][:QUICK_SEEDS],
+            "seeds": self.definition["seeds"][:REFERENCE_QUICK_SEEDS],
             "trajectories": self.definition["trajectories"][:1],
         }
         return replace(self, name=f"{self.name}-quick", definition={**self.definition, **fewer})
 
     def tasks(
         self, controllers: Sequence[str] = (), estimators: Sequence[str] = (), **more: Any
-    ) -> list[Task]:
-        """The studies of the suite, or those that some entries need.
+    ) -> list[SuiteTask]:
+        """Return the studies of the suite, or those that some entries need.
 
         Args:
             controllers: Entries, which run beside the baseline of the part ``tracking``; with
@@ -103,21 +103,21 @@ class ReferenceSuite:
         entries = {TRACKING: tuple(controllers), ESTIMATION: tuple(estimators)}
         everything = not any(entries.values())
         return [
-            Task(part=part, robot=robot, study=self._study(part, robot, entries[part], more))
+            SuiteTask(part=part, robot=robot, study=self._study(part, robot, entries[part], more))
             for part in self.definition["parts"]
             for robot in self.definition["robots"]
             if everything or any(self._may_run(name, robot) for name in entries[part])
         ]
 
     def _may_run(self, name: str, robot: str) -> bool:
-        """Whether a plug-in is for this robot."""
+        """Return whether a plug-in works for this robot."""
         only = self.definition.get("only", {})
         return robot in only.get(name, [robot])
 
     def _study(
         self, part: str, robot: str, entries: Sequence[str], more: Mapping[str, Any]
     ) -> Study:
-        """One part on one robot."""
+        """Return the study of one part on one robot."""
         ways = dict(self.definition["parts"][part])
         axis = "controllers" if part == TRACKING else "estimators"
         if entries:

@@ -1,4 +1,4 @@
-"""Results of a reference suite as small files: one row per case, and what they are rows of."""
+"""Results of a reference suite as small files: one row per case, and a record of the suite."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from pathlib import Path
 from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile, MissingFile
-from carosac_toolkit.studies.compare.paired import Block, paired_blocks
+from carosac_toolkit.studies.compare.paired import PairedBlock, paired_blocks
 from carosac_toolkit.studies.compare.paper_tables import explanation, markdown_table, sheets
-from carosac_toolkit.studies.compare.results import WAYS, StudyResults
-from carosac_toolkit.studies.reference.cases import TRACKING, ReferenceSuite, Task
-from carosac_toolkit.studies.run.rows import STATUSES, Row
+from carosac_toolkit.studies.compare.results import COMPARED_COLUMNS, StudyResults
+from carosac_toolkit.studies.reference.cases import TRACKING, ReferenceSuite, SuiteTask
+from carosac_toolkit.studies.run.rows import CASE_STATUSES, Row
 
 RESULTS, RECORD, TABLES = "results.csv", "reference.json", "tables.md"
-SCHEMA = "carosac-reference/1"
-PUBLISHED = "published"
-TEXT = (
+REFERENCE_SCHEMA = "carosac-reference/1"
+PUBLISHED_LABEL = "published"
+TEXT_COLUMNS = (
     "part", "robot", "controller", "estimator", "suite", "perturbation", "trajectory", "seed",
     "status", "reason",
 )  # fmt: skip
-NUMBERS = (
+NUMBER_COLUMNS = (
     "tracking_rmse_x_m", "tracking_rmse_y_m", "tracking_rmse_z_m", "tracking_rmse_norm_m",
     "tracking_centre_m", "tracking_boundary_m", "residual_sway_m", "estimation_rmse_x_m",
     "estimation_rmse_y_m", "estimation_rmse_z_m", "estimation_rmse_norm_m",
@@ -36,50 +36,50 @@ NUMBERS = (
 
 
 class OtherSuite(CarosacError):
-    """Results of another definition, which cannot be compared with these."""
+    """Error of results of another definition, which cannot be compared with these."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PartResults:
-    """What was found in one part of a suite on one robot.
+    """Results of one part of a suite on one robot.
 
     Attributes:
-        task: What was run.
+        task: Task that was run.
         results: Its rows, with those of others where they were asked for.
     """
 
-    task: Task
+    task: SuiteTask
     results: StudyResults
 
     @cached_property
-    def blocks(self) -> list[Block]:
-        """Its paired comparisons with its baseline."""
-        labels = zip(self.results.labels_of(WAYS), self.results.summary, strict=True)
+    def blocks(self) -> list[PairedBlock]:
+        """Paired comparisons with the baseline."""
+        labels = zip(self.results.labels_of(COMPARED_COLUMNS), self.results.summary, strict=True)
         wanted = self.task.baseline
         names = [x for x, line in labels if (line["controller"], line["estimator"]) == wanted]
         return paired_blocks(self.results, names[0])
 
     @property
     def rows(self) -> list[Row]:
-        """Its rows, each with its part."""
+        """Rows, each with its part."""
         return [row | {"part": self.task.part} for row in self.results.rows]
 
 
 def write_rows(parts: Sequence[PartResults]) -> str:
-    """Rows of all parts as CSV: six digits of each number, one row per case."""
+    """Write rows of all parts as CSV: six digits of each number, one row per case."""
     stream = io.StringIO()
     writer: Any = csv.writer(stream, lineterminator="\n")
-    writer.writerow((*TEXT, *NUMBERS))
+    writer.writerow((*TEXT_COLUMNS, *NUMBER_COLUMNS))
     for part in parts:
         for row in part.rows:
             known = {**row, "reason": row["reason"] or ""}
-            cells = [str(known[name]).replace("\n", " ") for name in TEXT]
-            writer.writerow([*cells, *(_digits(row.get(name)) for name in NUMBERS)])
+            cells = [str(known[name]).replace("\n", " ") for name in TEXT_COLUMNS]
+            writer.writerow([*cells, *(_digits(row.get(name)) for name in NUMBER_COLUMNS)])
     return stream.getvalue()
 
 
 def read_rows(folder: Path) -> list[Row]:
-    """Rows that `write_rows` wrote; a number that is not there is None.
+    """Read rows that `write_rows` wrote; a missing number is None.
 
     Raises:
         MissingFile: There are none.
@@ -87,7 +87,9 @@ def read_rows(folder: Path) -> list[Row]:
     """
     path = folder / RESULTS
     reader = csv.DictReader(io.StringIO(_text(path)))
-    missing = [name for name in (*TEXT, *NUMBERS) if name not in (reader.fieldnames or ())]
+    missing = [
+        name for name in (*TEXT_COLUMNS, *NUMBER_COLUMNS) if name not in (reader.fieldnames or ())
+    ]
     if missing:
         raise InvalidFile(path, [f"header: got no {', '.join(missing)}; allowed: all columns"])
     rows, faults = [], []
@@ -102,7 +104,7 @@ def read_rows(folder: Path) -> list[Row]:
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """What the results of a folder are of.
+    """Read which suite the results of a folder belong to.
 
     Raises:
         MissingFile: There is no record.
@@ -110,24 +112,24 @@ def read_record(folder: Path) -> dict[str, Any]:
     """
     path = folder / RECORD
     try:
-        found = json.loads(_text(path))
+        content = json.loads(_text(path))
     except ValueError as error:
         raise InvalidFile(path, [f"this is no JSON: {error}"]) from error
-    schema = found.get("schema") if isinstance(found, dict) else None
-    if schema != SCHEMA:
-        raise InvalidFile(path, [f"schema: got {schema!r}; allowed: {SCHEMA!r}"])
+    schema = content.get("schema") if isinstance(content, dict) else None
+    if schema != REFERENCE_SCHEMA:
+        raise InvalidFile(path, [f"schema: got {schema!r}; allowed: {REFERENCE_SCHEMA!r}"])
     faults = [
-        f"{name}: got {found.get(name)!r}; allowed: a text"
+        f"{name}: got {content.get(name)!r}; allowed: a text"
         for name in ("suite", "digest")
-        if not isinstance(found.get(name), str)
+        if not isinstance(content.get(name), str)
     ]
     if faults:
         raise InvalidFile(path, faults)
-    return dict(found)
+    return dict(content)
 
 
 def _text(path: Path) -> str:
-    """Content of a file of results."""
+    """Return the content of a file of results."""
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
@@ -153,13 +155,13 @@ def check_same(suite: ReferenceSuite, folder: Path) -> None:
 
 
 def with_published(part: PartResults, rows: Sequence[Row]) -> PartResults:
-    """Set rows of others, from the same draws, beside those of a part.
+    """Add others' rows from the same draws to those of a part.
 
     What ran here as well is left out of theirs: it tells whether both agree.
     """
     here = {_way(row) for row in part.results.rows}
     others = [
-        row | {_axis(part): f"{row[_axis(part)]} ({PUBLISHED})"}
+        row | {_axis(part): f"{row[_axis(part)]} ({PUBLISHED_LABEL})"}
         for row in rows
         if (row["part"], row["robot"]) == (part.task.part, part.task.robot)
         and _way(row) not in here
@@ -168,7 +170,7 @@ def with_published(part: PartResults, rows: Sequence[Row]) -> PartResults:
 
 
 def tables(suite: ReferenceSuite, parts: Sequence[PartResults], origin: str) -> str:
-    """All tables as Markdown."""
+    """Return all tables as Markdown."""
     head = f"Suite `{suite.name}`, definition `{suite.digest}`."
     texts = []
     for part in parts:
@@ -181,9 +183,9 @@ def tables(suite: ReferenceSuite, parts: Sequence[PartResults], origin: str) -> 
 def record(
     suite: ReferenceSuite, parts: Sequence[PartResults], made: Mapping[str, str], command: str
 ) -> dict[str, Any]:
-    """What results are of, and their paired comparisons."""
+    """Return the origin of the results, and their paired comparisons."""
     return {
-        "schema": SCHEMA,
+        "schema": REFERENCE_SCHEMA,
         "suite": suite.name,
         "digest": suite.digest,
         "command": command,
@@ -196,7 +198,7 @@ def record(
 
 
 def _axis(part: PartResults) -> str:
-    """What the entries of a part are."""
+    """Return which axis the entries of a part belong to."""
     return "controller" if part.task.part == TRACKING else "estimator"
 
 
@@ -209,25 +211,28 @@ def _digits(value: Any) -> str:
 
 
 def _row(line: Mapping[str, str | None]) -> Row:
-    """One line as a row of a study.
+    """Parse one line as a row of a study.
 
     Raises:
         InvalidField: A cell that is missing, or none of its kind.
     """
-    cells = {name: line[name] for name in (*TEXT, *NUMBERS)}
+    cells = {name: line[name] for name in (*TEXT_COLUMNS, *NUMBER_COLUMNS)}
     short = [name for name, cell in cells.items() if cell is None]
     if short:
         raise InvalidField(short[0], "nothing", "a cell in each column")
-    row: Row = {name: cells[name] for name in TEXT}
-    if row["status"] not in STATUSES:
-        raise InvalidField("status", repr(row["status"]), f"one of {list(STATUSES)}")
-    row |= {name: _number(name, cell, float) if (cell := cells[name]) else None for name in NUMBERS}
+    row: Row = {name: cells[name] for name in TEXT_COLUMNS}
+    if row["status"] not in CASE_STATUSES:
+        raise InvalidField("status", repr(row["status"]), f"one of {list(CASE_STATUSES)}")
+    row |= {
+        name: _number(name, cell, float) if (cell := cells[name]) else None
+        for name in NUMBER_COLUMNS
+    }
     seed = _number("seed", cells["seed"] or "", int)
     return row | {"seed": seed, "reason": cells["reason"] or None, "settings": "{}"}
 
 
 def _number(name: str, cell: str, kind: type[int] | type[float]) -> int | float:
-    """A finite number."""
+    """Parse a finite number."""
     try:
         value = kind(cell)
     except ValueError:

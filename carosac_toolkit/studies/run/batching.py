@@ -1,4 +1,4 @@
-"""Which cases of a study run together."""
+"""Grouping of the cases of a study that run together."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from carosac_toolkit.studies.run.execution import find_function
 
 @dataclass(frozen=True, kw_only=True)
 class Batching:
-    """How cases run together.
+    """Grouping of cases that run together.
 
     Attributes:
         group: ``module:name`` of a function of a `Case`: a text that cases of one batch share, or
@@ -26,13 +26,13 @@ class Batching:
     size: int
 
     def __post_init__(self) -> None:
-        """Refuse functions that are not there, and batches of nothing."""
+        """Refuse functions that do not exist, and empty batches."""
         find_function(self.group)
         find_function(self.function)
         check_whole("batch", self.size, 1, None)
 
     def parts(self, cases: Sequence[Case]) -> list[list[Case]]:
-        """The cases in batches, in the order of their first ones."""
+        """Return the cases in batches, in the order of their first ones."""
         group = find_function(self.group)
         parts: list[list[Case]] = []
         open_parts: dict[str, list[Case]] = {}

@@ -1,4 +1,4 @@
-"""What one run of a study is made of: plain values, and the identity and seeds they give it."""
+"""Case of a study: plain values, and the identity and seeds that follow from them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SEED_BITS = 63  # a signed 64-bit integer holds every seed
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One run of a study: one loop from start to score.
+    """Run of a study: one loop from start to score.
 
     A case holds names and numbers, no objects, so that it means the same in another process, on
     another machine and next week. All its randomness comes from its seeds, and each seed depends
@@ -33,7 +33,7 @@ class Case:
         suite: Name of the sensor suite.
         trajectory: Name of the trajectory.
         perturbation: Name of the condition that the plant is drawn from.
-        seed: Which draw of everything random, >= 0.
+        seed: Number of the draw of everything random, >= 0.
         settings: All else that decides the result, as JSON values: name of the driver, limits,
             duration [s], settings of controller and estimator. ``timeout`` [s] overrides the
             study's time limit for this case.
@@ -49,7 +49,7 @@ class Case:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in NAMES:
+        for name in CASE_COLUMNS:
             if not isinstance(getattr(self, name), str) or not getattr(self, name):
                 raise InvalidField(name, repr(getattr(self, name)), "a name")
         if not isinstance(self.seed, int) or isinstance(self.seed, bool) or self.seed < 0:
@@ -79,11 +79,11 @@ class Case:
     @cached_property
     def rng_seed(self) -> int:
         """Seed of all other draws, those of controller and estimator: depends on all names."""
-        return self._seed_from("case", *NAMES, "seed")
+        return self._seed_from("case", *CASE_COLUMNS, "seed")
 
     def to_dict(self) -> dict[str, Any]:
-        """All fields, as JSON values."""
-        return {**{name: getattr(self, name) for name in (*NAMES, "seed")},
+        """Return all fields, as JSON values."""
+        return {**{name: getattr(self, name) for name in (*CASE_COLUMNS, "seed")},
                 "settings": dict(self.settings)}  # fmt: skip
 
     @classmethod
@@ -92,7 +92,7 @@ class Case:
         return cls(**values)
 
     def _seed_from(self, purpose: str, *names: str) -> int:
-        """Seed for one purpose from some of the fields."""
+        """Derive the seed for one purpose from some of the fields."""
         values = {name: getattr(self, name) for name in names}
         return int.from_bytes(_digest({"purpose": purpose, **values})[:8], "big") >> (
             64 - SEED_BITS
@@ -105,7 +105,7 @@ class Case:
         return Case.from_dict, (self.to_dict(),)
 
 
-NAMES = tuple(item.name for item in fields(Case) if item.name not in ("seed", "settings"))
+CASE_COLUMNS = tuple(item.name for item in fields(Case) if item.name not in ("seed", "settings"))
 
 
 def product(
@@ -136,7 +136,7 @@ def product(
     for axis, values in axes.items():
         if isinstance(values, str) or not values or len(set(values)) < len(values):
             raise InvalidField(axis, repr(values), "a list of one or more different values")
-    names = (*NAMES, "seed")
+    names = (*CASE_COLUMNS, "seed")
     return [
         Case(**dict(zip(names, values, strict=True)), settings=settings or {})
         for values in combinations(*axes.values())
@@ -144,17 +144,17 @@ def product(
 
 
 def canonical(value: Any) -> str:
-    """JSON text of a value; equal values have equal texts."""
+    """Return the JSON text of a value; equal values have equal texts."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 def _digest(value: Any) -> bytes:
-    """Hash of a value."""
+    """Return the hash of a value."""
     return hashlib.sha256(canonical(value).encode()).digest()
 
 
 def _frozen(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Read-only copy of the settings, which have to survive a trip through JSON unchanged."""
+    """Return a read-only copy of the settings, which must survive a JSON round trip unchanged."""
     allowed = "JSON values: finite numbers, text, true/false, None, lists, dicts with text keys"
     try:
         copy = json.loads(canonical(dict(settings)))

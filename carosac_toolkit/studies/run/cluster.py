@@ -1,4 +1,4 @@
-"""Workers: processes of this machine, or those of a dask scheduler that runs already."""
+"""Workers: processes of this machine, or those of a running dask scheduler."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 
-LOOPBACK = "127.0.0.1"
-CONNECT_TIMEOUT = 20.0  # [s]
-ONE_THREAD = {
+LOOPBACK_ADDRESS = "127.0.0.1"
+CONNECT_TIMEOUT_S = 20.0  # [s]
+SINGLE_THREAD_ENVIRONMENT = {
     name: "1"
     for name in (
         "OMP_NUM_THREADS",
@@ -26,7 +26,7 @@ ONE_THREAD = {
 }
 """Environment of workers. Warp runs CPU kernels in the thread that launches them."""
 
-_CONFIG = {
+_DASK_CONFIG = {
     "distributed.admin.system-monitor.gil.enabled": False,
     "distributed.deploy.lost-worker-timeout": "365 days",  # one that starts again is not lost
     "distributed.diagnostics.nvml": False,
@@ -42,7 +42,7 @@ _CONFIG = {
 
 
 def usable_cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     from dask.system import CPU_COUNT
 
     return int(CPU_COUNT)
@@ -55,18 +55,18 @@ def local_client(workers: int) -> Iterator[Any]:
     Nothing listens on any network but the loopback interface.
 
     Args:
-        workers: How many.
+        workers: Number of workers.
     """
     import dask
     from distributed import Client, LocalCluster
 
-    with _environment(ONE_THREAD), _hidden_main(), dask.config.set(_CONFIG):
+    with _environment(SINGLE_THREAD_ENVIRONMENT), _hidden_main(), dask.config.set(_DASK_CONFIG):
         cluster = LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
-            host=LOOPBACK,
-            dashboard_address=f"{LOOPBACK}:0",
+            host=LOOPBACK_ADDRESS,
+            dashboard_address=f"{LOOPBACK_ADDRESS}:0",
             memory_limit=0,  # none: the system ends what takes too much, and the case says so
             silence_logs=logging.CRITICAL,
         )
@@ -89,12 +89,12 @@ def remote_client(address: str) -> Iterator[Any]:
 
     allowed = "address of a running dask scheduler, such as 'tcp://host:8786'"
     try:
-        client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+        client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise InvalidField("scheduler", repr(address), f"{allowed} ({error})") from error
     with client:
         try:
-            client.wait_for_workers(1, timeout=CONNECT_TIMEOUT)
+            client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
         except TimeoutError as error:
             raise CarosacError(f"the scheduler at {address} has no workers") from error
         yield client

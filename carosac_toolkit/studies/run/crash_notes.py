@@ -1,4 +1,4 @@
-"""A note beside every running case, so that its death is put down to it and to no other."""
+"""Note beside every running case, so that its death is attributed to it alone."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-_START = re.compile(r"^start (\S+)\n", re.MULTILINE)
+_START_LINE_PATTERN = re.compile(r"^start (\S+)\n", re.MULTILINE)
 
 
 @dataclass(frozen=True)
 class Death:
-    """How earlier attempts at a case ended.
+    """End of earlier attempts at a case.
 
     Attributes:
-        attempts: How many attempts ended with the process.
-        timed_out: Whether the last one was ended because it did not stop when its time was up.
-        cause: What is known of the cause; empty where nothing is.
-        wall_time: What the last attempt took, as far as known [s].
+        attempts: Number of attempts that ended with the process.
+        timed_out: True if the last one was ended because it did not stop when its time was up.
+        cause: Known cause; empty if unknown.
+        wall_time: Duration of the last attempt, as far as known [s].
     """
 
     attempts: int
@@ -36,7 +36,7 @@ def read_death(note: Path) -> Death | None:
         text, changed = note.read_text(encoding="utf-8", errors="replace"), note.stat().st_mtime
     except FileNotFoundError:
         return None
-    _, *parts = _START.split(text)  # time, message, time, message, ...
+    _, *parts = _START_LINE_PATTERN.split(text)  # time, message, time, message, ...
     if not parts:
         return None
     started, message = parts[-2:]
@@ -76,7 +76,7 @@ def noted(note: Path, kill_after: float) -> Iterator[None]:
 
 
 def _cause(message: str) -> str:
-    """First line of a fault handler's message, with the place in the thread of the case."""
+    """Return the first line of a fault handler's message, with the place in the case's thread."""
     if not message:
         return ""
     first = message.splitlines()[0].removeprefix("Fatal Python error: ")

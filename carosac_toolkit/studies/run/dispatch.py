@@ -1,4 +1,4 @@
-"""Hand tasks to workers and take their rows back, as they come."""
+"""Dispatch of tasks to workers and collection of their rows as they come."""
 
 from __future__ import annotations
 
@@ -12,35 +12,37 @@ from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.studies.run.case import Case
-from carosac_toolkit.studies.run.execution import Done, Task, crashed_row, run_task
+from carosac_toolkit.studies.run.execution import WorkerAnswer, WorkerTask, crashed_row, run_task
 from carosac_toolkit.studies.run.rows import Row
-from carosac_toolkit.studies.run.worker_presence import LOST_AFTER, LostScheduler, Presence
+from carosac_toolkit.studies.run.worker_presence import LOST_AFTER_S, LostScheduler, Presence
 
-TICK = 0.25  # [s] the longest wait without a sign of life
-WINDOW = 256  # tasks that the scheduler knows at a time, at least
+POLL_INTERVAL_S = 0.25  # [s] the longest wait without a sign of life
+PENDING_TASKS_MIN = 256  # tasks that the scheduler knows at a time, at least
 TASKS_PER_THREAD = 16
 
 
 class Dispatcher:
-    """Sends tasks to a dask scheduler, no more at a time than keep its workers busy.
+    """Sender of tasks to a dask scheduler, no more at a time than keep its workers busy.
 
     Args:
         client: Client of the scheduler.
-        tasks: What to do.
+        tasks: Tasks to run.
         say: Tells the user a line.
     """
 
-    def __init__(self, client: Any, tasks: Sequence[Task], say: Callable[[str], None]) -> None:
+    def __init__(
+        self, client: Any, tasks: Sequence[WorkerTask], say: Callable[[str], None]
+    ) -> None:
         self._client = client
         self._presence = Presence(client, say)
         self._waiting = deque(tasks)
-        self._suspects: deque[Task] = deque()
-        self._alone: Task | None = None
-        self._running: dict[str, tuple[Any, Task]] = {}
+        self._suspects: deque[WorkerTask] = deque()
+        self._alone: WorkerTask | None = None
+        self._running: dict[str, tuple[Any, WorkerTask]] = {}
         self._done: SimpleQueue[str] = SimpleQueue()
         self._token = uuid.uuid4().hex[:8]
         threads = sum(client.nthreads().values())
-        self._window = max(WINDOW, TASKS_PER_THREAD * threads)
+        self._window = max(PENDING_TASKS_MIN, TASKS_PER_THREAD * threads)
 
     def batches(self) -> Iterator[list[Row]]:
         """Yield rows until there is one per task; an empty list now and then while none comes.
@@ -64,7 +66,7 @@ class Dispatcher:
             self._alone = self._suspects.popleft()
             self._send([self._alone])
 
-    def _send(self, tasks: Sequence[Task]) -> None:
+    def _send(self, tasks: Sequence[WorkerTask]) -> None:
         """Give tasks to the scheduler."""
         turn = "alone" if self._alone else "case"
         keys = [f"{turn}-{self._token}-{task.identity}" for task in tasks]
@@ -72,16 +74,16 @@ class Dispatcher:
         for future, task in zip(futures, tasks, strict=True):
             self._watch(future, task)
 
-    def _watch(self, future: Any, task: Task) -> None:
-        """Be told when a task ends."""
+    def _watch(self, future: Any, task: WorkerTask) -> None:
+        """Register to be told when a task ends."""
         self._running[future.key] = future, task
         future.add_done_callback(lambda future: self._done.put(future.key))
 
     def _wait(self) -> list[str]:
-        """Keys of tasks that have ended, all there are; none after a while."""
+        """Return the keys of all tasks that have ended; empty after a timeout."""
         keys = []
         try:
-            keys.append(self._done.get(timeout=TICK))
+            keys.append(self._done.get(timeout=POLL_INTERVAL_S))
             while True:
                 keys.append(self._done.get_nowait())
         except Empty:
@@ -100,11 +102,11 @@ class Dispatcher:
         try:
             done = {answer.identity: answer.rows for answer in self._results(good)}
             errors = {
-                x.key: x.exception(timeout=LOST_AFTER) for x, _, key in ended if key in failed
+                x.key: x.exception(timeout=LOST_AFTER_S) for x, _, key in ended if key in failed
             }
         except (OSError, TimeoutError) as error:
             raise LostScheduler(
-                f"the scheduler does not give its results ({error}); run again to go on"
+                f"the scheduler does not return its results ({error}); run again to go on"
             ) from error
         rows = [row for answer in done.values() for row in answer]
         for future, task, key in ended:
@@ -116,18 +118,18 @@ class Dispatcher:
                 self._waiting.extend(task.alone())
         return rows
 
-    def _results(self, futures: Sequence[Any]) -> list[Done]:
-        """Answers of tasks that have ended; a row that died with its worker is waited for."""
+    def _results(self, futures: Sequence[Any]) -> list[WorkerAnswer]:
+        """Return answers of tasks that have ended; a row that died with its worker is awaited."""
         coroutine = self._client.gather(list(futures), errors="skip", asynchronous=True)
         answer = asyncio.run_coroutine_threadsafe(coroutine, self._client.loop.asyncio_loop)
         try:
-            while not wait([answer], timeout=TICK).done:
+            while not wait([answer], timeout=POLL_INTERVAL_S).done:
                 self._presence.check()
             return list(answer.result())
         finally:
             answer.cancel()
 
-    def _judge(self, task: Task, error: BaseException | None) -> list[Row]:
+    def _judge(self, task: WorkerTask, error: BaseException | None) -> list[Row]:
         """Decide on a task that gave no row: suspect it, give it up, or end the study."""
         from distributed import KilledWorker
 

@@ -12,7 +12,7 @@ from carosac_toolkit.studies.run.batching import Batching
 from carosac_toolkit.studies.run.case import Case
 from carosac_toolkit.studies.run.cluster import local_client, remote_client, usable_cores
 from carosac_toolkit.studies.run.dispatch import Dispatcher
-from carosac_toolkit.studies.run.execution import Task, find_function, rows_of
+from carosac_toolkit.studies.run.execution import WorkerTask, find_function, rows_of
 from carosac_toolkit.studies.run.folder import (
     StudyFolder,
     check_statuses,
@@ -23,9 +23,9 @@ from carosac_toolkit.studies.run.folder import (
 from carosac_toolkit.studies.run.progress import Progress
 from carosac_toolkit.studies.run.rows import Row
 
-HANDFUL = 4  # cases that are not worth a process of their own
-FLUSH_INTERVAL = 1.0  # [s] between two files of rows
-TIMEOUT = 600.0  # [s]
+SERIAL_CASES_MAX = 4  # cases that are not worth a process of their own
+FLUSH_INTERVAL_S = 1.0  # [s] between two files of rows
+DEFAULT_TIMEOUT_S = 600.0  # [s]
 
 
 def run_cases(
@@ -35,7 +35,7 @@ def run_cases(
     folder: str | Path,
     scheduler: str | None = None,
     workers: int | None = None,
-    timeout: float = TIMEOUT,
+    timeout: float = DEFAULT_TIMEOUT_S,
     attempts: int = 3,
     retry: Collection[str] = (),
     again: Collection[str] = (),
@@ -55,25 +55,25 @@ def run_cases(
         cases: The cases, all different.
         function: Case function, as ``module:name``: takes a `Case` and returns a flat dict of
             finite numbers, text, true/false and None. It runs in another process in general.
-        folder: Where the rows go. A folder that holds fewer cases of the same study is extended.
+        folder: Folder for the rows. A folder that holds fewer cases of the same study is extended.
         scheduler: Address of a dask scheduler to use, such as ``tcp://host:8786``. Its workers
             need one thread each (``--nthreads 1``) and the same version of the toolkit.
         workers: Number of worker processes on this machine; 0 runs all cases in this process,
             which shares the fate of a case that dies. By default as many as there are cores, and 0
             for a handful of cases.
-        timeout: How long a case may run [s]; a case's own ``settings["timeout"]`` goes before.
+        timeout: Time limit of a case [s]; a case's own ``settings["timeout"]`` takes precedence.
             It then has 5 s, or once more its time if that is less, before its process is ended.
-        attempts: How many times a case may cost its process before it is given up.
+        attempts: Number of times that a case may kill its process before it is given up.
         retry: Statuses of finished cases to run again: ``"failed"``, ``"crashed"``,
             ``"timed_out"``.
         again: Identities of finished cases to run again, whatever came of them.
         batching: How cases run together; None: each alone. Where one of a batch fails, or its
             process dies, all of it run alone.
-        own_files: Whether the case function takes the study's folder as a second argument, for
+        own_files: True if the case function takes the study's folder as a second argument, for
             files of its own. Workers of a scheduler must see the same folder then.
         share: Tells how much of the work is done, 0 to 1, where cases are few and long; without
             it the finished cases tell.
-        progress: Whether to tell on standard error how far the study is.
+        progress: True to report progress on standard error.
 
     Raises:
         InvalidField: An argument is not allowed.
@@ -122,12 +122,12 @@ def _tasks(
     notes: str,
     own_folder: str,
     batching: Batching | None,
-) -> list[Task]:
-    """What workers are sent."""
+) -> list[WorkerTask]:
+    """Return the tasks for the workers."""
     parts = batching.parts([case for case, _ in todo]) if batching else [[x] for x, _ in todo]
     limits = {case.identity: limit for case, limit in todo}
     return [
-        Task(
+        WorkerTask(
             cases=tuple(case.to_dict() for case in part),
             identities=tuple(case.identity for case in part),
             function=function,
@@ -143,7 +143,7 @@ def _tasks(
 
 def _on_workers(
     stack: ExitStack,
-    tasks: Sequence[Task],
+    tasks: Sequence[WorkerTask],
     scheduler: str | None,
     count: int,
     say: Callable[[str], None],
@@ -154,14 +154,14 @@ def _on_workers(
 
 
 def _keep(batches: Iterable[list[Row]], store: StudyFolder, bar: Progress) -> None:
-    """Bring rows to the disk as they come, and those at hand whatever happens."""
+    """Write rows to the disk as they come, and those at hand whatever happens."""
     pending: list[Row] = []
     flushed = time.monotonic()
     try:
         for rows in batches:
             pending += rows
             bar.add(rows)
-            if time.monotonic() - flushed >= FLUSH_INTERVAL:
+            if time.monotonic() - flushed >= FLUSH_INTERVAL_S:
                 ready, pending = pending, []  # never twice: an interrupted write is not repeated
                 store.append(ready)
                 flushed = time.monotonic()
@@ -197,7 +197,7 @@ def _check(
 
 
 def _limit(case: Case, timeout: float) -> float:
-    """Time limit of a case [s]."""
+    """Return the time limit of a case [s]."""
     limit = case.settings.get("timeout", timeout)
     if isinstance(limit, bool) or not isinstance(limit, (int, float)) or not 0.0 < limit < 1e7:
         raise InvalidField("timeout", f"{limit!r} s", "0 < timeout < 1e7 s")
@@ -205,7 +205,7 @@ def _limit(case: Case, timeout: float) -> float:
 
 
 def _worker_count(workers: int | None, asked: int, left: int) -> int:
-    """Number of local workers; the handful is counted over the study, not over what is left."""
+    """Return the number of local workers; few cases are counted over the whole study."""
     if workers is not None:
         return min(workers, left)
-    return 0 if asked <= HANDFUL else min(usable_cores(), left)
+    return 0 if asked <= SERIAL_CASES_MAX else min(usable_cores(), left)

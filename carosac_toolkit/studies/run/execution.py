@@ -1,4 +1,4 @@
-"""Run cases to their rows, whatever they do; this is what workers are asked for."""
+"""Execution of cases to rows, whatever they do; workers are asked for this."""
 
 from __future__ import annotations
 
@@ -17,26 +17,28 @@ from carosac_toolkit.studies.run.crash_notes import Death, noted, read_death
 from carosac_toolkit.studies.run.rows import Row, checked_values, make_row
 from carosac_toolkit.studies.run.time_limit import CaseTimeout, TimeLimit
 
-GRACE = 5.0  # [s] a case has to stop by itself when its time is up, if its limit is no shorter
+STOP_GRACE_S = (
+    5.0  # [s] a case has to stop by itself when its time is up, if its limit is no shorter
+)
 
 CaseFunction = Callable[..., Any]  # of a case, or of several at once
 
 
 class UnfitWorker(CarosacError):
-    """A worker that would give other numbers than the rest."""
+    """Error of a worker that would give other numbers than the rest."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Task:
-    """What a worker is sent: a case, or several that run together.
+class WorkerTask:
+    """Work for a worker: a case, or several that run together.
 
     Attributes:
         cases: The fields of each case.
         identities: Their identities by the sender's reckoning.
         function: The case function, as ``module:name``.
         together: The function that runs several, as ``module:name``.
-        timeout: How long each case may run [s].
-        attempts: How many times the process of one case may die.
+        timeout: Time limit of each case [s].
+        attempts: Number of times that the process of one case may die.
         notes: Folder of the notes, on a file system that sender and worker may or may not share.
         own_folder: Folder for the function's own files, which it takes as its second argument;
             empty: it takes none.
@@ -53,12 +55,12 @@ class Task:
 
     @property
     def identity(self) -> str:
-        """Of the case; of several, that of the first with their number."""
+        """Identity of the case; of several, that of the first with their number."""
         count = len(self.cases)
         return self.identities[0] + (f"-and-{count - 1}" if count > 1 else "")
 
-    def alone(self) -> list[Task]:
-        """A task for each case."""
+    def alone(self) -> list[WorkerTask]:
+        """Return a task for each case."""
         return [
             replace(self, cases=(case,), identities=(identity,))
             for case, identity in zip(self.cases, self.identities, strict=True)
@@ -66,11 +68,11 @@ class Task:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Done:
-    """What a worker answers.
+class WorkerAnswer:
+    """Answer of a worker.
 
     Attributes:
-        identity: Of the task.
+        identity: Identity of the task.
         rows: A row for each case; none where several could not run together.
     """
 
@@ -100,7 +102,7 @@ def find_function(name: str) -> CaseFunction:
     return function  # type: ignore[no-any-return]
 
 
-def run_attempt(case: Case, task: Task) -> Row:
+def run_attempt(case: Case, task: WorkerTask) -> Row:
     """Run a case of a task in this thread.
 
     Returns:
@@ -110,11 +112,11 @@ def run_attempt(case: Case, task: Task) -> Row:
     Raises:
         UnfitWorker: The function cannot be imported here.
     """
-    found = _found_here(task.function)
+    case_function = _found_here(task.function)
     start = time.perf_counter()
     try:
         with TimeLimit(task.timeout):
-            values = checked_values(found(case, *_own_folder(task)))
+            values = checked_values(case_function(case, *_own_folder(task)))
         return make_row(case, "ok", values=values, wall_time=time.perf_counter() - start)
     except CaseTimeout:
         reason = f"stopped after {task.timeout:g} s"
@@ -133,11 +135,11 @@ def run_attempt_together(cases: Sequence[Case], function: str, timeout: float) -
     Raises:
         UnfitWorker: The function cannot be imported here.
     """
-    found = _found_here(function)
+    batch_function = _found_here(function)
     start = time.perf_counter()
     try:
         with TimeLimit(timeout):
-            values = [checked_values(row) for row in found(cases)]
+            values = [checked_values(row) for row in batch_function(cases)]
         wall_time = (time.perf_counter() - start) / len(cases)
         return [
             make_row(case, "ok", values=row, wall_time=wall_time)
@@ -147,7 +149,7 @@ def run_attempt_together(cases: Sequence[Case], function: str, timeout: float) -
         return []
 
 
-def rows_of(task: Task) -> list[Row]:
+def rows_of(task: WorkerTask) -> list[Row]:
     """Run a task in this process, which shares the fate of its cases."""
     cases = [Case.from_dict(fields) for fields in task.cases]
     rows = []
@@ -156,7 +158,7 @@ def rows_of(task: Task) -> list[Row]:
     return rows or [run_attempt(case, task) for case in cases]
 
 
-def run_task(task: Task) -> Done:
+def run_task(task: WorkerTask) -> WorkerAnswer:
     """Run a task in a worker process that it has for itself.
 
     Raises:
@@ -168,10 +170,10 @@ def run_task(task: Task) -> Done:
         rows = _batch_of_task(cases, task)
     else:
         rows = [_row_of_task(cases[0], task)]
-    return Done(identity=task.identity, rows=rows)
+    return WorkerAnswer(identity=task.identity, rows=rows)
 
 
-def _row_of_task(case: Case, task: Task) -> Row:
+def _row_of_task(case: Case, task: WorkerTask) -> Row:
     """Run a case, unless it has cost too many processes."""
     if not Path(task.notes).is_dir():  # a file system of its own: the scheduler counts deaths
         return run_attempt(case, task)
@@ -180,11 +182,11 @@ def _row_of_task(case: Case, task: Task) -> Row:
     if death is not None and (death.timed_out or death.attempts >= task.attempts):
         note.unlink(missing_ok=True)
         return _row_of_death(case, death, task.timeout)
-    with noted(note, task.timeout + min(GRACE, task.timeout)):
+    with noted(note, task.timeout + min(STOP_GRACE_S, task.timeout)):
         return run_attempt(case, task)
 
 
-def _batch_of_task(cases: Sequence[Case], task: Task) -> list[Row]:
+def _batch_of_task(cases: Sequence[Case], task: WorkerTask) -> list[Row]:
     """Run cases together, unless that has cost a process already."""
     timeout = task.timeout * len(cases)
     if not Path(task.notes).is_dir():
@@ -193,20 +195,20 @@ def _batch_of_task(cases: Sequence[Case], task: Task) -> list[Row]:
     if read_death(note) is not None:
         note.unlink(missing_ok=True)
         return []
-    with noted(note, timeout + min(GRACE, timeout)):
+    with noted(note, timeout + min(STOP_GRACE_S, timeout)):
         return run_attempt_together(cases, task.together, timeout)
 
 
 def crashed_row(case: Case, deaths: int, cause: str = "", wall_time: float = 0.0) -> Row:
-    """Row of a case whose process died each time."""
+    """Return the row of a case whose process died each time."""
     times = f"{deaths} time" + ("s" if deaths != 1 else "")
-    cause = cause or "without a word: killed, out of memory, or left by os._exit"
+    cause = cause or "without a message: killed, out of memory, or left by os._exit"
     reason = f"its process died {times}: {cause}"
     return make_row(case, "crashed", reason=reason, wall_time=wall_time)
 
 
-def _own_folder(task: Task) -> tuple[Path, ...]:
-    """The folder that the function takes, if it does, as this machine has it."""
+def _own_folder(task: WorkerTask) -> tuple[Path, ...]:
+    """Return the folder for the function, if it takes one, as this machine has it."""
     if not task.own_folder:
         return ()
     folder = Path(task.own_folder)
@@ -225,7 +227,7 @@ def _found_here(function: str) -> CaseFunction:
 
 
 def _row_of_death(case: Case, death: Death, timeout: float) -> Row:
-    """Row of a case that will not be tried again."""
+    """Return the row of a case that will not be tried again."""
     if not death.timed_out:
         return crashed_row(case, death.attempts, death.cause, death.wall_time)
     where = death.cause.partition(" in ")[2]
@@ -235,8 +237,8 @@ def _row_of_death(case: Case, death: Death, timeout: float) -> Row:
     return make_row(case, "timed_out", reason=reason, wall_time=death.wall_time)
 
 
-def _check_worker(cases: Sequence[Case], task: Task) -> None:
-    """Refuse a worker that is not like the sender."""
+def _check_worker(cases: Sequence[Case], task: WorkerTask) -> None:
+    """Refuse a worker that differs from the sender."""
     from distributed import get_worker
 
     worker = get_worker()

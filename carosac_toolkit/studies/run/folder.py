@@ -1,4 +1,4 @@
-"""The folder of a study: what was asked, the rows so far, and one run at a time."""
+"""Folder of a study: its cases, its rows so far, and a lock for one run at a time."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from typing import Any
 from carosac_toolkit.base.errors import CarosacError, InvalidField, InvalidFile, MissingFile
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.base.version import __version__
-from carosac_toolkit.studies.run.case import NAMES, Case, canonical
+from carosac_toolkit.studies.run.case import CASE_COLUMNS, Case, canonical
 from carosac_toolkit.studies.run.row_files import (
     drop_rows,
     merge_parts,
     read_parts,
     write_part,
 )
-from carosac_toolkit.studies.run.rows import STATUSES, Row, in_common_columns
+from carosac_toolkit.studies.run.rows import CASE_STATUSES, Row, in_common_columns
 
-MANIFEST = "study.json"
-SCHEMA = "carosac-study/1"
-MERGE_AFTER = 100  # small parts
+MANIFEST_FILE = "study.json"
+STUDY_SCHEMA = "carosac-study/1"
+SMALL_PARTS_MAX = 100  # small parts
 
 
 class StudyConflict(CarosacError):
-    """The folder holds another study than the one that was asked for, or is in use."""
+    """Error of a folder that holds another study than the requested one, or is in use."""
 
 
 class StudyFolder:
@@ -46,7 +46,7 @@ class StudyFolder:
         self._parts = 0
 
     def finished(self) -> dict[str, Row]:
-        """Rows of this study that are on disk, by case."""
+        """Return the rows of this study that are on disk, by case."""
         return {name: x for name, x in read_parts(self.path).items() if name in self._identities}
 
     def forget(self, statuses: Collection[str]) -> None:
@@ -55,19 +55,19 @@ class StudyFolder:
 
     def forget_cases(self, identities: Collection[str]) -> None:
         """Remove the rows of some cases of this study."""
-        drop_rows(self.path, self._identities & set(identities), STATUSES)
+        drop_rows(self.path, self._identities & set(identities), CASE_STATUSES)
 
     def append(self, rows: Sequence[Row]) -> None:
-        """Bring rows to the disk."""
+        """Write rows to the disk."""
         if not rows:
             return
         write_part(self.path, rows)
         self._parts += 1
-        if self._parts >= MERGE_AFTER:
+        if self._parts >= SMALL_PARTS_MAX:
             self.merge()
 
     def merge(self) -> None:
-        """Make one file of many."""
+        """Merge the files into one."""
         merge_parts(self.path, self._identities)
         self._parts = 0
 
@@ -109,10 +109,10 @@ def read_cases(folder: str | Path) -> list[Case]:
     manifest = _read_manifest(Path(folder))
     if manifest["toolkit"] != __version__:
         fault = f"toolkit: got {manifest['toolkit']}; allowed: {__version__}, the one installed"
-        raise InvalidFile(Path(folder) / MANIFEST, [fault])
+        raise InvalidFile(Path(folder) / MANIFEST_FILE, [fault])
     settings = manifest["settings"]
     return [
-        Case(**dict(zip((*NAMES, "seed"), values, strict=True)), settings=settings[index])
+        Case(**dict(zip((*CASE_COLUMNS, "seed"), values, strict=True)), settings=settings[index])
         for _, *values, index in manifest["cases"]
     ]
 
@@ -128,8 +128,8 @@ def read_rows(folder: str | Path) -> list[Row]:
         InvalidFile: A file in it is broken; the message names it.
     """
     order = [entry[0] for entry in _read_manifest(Path(folder))["cases"]]
-    found = read_parts(Path(folder))
-    return in_common_columns(found[name] for name in order if name in found)
+    by_case = read_parts(Path(folder))
+    return in_common_columns(by_case[name] for name in order if name in by_case)
 
 
 def free_folder(base: Path, cases: Sequence[Case]) -> Path:
@@ -137,7 +137,7 @@ def free_folder(base: Path, cases: Sequence[Case]) -> Path:
     asked = {case.identity for case in cases}
     for number in count(1):
         folder = base if number == 1 else base.with_name(f"{base.name}-{number}")
-        if not (folder / MANIFEST).exists():
+        if not (folder / MANIFEST_FILE).exists():
             return folder
         try:
             if {case.identity for case in read_cases(folder)} <= asked:
@@ -148,8 +148,8 @@ def free_folder(base: Path, cases: Sequence[Case]) -> Path:
 
 
 def check_statuses(retry: Collection[str]) -> None:
-    """Refuse what is no status of an unfinished case."""
-    allowed = [status for status in STATUSES if status != "ok"]
+    """Refuse anything but the statuses of unfinished cases."""
+    allowed = [status for status in CASE_STATUSES if status != "ok"]
     for status in retry:
         if status not in allowed:
             raise InvalidField("retry", repr(status), f"some of {allowed}")
@@ -172,9 +172,9 @@ def _locked(path: Path) -> Iterator[None]:
 
 
 def _agree(path: Path, cases: Sequence[Case], function: str) -> None:
-    """Compare what is asked with the manifest; write it where there is none, or cases are added."""
+    """Compare the request with the manifest; write it if there is none or cases are added."""
     asked = _manifest(cases, function)
-    file = path / MANIFEST
+    file = path / MANIFEST_FILE
     if file.is_file():
         held = _read_manifest(path)
         for key in ("toolkit", "function"):
@@ -191,25 +191,25 @@ def _agree(path: Path, cases: Sequence[Case], function: str) -> None:
 
 
 def _manifest(cases: Sequence[Case], function: str) -> dict[str, Any]:
-    """What is asked, as JSON."""
+    """Return the request as JSON."""
     texts = [canonical(dict(case.settings)) for case in cases]
     index = {text: i for i, text in enumerate(dict.fromkeys(texts))}
     return {
-        "schema": SCHEMA,
+        "schema": STUDY_SCHEMA,
         "toolkit": __version__,
         "function": function,
-        "fields": ["case", *NAMES, "seed", "settings"],
+        "fields": ["case", *CASE_COLUMNS, "seed", "settings"],
         "settings": [json.loads(text) for text in index],
         "cases": [
-            [case.identity, *(getattr(case, name) for name in NAMES), case.seed, index[text]]
+            [case.identity, *(getattr(case, name) for name in CASE_COLUMNS), case.seed, index[text]]
             for case, text in zip(cases, texts, strict=True)
         ],
     }
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
-    """Read what a study was asked for."""
-    file = path / MANIFEST
+    """Read the cases that a study was asked for."""
+    file = path / MANIFEST_FILE
     try:
         manifest = json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
@@ -217,8 +217,8 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise InvalidFile(file, [f"this is no JSON: {error}"]) from error
     schema = manifest.get("schema") if isinstance(manifest, dict) else None
-    if schema != SCHEMA:
-        raise InvalidFile(file, [f"schema: got {schema!r}; allowed: {SCHEMA!r}"])
+    if schema != STUDY_SCHEMA:
+        raise InvalidFile(file, [f"schema: got {schema!r}; allowed: {STUDY_SCHEMA!r}"])
     kinds = {"toolkit": str, "function": str, "settings": list, "cases": list}
     faults = [
         f"{name}: got {manifest.get(name)!r}; allowed: a {'text' if kind is str else 'list'}"
@@ -231,7 +231,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 
 
 def _conflict(path: Path, held: str, asked: str) -> StudyConflict:
-    """Say that a folder holds something else."""
+    """Return the error of a folder that holds something else."""
     return StudyConflict(
         f"{path} holds another study: it has {held}; asked for is {asked}. "
         "Use another folder, or remove this one"
@@ -239,9 +239,9 @@ def _conflict(path: Path, held: str, asked: str) -> StudyConflict:
 
 
 def _axes(manifest: dict[str, Any], entries: list[list[Any]]) -> str:
-    """Say in short what some cases of a study are."""
+    """Summarise the axes of some cases of a study."""
     text = []
-    for i, name in enumerate((*NAMES, "seed"), start=1):
+    for i, name in enumerate((*CASE_COLUMNS, "seed"), start=1):
         values = list(dict.fromkeys(str(entry[i]) for entry in entries))
         more = f" and {len(values) - 3} more" if len(values) > 3 else ""
         text.append(f"{name} {', '.join(values[:3])}{more}")

@@ -1,4 +1,4 @@
-"""How far a study is, on standard error."""
+"""Progress of a study, on standard error."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import time
 from collections.abc import Callable, Iterable
 from typing import TextIO
 
-from carosac_toolkit.studies.run.rows import STATUSES, Row
+from carosac_toolkit.studies.run.rows import CASE_STATUSES, Row
 
-TERMINAL_INTERVAL = 0.5  # [s] between two updates of the line on a terminal
-PLAIN_INTERVAL = 10.0  # [s] between two lines elsewhere
+TERMINAL_INTERVAL_S = 0.5  # [s] between two updates of the line on a terminal
+PLAIN_INTERVAL_S = 10.0  # [s] between two lines elsewhere
 
 
 class Progress:
-    """Counts finished cases and says how long the rest takes.
+    """Counter of finished cases that estimates the remaining time.
 
     Args:
         total: Number of cases of the study.
         done: Rows that are there already.
-        quiet: Whether to say nothing.
-        stream: Where to write; standard error by default.
+        quiet: True to report nothing.
+        stream: Output stream; standard error by default.
         share: Tells how much of the work is done, 0 to 1; None: as many as cases are finished.
     """
 
@@ -36,9 +36,9 @@ class Progress:
         self._stream = stream or sys.stderr
         self._quiet = quiet
         self._terminal = self._stream.isatty()
-        self._interval = TERMINAL_INTERVAL if self._terminal else PLAIN_INTERVAL
+        self._interval = TERMINAL_INTERVAL_S if self._terminal else PLAIN_INTERVAL_S
         self._total = total
-        self._counts = dict.fromkeys(STATUSES, 0)
+        self._counts = dict.fromkeys(CASE_STATUSES, 0)
         self._count(done)
         self._before = self._told = self.finished
         self._start = self._shown = time.monotonic()
@@ -53,7 +53,7 @@ class Progress:
         return sum(self._counts.values())
 
     def add(self, rows: Iterable[Row]) -> None:
-        """Count rows, and tell from time to time."""
+        """Count rows, and report from time to time."""
         self._count(rows)
         now = time.monotonic()
         if now - self._shown >= self._interval:
@@ -61,17 +61,17 @@ class Progress:
             self._tell(end="" if self._terminal else "\n")
 
     def close(self) -> None:
-        """Tell a last time."""
+        """Report a last time."""
         if self.finished > self._told or self._terminal:
             self._tell(end="\n")
 
     def say(self, text: str) -> None:
-        """Write a line of its own."""
+        """Write a separate line."""
         if not self._quiet:
             self._write(f"\r\x1b[K{text}\n" if self._terminal else f"{text}\n")
 
     def line(self) -> str:
-        """What is told now."""
+        """Return the current status line."""
         elapsed = time.monotonic() - self._start
         text = f"study: {self.finished}/{self._total} cases, {_clock(elapsed)}"
         new = float(self.finished - self._before)
@@ -82,7 +82,7 @@ class Progress:
             text += f", {100.0 * share:.0f} %"
         if self.finished < self._total and left > 0.0 and new > 0.0:
             text += f", {_clock(elapsed / new * left)} to go"
-        bad = [f"{self._counts[name]} {name.replace('_', ' ')}" for name in STATUSES[1:]
+        bad = [f"{self._counts[name]} {name.replace('_', ' ')}" for name in CASE_STATUSES[1:]
                if self._counts[name]]  # fmt: skip
         return ", ".join([text, *bad])
 
@@ -104,7 +104,7 @@ class Progress:
 
 
 def _clock(seconds: float) -> str:
-    """Hours, minutes and seconds."""
+    """Return hours, minutes and seconds."""
     minutes, second = divmod(round(seconds), 60)
     hours, minute = divmod(minutes, 60)
     return f"{hours}:{minute:02d}:{second:02d}"

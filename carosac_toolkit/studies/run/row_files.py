@@ -1,4 +1,4 @@
-"""Rows on disk: small Parquet files that appear whole or not at all, merged now and then."""
+"""Rows on disk: small Parquet files, written atomically and merged now and then."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ from carosac_toolkit.base.errors import InvalidFile
 from carosac_toolkit.base.files import replacing
 from carosac_toolkit.studies.run.rows import Row, column_kinds, in_common_columns
 
-PATTERN = "part-*.parquet"
-LARGE = 10_000  # rows of a part that is not merged any more
+PART_FILE_PATTERN = "part-*.parquet"
+LARGE_PART_ROWS_MIN = 10_000  # rows of a part that is not merged any more
 READ_ATTEMPTS = 5
-_JSON = {b"carosac": b"json"}  # marks a column of JSON texts: its values are of several types
+_JSON_METADATA = {
+    b"carosac": b"json"
+}  # marks a column of JSON texts: its values are of several types
 
 
 def part_files(folder: Path) -> list[Path]:
-    """All parts, oldest first."""
-    return sorted(folder.glob(PATTERN))
+    """Return all parts, oldest first."""
+    return sorted(folder.glob(PART_FILE_PATTERN))
 
 
 def write_part(folder: Path, rows: Sequence[Row]) -> Path:
@@ -33,7 +35,7 @@ def write_part(folder: Path, rows: Sequence[Row]) -> Path:
 
 
 def replace_part(path: Path, rows: Sequence[Row]) -> None:
-    """Write rows as this part: another process sees all of it, or what was there before."""
+    """Write rows as this part atomically: another process sees either all of it or the old one."""
     import pyarrow.parquet as pq
 
     with replacing(path) as temporary:
@@ -76,20 +78,20 @@ def read_parts(folder: Path) -> dict[str, Row]:
         InvalidFile: A part is broken.
     """
     for attempt in range(READ_ATTEMPTS):
-        found: dict[str, Row] = {}
+        by_case: dict[str, Row] = {}
         try:
             for path in part_files(folder):
                 for row in read_part(path):
-                    found.setdefault(str(row["case"]), row)
-            return found
+                    by_case.setdefault(str(row["case"]), row)
+            return by_case
         except FileNotFoundError:  # a running study has just merged parts: look again
             if attempt == READ_ATTEMPTS - 1:
                 raise
-    return found
+    return by_case
 
 
 def merge_parts(folder: Path, known: Collection[str]) -> None:
-    """Merge the small parts into one; parts with any case that is not known stay as they are.
+    """Merge the small parts into one; parts with any unknown case stay as they are.
 
     The merged part appears before the others go. Should the process die in between, rows are there
     twice until the next merge, and readers take the first.
@@ -98,7 +100,7 @@ def merge_parts(folder: Path, known: Collection[str]) -> None:
     merged: list[Path] = []
     for path in part_files(folder):
         part = read_part(path)
-        if len(part) < LARGE and all(row["case"] in known for row in part):
+        if len(part) < LARGE_PART_ROWS_MIN and all(row["case"] in known for row in part):
             merged.append(path)
             for row in part:
                 rows.setdefault(str(row["case"]), row)
@@ -121,7 +123,7 @@ def drop_rows(folder: Path, known: Collection[str], statuses: Collection[str]) -
 
 
 def _table(rows: Sequence[Row]) -> Any:
-    """Arrow table of rows that share their columns."""
+    """Return an Arrow table of rows that share their columns."""
     import pyarrow as pa
 
     fields, arrays = [], []
@@ -130,7 +132,7 @@ def _table(rows: Sequence[Row]) -> Any:
         metadata = None
         if len(column_kinds(rows, name)) > 1 or any(_is_huge(value) for value in values):
             values = [None if value is None else json.dumps(value) for value in values]
-            metadata = _JSON
+            metadata = _JSON_METADATA
         array = pa.array(values)
         arrays.append(array)
         fields.append(pa.field(name, array.type, metadata=metadata))
@@ -138,5 +140,5 @@ def _table(rows: Sequence[Row]) -> Any:
 
 
 def _is_huge(value: Any) -> bool:
-    """Whether a whole number does not fit a Parquet integer."""
+    """Return whether a whole number does not fit a Parquet integer."""
     return isinstance(value, int) and not -(2**63) <= value < 2**63

@@ -1,4 +1,4 @@
-"""One row per case: what happened to it, its fields, and the numbers that its run returned."""
+"""Row of a case: its status, its fields, and the numbers that its run returned."""
 
 from __future__ import annotations
 
@@ -7,20 +7,24 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Literal, get_args
 
 from carosac_toolkit.base.errors import CarosacError
-from carosac_toolkit.studies.run.case import NAMES, Case, canonical
+from carosac_toolkit.studies.run.case import CASE_COLUMNS, Case, canonical
 
 Value = bool | int | float | str | None
 Row = dict[str, Value]
 Status = Literal["ok", "failed", "crashed", "timed_out"]
 
-STATUSES: tuple[str, ...] = get_args(Status)
-OWN_COLUMNS = ("case", "status", "reason", *NAMES, "seed", "settings", "wall_time_s")
-LATENCIES = ("latency_median_s", "latency_p95_s", "latency_p99_s")  # of one run; none in a batch
-REASON_LENGTH = 1000  # characters kept of a message
+CASE_STATUSES: tuple[str, ...] = get_args(Status)
+OWN_COLUMNS = ("case", "status", "reason", *CASE_COLUMNS, "seed", "settings", "wall_time_s")
+LATENCY_COLUMNS = (
+    "latency_median_s",
+    "latency_p95_s",
+    "latency_p99_s",
+)  # of one run; none in a batch
+REASON_CHARACTERS_MAX = 1000  # characters kept of a message
 
 
 class BadRow(CarosacError):
-    """A case function returned something that is no row."""
+    """Error of a case function that returned an invalid row."""
 
 
 def make_row(
@@ -38,17 +42,17 @@ def make_row(
         status: ``"ok"``; ``"failed"``: it raised; ``"timed_out"``: it ran longer than allowed;
             ``"crashed"``: its process died each time.
         reason: Why it is not ok.
-        wall_time: What the run took [s].
-        values: What the case function returned, as `checked_values` lets it through.
+        wall_time: Wall time of the run [s].
+        values: Values of the case function, as `checked_values` lets it through.
     """
     row: Row = {"case": case.identity, "status": status, "reason": _shortened(reason)}
-    row |= {name: getattr(case, name) for name in (*NAMES, "seed")}
+    row |= {name: getattr(case, name) for name in (*CASE_COLUMNS, "seed")}
     row |= {"settings": canonical(dict(case.settings)), "wall_time_s": wall_time}
     return row | dict(values or {})
 
 
 def checked_values(returned: Any) -> dict[str, Value]:
-    """Return what a case function returned with numpy scalars as plain ones.
+    """Return the values of a case function with numpy scalars as plain ones.
 
     Raises:
         BadRow: It is no flat dict of finite numbers, text, true/false and None, or it uses a
@@ -73,12 +77,12 @@ def in_common_columns(rows: Iterable[Row]) -> list[Row]:
 
 
 def column_kinds(rows: Iterable[Row], name: str) -> set[type]:
-    """Types of the values that a column holds, None left out."""
+    """Return the types of the values that a column holds, without None."""
     return {type(row[name]) for row in rows if row.get(name) is not None}
 
 
 def _as_float(value: Value, wanted: bool) -> Value:
-    """Turn a whole number into a float where that is wanted."""
+    """Turn a whole number into a float if requested."""
     return float(value) if wanted and isinstance(value, int) else value
 
 
@@ -107,6 +111,6 @@ def _checked_value(name: Any, value: Any) -> Value:
     )
 
 
-def _shortened(text: str | None, length: int = REASON_LENGTH) -> str | None:
+def _shortened(text: str | None, length: int = REASON_CHARACTERS_MAX) -> str | None:
     """Cut a long message."""
     return text if text is None or len(text) <= length else text[: length - 4] + " ..."

@@ -1,4 +1,4 @@
-"""One case of a study: build everything by name, run the loop, score it."""
+"""Case of a study: build everything by name, run the loop, return its row."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from carosac_toolkit import trajectories
-from carosac_toolkit.base.arrays import Array, evenly
+from carosac_toolkit.base.arrays import evenly
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.base.rotations import from_matrix
 from carosac_toolkit.live.rehearsal import rehearse
@@ -24,24 +24,23 @@ from carosac_toolkit.robot.file import load_robot, robot_text
 from carosac_toolkit.robot.perturbations import Condition, draw_plant, find_condition
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.studies.run.case import Case
-from carosac_toolkit.studies.run.estimation_scores import estimation_scores
+from carosac_toolkit.studies.run.scores import score
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
-DRIVER = "simulator"
-GIVEN = (  # what a case says itself
+DEFAULT_DRIVER = "simulator"
+CASE_DRIVER_SETTINGS = (  # what a case says itself
     "suite", "period", "start_position", "scene", "set_down", "wind_force", "wind_time",
 )  # fmt: skip
-REST = 3.0  # [s] after the end of the trajectory that counts as residual sway: over a period
-SERIES = 500  # samples kept of a case for pictures
-SETTINGS = (
+FINAL_REST_S = 3.0  # after the trajectory, for the residual sway: more than a period
+SERIES_SAMPLES_MAX = 500  # samples kept of a case for pictures
+CASE_SETTINGS = (
     "driver", "speed_max", "acceleration_max", "controller_settings", "estimator_settings",
     "driver_settings", "timeout", "example_seed", "robot_digest",
 )  # fmt: skip
-CENTRE = 0.5  # of each side of the workspace box: inside is the centre, outside the boundary
 
 
 class Truth:
-    """The estimator `truth`: what the driver's world knows. For simulation only."""
+    """Estimator `truth`: the state of the simulated world. For simulation only."""
 
     def __init__(self, source: object) -> None:
         if not isinstance(source, TruthSource) or replays(source):
@@ -49,7 +48,7 @@ class Truth:
         self._source = source
 
     def reset(self, measurement: Measurement) -> Belief:
-        """The state now."""
+        """Return the state now."""
         state = self._source.truth()
         if state is None:
             raise CarosacError("estimator truth: the driver does not know the truth here")
@@ -62,14 +61,14 @@ class Truth:
         )
 
     def update(self, belief: Belief, command: Command, measurement: Measurement) -> Belief:
-        """The state now."""
+        """Return the state now."""
         return self.reset(measurement)
 
 
 def run_case(case: Case) -> dict[str, Any]:
     """Run and score one case.
 
-    Settings that are read: ``driver`` (default `DRIVER`), ``speed_max`` [m/s],
+    Settings that are read: ``driver`` (default `DEFAULT_DRIVER`), ``speed_max`` [m/s],
     ``acceleration_max`` [m/s^2] of the trajectory, ``controller_settings``,
     ``estimator_settings`` and ``driver_settings`` (fields of the plug-in's own settings, a dict
     for each settings dataclass inside them; what stands under the name of a driver is for it
@@ -89,14 +88,18 @@ def run_case(case: Case) -> dict[str, Any]:
     condition = find_condition(case.perturbation)
     plant = draw_plant(robot, condition, np.random.default_rng(case.plant_seed))
     controller = build_part("controllers", case.controller, robot, case, "controller_settings")
-    name = str(settings.get("driver", DRIVER))
+    name = str(settings.get("driver", DEFAULT_DRIVER))
     recorded = replays(plugins.load("drivers", name))
     path = None if recorded else path_of(case, robot)
     start = robot.home_position if path is None else path.sample(np.zeros(1)).position[0]
-    given = given_to_driver(case, condition, period_of(controller), tuple(float(x) for x in start))
-    driver = build_part("drivers", name, plant, case, "driver_settings", given)
+    driver_settings = given_to_driver(
+        case, condition, period_of(controller), tuple(float(x) for x in start)
+    )
+    driver = build_part("drivers", name, plant, case, "driver_settings", driver_settings)
     estimator = estimator_of(case, robot, driver)
-    duration = REST + path.duration if path else controller.period * len(driver.recording.time)
+    duration = (
+        FINAL_REST_S + path.duration if path else controller.period * len(driver.recording.time)
+    )
     path = path or trajectories.from_recording(driver.recording, robot)
     if getattr(driver, "real_time", False):
         rehearse(robot, estimator, controller, path, suite=case.suite)
@@ -108,13 +111,13 @@ def run_case(case: Case) -> dict[str, Any]:
 
 
 def path_of(case: Case, robot: Robot) -> Trajectory:
-    """The trajectory that a case draws."""
+    """Return the trajectory that a case draws."""
     limits = {x: float(case.settings.get(x, 1.0)) for x in ("speed_max", "acceleration_max")}
     return trajectories.build(case.trajectory, robot, case.path_seed % 2**32, **limits)
 
 
 def estimator_of(case: Case, robot: Robot, driver: object) -> Any:
-    """The estimator that a case names; `truth` asks the driver."""
+    """Return the estimator that a case names; `truth` asks the driver."""
     if case.estimator == "truth":
         return Truth(driver)
     return build_part("estimators", case.estimator, robot, case, "estimator_settings")
@@ -131,99 +134,33 @@ def given_to_driver(
         "set_down": True, "wind_force": condition.wind_force, "wind_time": condition.wind_time,
     }  # fmt: skip
     values = (case.suite, period, start, scene, *scene.values())
-    return dict(zip(GIVEN, values, strict=True))
+    return dict(zip(CASE_DRIVER_SETTINGS, values, strict=True))
 
 
 def period_of(controller: Any) -> float:
-    """Time between two commands [s], which drivers need to know."""
+    """Return the time between two commands [s], which drivers need."""
     period = getattr(controller, "period", None)
     if not isinstance(period, int | float) or not 0.0 < period < np.inf:
         raise BadPlugin(f"controller: got period {period!r}; allowed: > 0 s, finite")
     return float(period)
 
 
-def score(log: Log, robot: Robot, duration: float, *, replayed: bool = False) -> dict[str, Any]:
-    """Errors of one run.
-
-    Args:
-        log: What happened.
-        robot: The nominal robot, for its workspace box.
-        duration: Of the trajectory [s]; what comes after is rest.
-        replayed: Whether the driver played a recording, on which no controller tracks anything.
-
-    Returns:
-        Difference of the lengths asked and sent; tracking error (truth minus reference) and
-        estimation error (belief minus truth) as root mean squares per axis and in norm [m], and
-        what `estimation_scores` says; None where nobody knows.
-    """
-    row: dict[str, Any] = {
-        "latency_median_s": float(np.median(log.latency)),
-        "latency_p95_s": float(np.quantile(log.latency, 0.95)),
-        "latency_p99_s": float(np.quantile(log.latency, 0.99)),
-        "command_rmse_m": _rms(log.asked - log.command),
-        "limited": len({cycle for cycle, _ in log.limited}),
-        "completed": log.completed,
-        "steps": len(log.time),
-    } | estimation_scores(log)
-    if log.position is None:
-        return row | _errors("tracking", None) | _errors("estimation", None)
-    row |= _errors("estimation", log.belief_position - log.position)
-    if replayed:
-        return row | _errors("tracking", None)
-    return row | _tracking(log, log.position, robot, duration)
-
-
-def _tracking(log: Log, position: Array, robot: Robot, duration: float) -> dict[str, Any]:
-    """Truth against the reference."""
-    error = position - log.reference
-    distance = np.linalg.norm(error, axis=-1)
-    middle = 0.5 * (robot.workspace_min + robot.workspace_max)
-    half = 0.5 * CENTRE * (robot.workspace_max - robot.workspace_min)
-    central = (np.abs(log.reference - middle) <= half).all(axis=-1)
-    rest = position[log.time > duration]
-    swing = rest - rest.mean(axis=0, keepdims=True) if len(rest) else rest
-    return _errors("tracking", error) | {
-        "tracking_max_m": float(distance.max()),
-        "tracking_centre_m": _rms(distance[central]),
-        "tracking_boundary_m": _rms(distance[~central]),
-        "centre_steps": int(central.sum()),
-        "residual_sway_m": _rms(np.linalg.norm(swing, axis=-1)),
-        "tension_min_N": None if log.tension is None else float(log.tension.min()),
-        "tension_max_N": None if log.tension is None else float(log.tension.max()),
-    }
-
-
 def known_settings(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Refuse settings of a case that nobody reads."""
-    unknown = sorted(set(settings) - set(SETTINGS))
+    """Refuse unknown settings of a case."""
+    unknown = sorted(set(settings) - set(CASE_SETTINGS))
     if unknown:
-        raise InvalidField(f"settings.{unknown[0]}", "a name", f"one of {sorted(SETTINGS)}")
+        raise InvalidField(f"settings.{unknown[0]}", "a name", f"one of {sorted(CASE_SETTINGS)}")
     return settings
 
 
-def _errors(name: str, error: Array | None) -> dict[str, float | None]:
-    """Root mean squares per axis and in norm [m]."""
-    keys = [f"{name}_rmse_{axis}_m" for axis in ("x", "y", "z", "norm")]
-    if error is None:
-        return dict.fromkeys(keys)
-    per_axis = np.sqrt((error**2).mean(axis=(0, 1)))
-    values = [*per_axis, np.sqrt((per_axis**2).sum())]
-    return {key: float(value) for key, value in zip(keys, values, strict=True)}
-
-
-def _rms(values: Array) -> float | None:
-    """Root mean square, or None of nothing."""
-    return float(np.sqrt((values**2).mean())) if values.size else None
-
-
 def example_series(case: Case, log: Log) -> str | None:
-    """What pictures and the viewer need of one run, thinned out, as JSON; order w x y z.
+    """Return the thinned-out time series for pictures and viewer, as JSON; order w x y z.
 
     None for all seeds but the one that is shown.
     """
     if case.seed != case.settings.get("example_seed", 0):
         return None
-    keep = evenly(len(log.time), SERIES)
+    keep = evenly(len(log.time), SERIES_SAMPLES_MAX)
     channels: dict[str, Any] = {
         "time_s": log.time[keep],
         "reference_m": log.reference[keep, 0],
@@ -244,12 +181,12 @@ def build_part(
     """Make a plug-in by name, with its own settings.
 
     Args:
-        kind: Of the plug-in.
-        name: Of the plug-in, or of a variant of it.
-        robot: What it is for; several for a driver of a batch.
+        kind: Kind of the plug-in.
+        name: Name of the plug-in, or of a variant of it.
+        robot: Robot that it is built for; several for a driver of a batch.
         case: Whose settings count, and whose seed.
-        key: Where its settings are among those of the case.
-        given: Settings that the case itself says, as far as it has them.
+        key: Key of its settings among those of the case.
+        given: Settings that the case itself sets, as far as the plug-in has them.
         seeds: For a driver of a batch, one for each robot.
     """
     plugin = plugins.load(kind, plugin_name(name))
@@ -259,16 +196,16 @@ def build_part(
         asked = own_settings(name, asked)
     offered = given or {}
     if hasattr(plugin, "Settings"):
-        for taken in sorted(set(offered) & set(asked)):
-            allowed = "none: the case itself says it"
-            raise InvalidField(f"{key}.{taken}", repr(asked[taken]), allowed)
+        for clash in sorted(set(offered) & set(asked)):
+            allowed = "none: the case itself sets it"
+            raise InvalidField(f"{key}.{clash}", repr(asked[clash]), allowed)
     return build_plugin(
         plugin, robot, where=key, asked=asked, offered=offered, seed=seed, seeds=seeds
     )
 
 
 def own_settings(name: str, asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings that a driver gets: those for any driver, and those under its own name.
+    """Return the settings of a driver: those for any driver, and those under its own name.
 
     So one study runs on several drivers, and each has settings that the others do not know.
     """
@@ -277,17 +214,17 @@ def own_settings(name: str, asked: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def plugin_name(name: str) -> str:
-    """The plug-in that a name stands for: ``ks_ekf`` for its variant ``ks_ekf@tight``."""
+    """Return the plug-in that a name stands for: ``ks_ekf`` for its variant ``ks_ekf@tight``."""
     return name.partition("@")[0]
 
 
 def robot_digest(name: str) -> str:
-    """What stands for the content of a robot file in the identity of a case."""
+    """Return the digest of a robot file that is part of the identity of a case."""
     return hashlib.sha256(robot_text(name).encode()).hexdigest()[:16]
 
 
 def digest_of(case: Case) -> str:
-    """Digest of the robot file as it is here, which must be the one the case was made for."""
+    """Return the digest of the local robot file, which must be the one the case was made for."""
     here = robot_digest(case.robot)
     if case.settings.get("robot_digest", here) != here:
         raise CarosacError(f"robot {case.robot}: this file is not the one the study was made for")
@@ -296,5 +233,5 @@ def digest_of(case: Case) -> str:
 
 @lru_cache(maxsize=8)
 def robot_of(name: str, digest: str) -> Robot:
-    """Robots are read once per process and content, so that their device buffers are kept."""
+    """Return a robot; each is read once per process and content, to keep its device buffers."""
     return load_robot(name)

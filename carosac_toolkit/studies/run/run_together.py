@@ -1,4 +1,4 @@
-"""Cases that differ in the seed alone, run as one batch: what Python costs is paid once for all.
+"""Batch of cases that differ in the seed alone, so that the overhead of Python is paid once.
 
 Each row is what `run_case` gives, to rounding, but for the latencies, which a batch does not have.
 """
@@ -18,10 +18,10 @@ from carosac_toolkit.loop.protocols import replays
 from carosac_toolkit.loop.values import Reference
 from carosac_toolkit.robot.perturbations import draw_plant, find_condition
 from carosac_toolkit.studies.run.case import Case, canonical
-from carosac_toolkit.studies.run.rows import LATENCIES
+from carosac_toolkit.studies.run.rows import LATENCY_COLUMNS
 from carosac_toolkit.studies.run.run_case import (
-    DRIVER,
-    REST,
+    DEFAULT_DRIVER,
+    FINAL_REST_S,
     build_part,
     digest_of,
     estimator_of,
@@ -32,18 +32,18 @@ from carosac_toolkit.studies.run.run_case import (
     period_of,
     plugin_name,
     robot_of,
-    score,
 )
+from carosac_toolkit.studies.run.scores import score
 from carosac_toolkit.trajectories.trajectory import Trajectory
 
 
 def group_of(case: Case) -> str | None:
-    """What cases of one batch have in common; None where driver or plug-ins want one robot.
+    """Return the key that cases of one batch share; None if any plug-in needs a single robot.
 
     The driver has to have `build_batch`, controller and estimator have to be `batched`.
     """
     settings = known_settings(case.settings)
-    driver = registry.load("drivers", str(settings.get("driver", DRIVER)))
+    driver = registry.load("drivers", str(settings.get("driver", DEFAULT_DRIVER)))
     plugins = [registry.load("controllers", plugin_name(case.controller))]
     if case.estimator != "truth":
         plugins.append(registry.load("estimators", plugin_name(case.estimator)))
@@ -58,7 +58,7 @@ def run_together(cases: Sequence[Case]) -> list[dict[str, Any]]:
     """Run and score cases of one group.
 
     Args:
-        cases: Of one `group_of`, which differ in their seeds.
+        cases: Cases of one `group_of`, which differ in their seeds.
 
     Returns:
         A row for each, as `run_case`; the latencies are None.
@@ -76,28 +76,28 @@ def run_together(cases: Sequence[Case]) -> list[dict[str, Any]]:
     paths = Paths(tuple(path_of(case, robot) for case in cases))
     controller = build_part("controllers", first.controller, robot, first, "controller_settings")
     driver = build_part(
-        "drivers", str(settings.get("driver", DRIVER)), plants, first, "driver_settings",
+        "drivers", str(settings.get("driver", DEFAULT_DRIVER)), plants, first, "driver_settings",
         given_to_driver(first, condition, period_of(controller), paths.starts),
         seeds=[case.sensor_seed for case in cases],
     )  # fmt: skip
     if getattr(driver, "real_time", False):
         raise CarosacError("a driver in real time runs one case at a time")
     estimator = estimator_of(first, robot, driver)
-    log = run(driver, estimator, controller, paths, duration=REST + paths.duration)
+    log = run(driver, estimator, controller, paths, duration=FINAL_REST_S + paths.duration)
     if not log.completed:
         raise CarosacError("the driver stopped before the end")
     rows = []
     for b, (case, path) in enumerate(zip(cases, paths.paths, strict=True)):
-        cycles = max(1, round((REST + path.duration) / controller.period))
+        cycles = max(1, round((FINAL_REST_S + path.duration) / controller.period))
         alone = log.world(b, cycles)
-        row = score(alone, robot, path.duration) | dict.fromkeys(LATENCIES)
+        row = score(alone, robot, path.duration) | dict.fromkeys(LATENCY_COLUMNS)
         rows.append(row | {"series": example_series(case, alone)})
     return rows
 
 
 @dataclass(frozen=True)
 class Paths:
-    """What B robots follow, each its own; the shorter ones rest at their end.
+    """Reference paths of B robots, each its own; the shorter ones rest at their end.
 
     Attributes:
         paths: One for each robot.
@@ -107,17 +107,17 @@ class Paths:
 
     @property
     def duration(self) -> float:
-        """Of the longest [s]."""
+        """Duration of the longest [s]."""
         return max(path.duration for path in self.paths)
 
     @property
     def starts(self) -> tuple[tuple[float, ...], ...]:
-        """Where each begins in W [m]."""
+        """Starting positions in W [m]."""
         places = (path.sample(np.zeros(1)).position[0] for path in self.paths)
         return tuple(tuple(float(x) for x in place) for place in places)
 
     def window(self, time: float, horizon: float, period: float) -> Reference:
-        """As `Trajectory.window`, a row for each robot."""
+        """Return the references as `Trajectory.window` does, a row for each robot."""
         each = [path.window(time, horizon, period) for path in self.paths]
         names = ("time", "position", "velocity", "acceleration")
         return Reference(

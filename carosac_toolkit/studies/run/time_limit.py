@@ -1,4 +1,4 @@
-"""Stop Python code that runs for too long, in the thread that it runs in."""
+"""Time limit for Python code, in the thread that it runs in."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import time
 from types import FrameType, TracebackType
 from typing import Any
 
-ARRIVAL = 1.0  # [s] an exception sent to a thread is waited for
+EXCEPTION_WAIT_S = 1.0  # [s] an exception sent to a thread is waited for
 
 
 class CaseTimeout(BaseException):
-    """Time is up. No `Exception`: code that catches those has to stop as well."""
+    """Expiry of the time limit; no `Exception`, so that code that catches those stops as well."""
 
 
 class TimeLimit:
@@ -25,7 +25,7 @@ class TimeLimit:
     `time.sleep` included, stops only when that call returns.
 
     Args:
-        seconds: How long the block may run [s].
+        seconds: Time limit of the block [s].
     """
 
     def __init__(self, seconds: float) -> None:
@@ -83,7 +83,7 @@ class TimeLimit:
 
     def _await_exception(self) -> None:
         """Let the exception arrive here if it is still on its way."""
-        end = time.monotonic() + (0.0 if self._by_signal else ARRIVAL)
+        end = time.monotonic() + (0.0 if self._by_signal else EXCEPTION_WAIT_S)
         while time.monotonic() < end:
             time.sleep(0.001)
 

@@ -1,4 +1,4 @@
-"""Whether anybody is there to do the work of a study."""
+"""Watch over the scheduler and the workers of a study."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import Any
 
 from carosac_toolkit.base.errors import CarosacError
 
-LOST_AFTER = 30.0  # [s] without a connection to the scheduler
-PATIENCE = 120.0  # [s] without workers, or without an answer of the scheduler
-NOTICE = 10.0  # [s] of that before it is said
-INTERVAL = 2.0  # [s] between two questions to the scheduler
-ANSWER = 10.0  # [s] an answer is waited for
+LOST_AFTER_S = 30.0  # [s] without a connection to the scheduler
+CLUSTER_PATIENCE_S = 120.0  # [s] without workers, or without an answer of the scheduler
+NOTICE_AFTER_S = 10.0  # [s] of that before it is said
+QUERY_INTERVAL_S = 2.0  # [s] between two questions to the scheduler
+ANSWER_TIMEOUT_S = 10.0  # [s] an answer is waited for
 
 
 class LostScheduler(CarosacError):
-    """The scheduler went away, has no workers, or its workers cannot do the work."""
+    """Error of a scheduler that is gone, has no workers, or has none that can do the work."""
 
 
 class Presence:
-    """Looks after the scheduler and its workers while a study waits for them.
+    """Watch over the scheduler and its workers while a study waits for them.
 
     A scheduler keeps tasks for workers that may come one day, so a wait for its results has no end
     of its own.
@@ -38,22 +38,22 @@ class Presence:
         self._connected = self._asked = self._present = time.monotonic()
 
     def confirm(self) -> None:
-        """Take note that work has been done."""
+        """Note that work has been done."""
         self._connected = self._asked = self._present = time.monotonic()
 
     def check(self) -> None:
-        """Look whether somebody is there; to be called again and again while nothing comes.
+        """Check for scheduler and workers; call it repeatedly while nothing comes.
 
         Raises:
             LostScheduler: Nobody has been there for too long.
         """
         now = time.monotonic()
         if self._client.status != "running":
-            if now - self._connected > LOST_AFTER:
+            if now - self._connected > LOST_AFTER_S:
                 raise LostScheduler(f"the connection to {self._name} is lost; run again to go on")
             return
         self._connected = now
-        if now - self._asked < INTERVAL:
+        if now - self._asked < QUERY_INTERVAL_S:
             return
         absence = self._absence()
         self._asked = time.monotonic()
@@ -66,23 +66,23 @@ class Presence:
         self._present = self._asked
 
     def _absence(self) -> str:
-        """What is wrong; empty if the scheduler has workers."""
+        """Describe what is wrong; empty if the scheduler has workers."""
         try:
-            workers = self._client.nthreads(callback_timeout=ANSWER)
+            workers = self._client.nthreads(callback_timeout=ANSWER_TIMEOUT_S)
         except (OSError, TimeoutError):
             return "has not answered"
         return "" if workers else "has had no workers"
 
     def _wait(self, absence: str, duration: float) -> None:
-        """Have patience, say so, and lose it."""
-        if duration > PATIENCE:
+        """Wait patiently, say so, and give up in the end."""
+        if duration > CLUSTER_PATIENCE_S:
             raise LostScheduler(
                 f"{self._name} {absence} for {duration:.0f} s; what is finished is kept: "
                 "run again to go on"
             )
-        if duration > NOTICE and not self._told:
+        if duration > NOTICE_AFTER_S and not self._told:
             self._told = True
             self._say(
                 f"study: {self._name} {absence} for {duration:.0f} s; "
-                f"the study ends if that lasts {PATIENCE:g} s"
+                f"the study ends if that lasts {CLUSTER_PATIENCE_S:g} s"
             )

@@ -1,4 +1,4 @@
-"""What a local worker process does before its first case; dask calls `dask_setup` by its name.
+"""Set-up of a local worker process before its first case; dask calls `dask_setup` by name.
 
 A worker must not outlive the process that started it, not even when that one is killed and the
 worker is stuck in compiled code. Ctrl-C is for the process that started it: the terminal sends it

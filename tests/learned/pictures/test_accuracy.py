@@ -5,7 +5,7 @@ import pytest
 from matplotlib.colors import to_hex
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.pictures.drawing import COLORS, MEASURED
+from carosac_toolkit.pictures.drawing import MEASURED_COLOR, SERIES_COLORS
 from learned.pictures.accuracy import (
     error_histograms,
     error_violins,
@@ -67,13 +67,13 @@ def test_paths_lie_beside_their_references_within_the_workspace_box(tmp_path):
         assert len(box) == edges
         assert np.concatenate(box, axis=1).min(axis=1) == pytest.approx(corners[0, columns])
         assert np.concatenate(box, axis=1).max(axis=1) == pytest.approx(corners[1, columns])
-        for k, color in enumerate(COLORS[:3]):
+        for k, color in enumerate(SERIES_COLORS[:3]):
             (own,) = (i for i, one in enumerate(axes.lines) if to_hex(one.get_color()) == color)
             np.testing.assert_allclose(lines[own], reached[k][:, columns].T)
         dashed = [line for one, line in zip(axes.lines, lines, strict=True) if one.get_ls() == "--"]
         np.testing.assert_allclose(dashed, reference[..., columns].swapaxes(1, 2))
         assert all(
-            to_hex(one.get_color()) == MEASURED for one in axes.lines if one.get_ls() == "--"
+            to_hex(one.get_color()) == MEASURED_COLOR for one in axes.lines if one.get_ls() == "--"
         )
     labels = {text.get_text() for text in figure.legends[0].get_texts()}
     assert labels == {"workspace box", "reference", "reached"}

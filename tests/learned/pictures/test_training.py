@@ -4,7 +4,7 @@ from matplotlib.colors import to_hex
 from matplotlib.image import imread
 
 from carosac_toolkit.base.errors import InvalidField
-from carosac_toolkit.pictures.drawing import COLORS
+from carosac_toolkit.pictures.drawing import SERIES_COLORS
 from learned.curve import COLUMNS, Episode, write_curve, write_episodes
 from learned.pictures.training import curve_of, learning_curves, reward_terms, smoothed
 
@@ -68,12 +68,12 @@ def test_curves_show_raw_and_smoothed_rewards_in_the_colour_of_their_seed(tmp_pa
     reward, error = learning_curves(curves, tmp_path / "curves.png").axes
     assert len(reward.lines) == 6 and len(error.lines) == 2
     for k, (raw, smooth) in enumerate(zip(reward.lines[::2], reward.lines[1::2], strict=True)):
-        assert to_hex(raw.get_color()) == to_hex(smooth.get_color()) == COLORS[k]
+        assert to_hex(raw.get_color()) == to_hex(smooth.get_color()) == SERIES_COLORS[k]
         np.testing.assert_array_equal(raw.get_ydata(), curves[k]["reward"])
         assert raw.get_alpha() < 0.5
         late = slice(-100, None)
         assert smooth.get_ydata()[late].std() < 0.5 * raw.get_ydata()[late].std()
-    assert [to_hex(line.get_color()) for line in error.lines] == list(COLORS[:2])
+    assert [to_hex(line.get_color()) for line in error.lines] == list(SERIES_COLORS[:2])
     labels = reward.get_legend_handles_labels()[1]
     assert labels == ["seed 0", "seed 1", "training 3"]
 

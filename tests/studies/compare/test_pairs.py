@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from carosac_toolkit.studies.compare.pairs import Estimate, compare, typical_of
+from carosac_toolkit.studies.compare.pairs import IntervalEstimate, compare, typical_of
 
 COLUMN = "tracking_rmse_norm_m"
 
@@ -79,7 +79,7 @@ def test_cases_in_which_the_error_means_nothing_are_left_out(pair):
 def test_equal_errors_are_nobodys_case_and_a_perfect_baseline_has_no_ratio(pair):
     same = compare(rows_of(pair[0]), rows_of(pair[0]), COLUMN)
     assert (same.won, same.lost, same.p) == (0, 0, 1.0)
-    assert same.difference == Estimate(value=0.0, low=0.0, high=0.0)
+    assert same.difference == IntervalEstimate(value=0.0, low=0.0, high=0.0)
     assert compare(rows_of(pair[0]), rows_of(0.0 * pair[1]), COLUMN).ratio is None
 
 

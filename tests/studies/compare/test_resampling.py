@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.studies.compare.resampling import (
-    FEWEST,
-    RESAMPLES,
+    BOOTSTRAP_RESAMPLES,
+    INTERVAL_SEEDS_MIN,
     holm,
     interval,
     sign_flip_p,
@@ -60,8 +60,8 @@ def test_paired_intervals_are_shorter_than_those_of_the_same_data_unpaired():
 
 def test_an_interval_needs_some_seeds_and_a_value_in_each_resample():
     table = np.arange(18.0).reshape(6, 3)
-    assert interval(typical, table[: FEWEST - 1]) is None
-    assert interval(typical, table[:FEWEST]) is not None
+    assert interval(typical, table[: INTERVAL_SEEDS_MIN - 1]) is None
+    assert interval(typical, table[:INTERVAL_SEEDS_MIN]) is not None
     table[:2] = np.nan
     assert interval(typical, table) is None  # four seeds are left
 
@@ -70,9 +70,9 @@ def test_a_path_that_most_seeds_lack_does_not_slip_out_of_the_interval():
     """Without the hard path it would be an interval of the two easy ones, at 50."""
     rng = np.random.default_rng(4)
     table = np.column_stack([rng.normal([50.0, 50.0], 5.0, (20, 2)), np.full(20, np.nan)])
-    table[: FEWEST - 1, 2] = 300.0
+    table[: INTERVAL_SEEDS_MIN - 1, 2] = 300.0
     assert interval(typical, table) is None  # four seeds tell nothing of the hard path
-    table[FEWEST - 1, 2] = 300.0
+    table[INTERVAL_SEEDS_MIN - 1, 2] = 300.0
     low, high = interval(typical, table)
     assert 125.0 < low < high < 142.0
     assert interval(typical, table[:, :2])[1] < 60.0
@@ -114,4 +114,4 @@ def test_holm_against_a_textbook_case_and_with_gaps():
     assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
     assert holm([None, 0.02, 0.9, None]) == [None, 0.04, 0.9, None]
     assert holm([0.6, 0.7]) == [1.0, 1.0]
-    assert smallest_p(40) == pytest.approx(1 / (RESAMPLES + 1))
+    assert smallest_p(40) == pytest.approx(1 / (BOOTSTRAP_RESAMPLES + 1))

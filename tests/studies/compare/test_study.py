@@ -126,7 +126,9 @@ def test_one_case_is_not_spoken_of_as_many():
         "case of both."
     )
     lost = study([bad(case("a", 0), "no")])
-    assert any("1 of 1 case without a score: errors of a row" in text for text in conclusions(lost))
+    assert any(
+        "1 of 1 case without a score: the errors of a row" in text for text in conclusions(lost)
+    )
 
 
 def test_a_ranking_is_turned_round_where_the_shared_cases_say_so():

@@ -13,7 +13,7 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies.compare.resampling import holm, smallest_p
 from carosac_toolkit.studies.compare.results import StudyResults
-from carosac_toolkit.studies.reference.cases import LATEST, ReferenceSuite, suites
+from carosac_toolkit.studies.reference.cases import LATEST_SUITE, ReferenceSuite, suites
 from carosac_toolkit.studies.reference.check import agreement
 from carosac_toolkit.studies.reference.results import (
     RECORD,
@@ -33,7 +33,7 @@ SUITE = ReferenceSuite.load("reference")
 
 def test_the_definition_has_not_changed_under_its_name():
     """A change of the suite, of its robots or of its condition needs a new version."""
-    assert SUITE.name == LATEST == suites()[-1]
+    assert SUITE.name == LATEST_SUITE == suites()[-1]
     assert SUITE.digest == "70942b8d9daa7d52"
 
 

@@ -11,8 +11,8 @@ import pytest
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.studies import UnfitWorker, read_rows, run_cases
 from carosac_toolkit.studies.run.batching import Batching
-from carosac_toolkit.studies.run.cluster import ONE_THREAD, local_client
-from carosac_toolkit.studies.run.execution import Task, rows_of
+from carosac_toolkit.studies.run.cluster import SINGLE_THREAD_ENVIRONMENT, local_client
+from carosac_toolkit.studies.run.execution import WorkerTask, rows_of
 from tests.studies.functions import one_case, some_cases, without_times
 from tests.studies.processes import cluster
 
@@ -80,7 +80,7 @@ def test_files_of_cases_that_run_together_are_nobodys(tmp_path):
 
 def test_a_machine_without_the_folder_says_so(tmp_path):
     case = some_cases(1)[0]
-    task = Task(
+    task = WorkerTask(
         cases=(case.to_dict(),), identities=(case.identity,), function=f"{MODULE}:leave_a_file",
         together="", timeout=10.0, attempts=1, notes="", own_folder=str(tmp_path / "elsewhere"),
     )  # fmt: skip
@@ -115,7 +115,7 @@ def test_bad_cases_cost_only_themselves(tmp_path):
         "loops": ("timed_out", "stopped after 0.5 s"),
         "hangs": ("timed_out", ended + found["hangs"][1].partition(ended)[2]),
         "seizes": ("timed_out", ended + found["seizes"][1].partition(ended)[2]),
-        "dies": ("crashed", died + "without a word: killed, out of memory, or left by os._exit"),
+        "dies": ("crashed", died + "without a message: killed, out of memory, or left by os._exit"),
         "faults": ("crashed", died + "Segmentation fault in string_at "
                    + found["faults"][1].partition("string_at ")[2]),
     }  # fmt: skip
@@ -131,7 +131,7 @@ def test_a_case_may_bring_its_own_limit(tmp_path):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_workers_are_alone_single_threaded_and_local(monkeypatch):
-    for name in ONE_THREAD:
+    for name in SINGLE_THREAD_ENVIRONMENT:
         monkeypatch.setenv(name, "2")  # workers do not have it from here
     environment = dict(os.environ)
     with local_client(2) as client:
@@ -139,7 +139,7 @@ def test_workers_are_alone_single_threaded_and_local(monkeypatch):
         connections = psutil.Process().net_connections()
         for pid in client.run(os.getpid).values():
             connections += psutil.Process(pid).net_connections()
-    assert all(x.items() >= ONE_THREAD.items() for x in found.values())
+    assert all(x.items() >= SINGLE_THREAD_ENVIRONMENT.items() for x in found.values())
     listening = {x.laddr.ip for x in connections if x.status == psutil.CONN_LISTEN}
     assert listening == {"127.0.0.1"}
     assert os.environ.items() - environment.items() <= {

@@ -15,14 +15,14 @@ from carosac_toolkit.robot.perturbations import find_condition
 from carosac_toolkit.studies import Case
 from carosac_toolkit.studies.run.rows import checked_values
 from carosac_toolkit.studies.run.run_case import (
-    SERIES,
+    SERIES_SAMPLES_MAX,
     Truth,
     build_part,
     given_to_driver,
     robot_digest,
     run_case,
-    score,
 )
+from carosac_toolkit.studies.run.scores import score
 from tests.recordings.synthetic import full_recording
 from tests.robots import simple_robot
 
@@ -76,7 +76,7 @@ def test_a_row_is_flat_and_finite():
     assert 0.0 < row["latency_median_s"] <= row["latency_p95_s"]
     series = json.loads(row["series"])
     count = len(series["time_s"])
-    assert count <= SERIES and {len(series[name]) for name in series} == {count}
+    assert count <= SERIES_SAMPLES_MAX and {len(series[name]) for name in series} == {count}
     assert row_of(seed=1)["series"] is None
 
 
@@ -109,7 +109,7 @@ def test_another_sensor_changes_neither_plant_nor_encoders():
 
 def test_what_the_case_says_cannot_be_overridden():
     settings = FAST | {"driver_settings": {"suite": "lengths+pose"}}
-    with pytest.raises(InvalidField, match=r"driver_settings.suite: .*the case itself says it"):
+    with pytest.raises(InvalidField, match=r"driver_settings.suite: .*the case itself sets it"):
         run_case(case(settings=settings))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import carosac_toolkit as ct
-from carosac_toolkit.studies.compare.results import LATENCIES
+from carosac_toolkit.studies.compare.results import LATENCY_COLUMNS
 from carosac_toolkit.studies.run.case import Case
 from carosac_toolkit.studies.run.run_case import run_case
 from carosac_toolkit.studies.run.run_together import group_of, run_together
@@ -36,8 +36,8 @@ def together():
 def test_paths_plants_wind_and_noise_are_those_of_each_seed(together, row):
     found, alone = together[row], run_case(case(SEEDS[row]))
     assert found.keys() == alone.keys()
-    assert [found[name] for name in LATENCIES] == [None] * 3
-    for name in alone.keys() - {*LATENCIES, "series"}:
+    assert [found[name] for name in LATENCY_COLUMNS] == [None] * 3
+    for name in alone.keys() - {*LATENCY_COLUMNS, "series"}:
         if isinstance(alone[name], float):
             assert found[name] == pytest.approx(alone[name], rel=1e-6, abs=1e-9), name
         else:

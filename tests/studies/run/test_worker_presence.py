@@ -22,7 +22,11 @@ CASES = some_cases(40, duration=0.05)
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch):
-    for name, seconds in {"PATIENCE": 3.0, "NOTICE": 0.5, "INTERVAL": 0.2, "ANSWER": 2.0}.items():
+    durations = {
+        "CLUSTER_PATIENCE_S": 3.0, "NOTICE_AFTER_S": 0.5, "QUERY_INTERVAL_S": 0.2,
+        "ANSWER_TIMEOUT_S": 2.0,
+    }  # fmt: skip
+    for name, seconds in durations.items():
         monkeypatch.setattr(worker_presence, name, seconds)
 
 
@@ -87,8 +91,8 @@ def test_a_scheduler_that_is_stuck_ends_the_study(tmp_path, once_rows_are_kept, 
 
 
 def test_workers_that_come_back_in_time_are_said_to_be_there(monkeypatch):
-    monkeypatch.setattr(worker_presence, "NOTICE", 0.0)
-    monkeypatch.setattr(worker_presence, "INTERVAL", 0.0)
+    monkeypatch.setattr(worker_presence, "NOTICE_AFTER_S", 0.0)
+    monkeypatch.setattr(worker_presence, "QUERY_INTERVAL_S", 0.0)
     present: dict[str, int] = {}
     said: list[str] = []
     client = SimpleNamespace(
@@ -109,6 +113,6 @@ def test_a_connection_that_does_not_come_back_ends_the_study(monkeypatch):
     client = SimpleNamespace(status="connecting", scheduler=SimpleNamespace(address="x"))
     watch = Presence(client, print)
     watch.check()
-    monkeypatch.setattr(worker_presence, "LOST_AFTER", 0.0)
+    monkeypatch.setattr(worker_presence, "LOST_AFTER_S", 0.0)
     with pytest.raises(LostScheduler, match="the connection to the scheduler at x is lost"):
         watch.check()

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from carosac_toolkit.loop.consistency import Innovations, band
 from carosac_toolkit.studies.compare.findings import conclusions
 from carosac_toolkit.studies.compare.tables import text_table, units
-from carosac_toolkit.studies.run.estimation_scores import NAMES, estimation_scores
+from carosac_toolkit.studies.run.scores import ESTIMATION_COLUMNS, estimation_scores
 from tests.studies.run.test_run_case import made_up
 from tests.studies.tables import case, good, study
 
@@ -79,7 +79,7 @@ def test_innovations_are_summed_before_they_are_divided():
 
 def test_nothing_is_known_without_a_truth():
     row = estimation_scores(replace(drawn(), position=None, rotation=None))
-    assert row == dict.fromkeys(NAMES)
+    assert row == dict.fromkeys(ESTIMATION_COLUMNS)
 
 
 def two_estimators(square=1.2, **more):
@@ -108,10 +108,10 @@ def test_the_band_of_a_mean_is_that_of_as_many_draws_as_there_are_seeds():
 def test_estimators_are_ranked_and_their_nees_is_judged():
     said = " ".join(conclusions(two_estimators()))
     assert "The estimation error of solver is 3 times that of filter: 30.0 mm against 10.0" in said
-    assert "filter is as good as it says: NEES of the pose 1.20, in the 95 % band" in said
+    assert "filter is consistent: NEES of the pose 1.20, in the 95 % band" in said
     above = " ".join(conclusions(two_estimators(square=40.0)))
-    assert "filter is too sure of itself: NEES of the pose 40, outside" in above
-    assert "filter is better than it says" in " ".join(conclusions(two_estimators(square=0.01)))
+    assert "filter is overconfident: NEES of the pose 40, outside" in above
+    assert "filter is underconfident" in " ".join(conclusions(two_estimators(square=0.01)))
     broken = " ".join(conclusions(two_estimators(covariance_faults=2)))
     assert "In 12 cycles the covariance of filter was not positive definite" in broken
 
