@@ -30,8 +30,8 @@ from typing import ClassVar, Literal, Self, get_args
 import numpy as np
 
 from baselines.kinematic_solver_controller import UnreachableReference
-from baselines.reference_ahead import AheadSettings, delay_of, interpolated
-from baselines.shaped_signal import Past, ShapedSignal
+from baselines.reference_ahead import LookaheadSettings, delay_of, interpolated
+from baselines.shaped_signal import ShapedSignal, SignalHistory
 from baselines.shapers import SHAPERS, Shaper, impulses, mean_delay
 from baselines.sway_modes import SwayModes, sway_modes
 from carosac_toolkit.base.arrays import Array
@@ -41,13 +41,13 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.robot.robot import Robot
 
-Directions = Literal["modal", "all"]
+ShapingDirections = Literal["modal", "all"]
 FADE = 2e-3  # epsilon: share of the platform's mass below which a mode counts as not excited
 GRID = 5  # poses along each side of the workspace box in which the slowest sway is looked for
 
 
 @dataclass(frozen=True, kw_only=True)
-class InputShapingSettings(AheadSettings):
+class InputShapingSettings(LookaheadSettings):
     """Settings of `InputShaping`.
 
     Attributes:
@@ -62,14 +62,14 @@ class InputShapingSettings(AheadSettings):
 
     shaper: Shaper = "zv"
     frequency_max: float = 3.0
-    directions: Directions = "modal"
+    directions: ShapingDirections = "modal"
     preview: bool = True
     start_time: float = 1.0
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
         super().__post_init__()
-        for name, allowed in (("shaper", SHAPERS), ("directions", get_args(Directions))):
+        for name, allowed in (("shaper", SHAPERS), ("directions", get_args(ShapingDirections))):
             if getattr(self, name) not in allowed:
                 raise InvalidField(name, repr(getattr(self, name)), f"one of {list(allowed)}")
         if not isinstance(self.preview, bool):
@@ -139,7 +139,7 @@ class InputShaping:
         """Start anew with B robots at rest."""
         self._correction = np.zeros((size, 3))
         self._start = None
-        self._past = [Past() for _ in self.lag]
+        self._past = [SignalHistory() for _ in self.lag]
         self._signals = [ShapedSignal(self._settings.shaper) for _ in range(self.modes)]
 
     def _shaped(self, aim: Array, reference: Reference) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from baselines.reference_ahead import AheadController
+from baselines.reference_ahead import LookaheadController
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.rest import statics
@@ -12,7 +12,7 @@ class UnreachableReference(CarosacError):
     """A reference position at which the robot cannot rest within its tension limits."""
 
 
-class KinematicSolverController(AheadController):
+class KinematicSolverController(LookaheadController):
     """Sends the lengths at which the platform rests at the reference: sag, tilt and stretch count.
 
     With six cables or more the orientation is held at home; with fewer it follows from statics.

@@ -21,7 +21,7 @@ FROZEN = 3  # equal readings in a row: the encoder is stuck, or the winch rests
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Outliers:
+class LengthOutliers:
     """The last readings of one robot, which are not believed so far.
 
     Attributes:
@@ -42,7 +42,7 @@ class Outliers:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Readings:
+class LengthReadings:
     """The last length readings of one robot.
 
     Attributes:
@@ -66,7 +66,7 @@ class Readings:
     had_slid: Array
     frozen: Array
     slid_at: float = -np.inf
-    outliers: Outliers | None = None
+    outliers: LengthOutliers | None = None
     sound: int = 1
     rejected: int = 0
     slipped: Array | None = None
@@ -74,7 +74,7 @@ class Readings:
     corrected: int = 0
 
     @classmethod
-    def first(cls, time: float, length: Array, slid: Array | None = None) -> Readings:
+    def first(cls, time: float, length: Array, slid: Array | None = None) -> LengthReadings:
         """One reading (n,) [m] of encoders that may have slipped before, by (n,) [m]."""
         nothing = np.zeros(len(length))
         slid = nothing if slid is None else slid
@@ -82,7 +82,9 @@ class Readings:
             time=np.array([time]), length=length[None], slid=slid, had_slid=slid, frozen=nothing
         )
 
-    def taken(self, time: float, length: Array, robot: Robot, jump: float, keep: float) -> Readings:
+    def taken(
+        self, time: float, length: Array, robot: Robot, jump: float, keep: float
+    ) -> LengthReadings:
         """With one more reading, if it is one, and can be true.
 
         A cable that jumps farther than its winch can wind, and stays there, has not moved: its
@@ -115,7 +117,9 @@ class Readings:
         stuck = (self.frozen >= FROZEN) & (self.frozen < FROZEN).any()
         return self._believed(time, length, np.where(stuck, 0.0, found.offset), PATIENCE, keep)
 
-    def _outliers(self, time: float, length: Array, robot: Robot, jump: float) -> Outliers | None:
+    def _outliers(
+        self, time: float, length: Array, robot: Robot, jump: float
+    ) -> LengthOutliers | None:
         """The outliers with one more reading; None if it is none."""
         before = self.outliers
         if before is not None:
@@ -132,11 +136,13 @@ class Readings:
             return None
         jumped = far | (np.abs(off) > JITTER + robot.acceleration_max * step**2)
         offset = np.where(jumped, off, 0.0)
-        return Outliers(time=time, length=length, offset=offset, prompt=step <= AHEAD + SHORTEST)
+        return LengthOutliers(
+            time=time, length=length, offset=offset, prompt=step <= AHEAD + SHORTEST
+        )
 
     def _believed(
         self, time: float, length: Array, slipped: Array, sound: int, keep: float
-    ) -> Readings:
+    ) -> LengthReadings:
         """With a reading that is believed, before which encoders slipped (n,) [m]."""
         slid, had_slid, slid_at = self.slid + slipped, self.had_slid, self.slid_at
         if slipped.any():
@@ -159,7 +165,7 @@ class Readings:
             slips=self.slips + int(np.count_nonzero(slipped)),
         )
 
-    def held(self, time: float) -> Readings:
+    def held(self, time: float) -> LengthReadings:
         """As if the last reading had come once more at a later time [s]."""
         return replace(
             self,

@@ -15,7 +15,7 @@ from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
-class AheadSettings:
+class LookaheadSettings:
     """Settings of a controller that sends the lengths of a pose ahead of now.
 
     Attributes:
@@ -40,7 +40,7 @@ class AheadSettings:
             raise InvalidField("gain", f"{self.gain} 1/s", "gain >= 0")
 
 
-def delay_of(robot: Robot, settings: AheadSettings) -> float:
+def delay_of(robot: Robot, settings: LookaheadSettings) -> float:
     """How far ahead to aim [s], as the settings say."""
     if settings.delay is not None:
         return settings.delay
@@ -57,10 +57,10 @@ def interpolated(where: Array, at: Array, value: Array) -> Array:
     )
 
 
-class Ahead:
+class Lookahead:
     """Where to aim at, cycle by cycle."""
 
-    def __init__(self, robot: Robot, settings: AheadSettings) -> None:
+    def __init__(self, robot: Robot, settings: LookaheadSettings) -> None:
         delay = delay_of(robot, settings)
         self._gain = settings.gain * settings.period
         self._delay = delay
@@ -86,22 +86,24 @@ class Ahead:
         return position + self._correction, np.broadcast_to(velocity, error.shape)
 
 
-class AheadController(ABC):
+class LookaheadController(ABC):
     """A controller that sends the lengths of the pose ahead; subclasses say which lengths."""
 
-    Settings: ClassVar = AheadSettings
+    Settings: ClassVar = LookaheadSettings
     batched: ClassVar = True
 
-    def __init__(self, robot: Robot, settings: AheadSettings) -> None:
+    def __init__(self, robot: Robot, settings: LookaheadSettings) -> None:
         self._robot = robot
-        self._ahead = Ahead(robot, settings)
+        self._ahead = Lookahead(robot, settings)
         self.period = settings.period
         self.horizon = self._ahead.horizon
 
     @classmethod
-    def build(cls, robot: Robot, settings: AheadSettings | None = None, *, seed: int = 0) -> Self:
+    def build(
+        cls, robot: Robot, settings: LookaheadSettings | None = None, *, seed: int = 0
+    ) -> Self:
         """Make one for the nominal robot; it draws no random numbers, so `seed` has no effect."""
-        return cls(robot, settings or AheadSettings())
+        return cls(robot, settings or LookaheadSettings())
 
     def reset(self, belief: Belief) -> None:
         """Forget the correction."""

@@ -10,7 +10,7 @@ from baselines.shapers import Shaper, impulses
 from carosac_toolkit.base.arrays import Array
 
 
-class Past:
+class SignalHistory:
     """What a signal was; before its first sample it was what it was then."""
 
     def __init__(self) -> None:
@@ -53,7 +53,7 @@ class ShapedSignal:
 
     def __init__(self, shaper: Shaper) -> None:
         self._shaper = shaper
-        self._past = Past()
+        self._past = SignalHistory()
         self._time: Array = np.zeros(0)
         self._rate: Array = np.zeros(0)
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines.reference_ahead import AheadController
+from baselines.reference_ahead import LookaheadController
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.cable import straight_line
 
 
-class StraightLineController(AheadController):
+class StraightLineController(LookaheadController):
     """Sends the straight-line lengths of the reference, orientation held at home."""
 
     def command(self, belief: Belief, reference: Reference) -> Command:

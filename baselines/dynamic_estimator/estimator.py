@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.state import FilterState
+from baselines.dynamic_estimator.state import DynamicFilterState
 from baselines.dynamic_estimator.track import Track, Tracker
 from baselines.found_center import found_center
 from carosac_toolkit.base.arrays import Array
@@ -151,7 +151,7 @@ def _belief(
     )
 
 
-def _centers(states: list[FilterState], prior: float) -> Array | None:
+def _centers(states: list[DynamicFilterState], prior: float) -> Array | None:
     """Centres of mass, where all have been found."""
     found = []
     for state in states:
@@ -160,7 +160,7 @@ def _centers(states: list[FilterState], prior: float) -> Array | None:
     return None if any(center is None for center in found) else np.array(found)
 
 
-def _kept(now: list[FilterState | None], name: str, before: Array) -> Array:
+def _kept(now: list[DynamicFilterState | None], name: str, before: Array) -> Array:
     """A field of the states that there are, and what was believed before of the others."""
     return np.stack([
         before[row] if state is None else getattr(state, name) for row, state in enumerate(now)

@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.dynamic_estimator.model import Model, Transition
+from baselines.dynamic_estimator.model import DynamicModel, LinearisedStep
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.state import FilterState
+from baselines.dynamic_estimator.state import DynamicFilterState
 from carosac_toolkit.base.arrays import Array
 
 
-class Felt(NamedTuple):
+class ImuMean(NamedTuple):
     """What an IMU said: the mean of some samples.
 
     Attributes:
@@ -24,7 +24,7 @@ class Felt(NamedTuple):
     samples: int = 1
 
 
-class Evidence(NamedTuple):
+class LinearisedMeasurement(NamedTuple):
     """What a measurement says of the errors.
 
     Attributes:
@@ -38,10 +38,10 @@ class Evidence(NamedTuple):
     noise: Array
 
 
-class Sensors:
+class MeasurementModels:
     """Measurements of one robot, with their noise."""
 
-    def __init__(self, model: Model, settings: DynamicEstimatorSettings) -> None:
+    def __init__(self, model: DynamicModel, settings: DynamicEstimatorSettings) -> None:
         """Take the numbers of the sensors."""
         self._errors, self._settings, s = model.errors, settings, settings
         self._imu = np.repeat([s.angular_rate_noise**2, s.specific_force_noise**2], 3)
@@ -49,7 +49,7 @@ class Sensors:
         self._poses = np.repeat([s.position_noise**2, s.rotation_noise**2], 3)
         self._tension = s.tension_noise * model.robot.weight
 
-    def carried(self, move: Transition, duration: float) -> tuple[Array, float]:
+    def carried(self, move: LinearisedStep, duration: float) -> tuple[Array, float]:
         """Errors at the end of a step per error at its start, and the share of wind that is left.
 
         Args:
@@ -63,7 +63,7 @@ class Sensors:
         carry[where.wind, where.wind] *= keep
         return carry, keep
 
-    def felt(self, move: Transition, felt: Felt) -> Evidence:
+    def felt(self, move: LinearisedStep, felt: ImuMean) -> LinearisedMeasurement:
         """What an IMU at the end of a step says of the errors at its start."""
         where = self._errors
         by = np.zeros((6, where.size))
@@ -73,9 +73,11 @@ class Sensors:
         stretched = self._settings.stretch_rate * move.stretched
         noise = np.diag(self._imu / felt.samples + self._vibration)
         noise += pulled @ pulled.T + stretched @ stretched.T
-        return Evidence(felt.values - move.felt - move.state.imu_bias, by, noise)
+        return LinearisedMeasurement(felt.values - move.felt - move.state.imu_bias, by, noise)
 
-    def pose(self, state: FilterState, position: Array, rotation: Array) -> Evidence:
+    def pose(
+        self, state: DynamicFilterState, position: Array, rotation: Array
+    ) -> LinearisedMeasurement:
         """What a pose that was measured at the time of a state says.
 
         Args:
@@ -87,7 +89,7 @@ class Sensors:
 
         turn = pinocchio.log3(np.ascontiguousarray(rotation @ state.rotation.T))
         rigid = self._settings.stretch_noise * state.sway.slaved
-        return Evidence(
+        return LinearisedMeasurement(
             residual=np.concatenate([position - state.position, turn]),
             by=state.pose_by(),
             noise=np.diag(self._poses) + rigid @ rigid.T,

@@ -6,17 +6,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from baselines.dynamic_estimator.evidence import Felt, Sensors
-from baselines.dynamic_estimator.model import Model, NoMotion
+from baselines.dynamic_estimator.evidence import ImuMean, MeasurementModels
+from baselines.dynamic_estimator.model import DynamicModel, NoMotion
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.state import FilterState
+from baselines.dynamic_estimator.state import DynamicFilterState
 from carosac_toolkit.base.arrays import Array
 
 SWEPT = (2.0, 5.0)  # [m/s^2, rad/s^2] by which twists change while a pose is late
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Tally:
+class InnovationTally:
     """What measurements said against the estimate.
 
     Attributes:
@@ -29,28 +29,28 @@ class Tally:
     dof: int = 0
     disturbed: int = 0
 
-    def __add__(self, other: Tally) -> Tally:
+    def __add__(self, other: InnovationTally) -> InnovationTally:
         """Both together."""
-        return Tally(
+        return InnovationTally(
             squares=self.squares + other.squares,
             dof=self.dof + other.dof,
             disturbed=self.disturbed + other.disturbed,
         )
 
 
-class Filter:
+class DynamicFilter:
     """Steps of the filter for one robot."""
 
-    def __init__(self, model: Model, settings: DynamicEstimatorSettings) -> None:
+    def __init__(self, model: DynamicModel, settings: DynamicEstimatorSettings) -> None:
         """Take the dynamics and how wrong everything may be."""
         self._model = model
         self._settings = settings
-        self._sensors = Sensors(model, settings)
+        self._sensors = MeasurementModels(model, settings)
 
     def step(
-        self, state: FilterState, reading: Array, end: Array, duration: float,
-        felt: Felt | None = None,
-    ) -> tuple[FilterState, Tally]:  # fmt: skip
+        self, state: DynamicFilterState, reading: Array, end: Array, duration: float,
+        felt: ImuMean | None = None,
+    ) -> tuple[DynamicFilterState, InnovationTally]:  # fmt: skip
         """Predict, and correct by what the IMU felt at the end.
 
         Args:
@@ -72,7 +72,7 @@ class Filter:
             covariance=0.5 * (matrix + matrix.T),
         )
         if felt is None:
-            return arrived, Tally()
+            return arrived, InnovationTally()
         said = self._sensors.felt(move, felt)
         return self._corrected(
             arrived,
@@ -82,8 +82,8 @@ class Filter:
         )
 
     def pose(
-        self, state: FilterState, position: Array, rotation: Array, late: float = 0.0
-    ) -> tuple[FilterState, Tally]:
+        self, state: DynamicFilterState, position: Array, rotation: Array, late: float = 0.0
+    ) -> tuple[DynamicFilterState, InnovationTally]:
         """Correct by a measured pose.
 
         Args:
@@ -113,8 +113,8 @@ class Filter:
         return np.diag(spread)
 
     def _corrected(
-        self, state: FilterState, cross: Array, total: Array, innovation: Array
-    ) -> tuple[FilterState, Tally]:
+        self, state: DynamicFilterState, cross: Array, total: Array, innovation: Array
+    ) -> tuple[DynamicFilterState, InnovationTally]:
         """The state after a measurement.
 
         Args:
@@ -137,5 +137,5 @@ class Filter:
             raise NoMotion(f"the estimate is lost after {state.time:.3f} s")
         found = state.corrected(error, left)
         if square > allowed:
-            return found, Tally(disturbed=1)
-        return found, Tally(squares=square, dof=len(innovation))
+            return found, InnovationTally(disturbed=1)
+        return found, InnovationTally(squares=square, dof=len(innovation))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.state import Errors, FilterState
+from baselines.dynamic_estimator.state import DynamicFilterState, Errors
 from baselines.dynamic_estimator.sway import sway_at
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
@@ -25,7 +25,7 @@ class NoMotion(CarosacError):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Transition:
+class LinearisedStep:
     """A step of the estimate, to first order in the errors at its start, k of which move it.
 
     Attributes:
@@ -38,7 +38,7 @@ class Transition:
         stretched: What it would read more per rate at which a cable gets shorter, shape (6, n).
     """
 
-    state: FilterState
+    state: DynamicFilterState
     sway: Array
     felt: Array
     felt_by: Array
@@ -46,7 +46,7 @@ class Transition:
     stretched: Array
 
 
-class Model:
+class DynamicModel:
     """The dynamics of one robot, for one estimate and its neighbours.
 
     The stretch of the cables is damped more than it is in truth: its vibrations are not of
@@ -71,7 +71,9 @@ class Model:
         self._lever = np.array(settings.imu_position)
         self._mount = pinocchio.exp3(np.array(settings.imu_rotation))
 
-    def step(self, state: FilterState, reading: Array, end: Array, duration: float) -> Transition:
+    def step(
+        self, state: DynamicFilterState, reading: Array, end: Array, duration: float
+    ) -> LinearisedStep:
         """Move the estimate and its neighbours while the readings go straight to others.
 
         Args:
@@ -98,7 +100,7 @@ class Model:
         moved = np.hstack([pose, found.twist[1:] - found.twist[0]]) / steps
         out = arrived.sway.momentum
         felt = self._felt(found)
-        return Transition(
+        return LinearisedStep(
             state=arrived,
             sway=np.vstack([out @ moved[:, :6].T, out @ moved[:, 6:].T]),
             felt=felt[0],
@@ -107,7 +109,7 @@ class Model:
             stretched=self._stretched(arrived),
         )
 
-    def _neighbours(self, state: FilterState) -> tuple[Motions, Array, Array, Array]:
+    def _neighbours(self, state: DynamicFilterState) -> tuple[Motions, Array, Array, Array]:
         """The estimate, then one with each error: motions, masses, centres and length biases."""
         where = self.errors
         size = 1 + where.moving
@@ -127,8 +129,8 @@ class Model:
         return start, mass, state.center + change[:, where.center], bias
 
     def _arrived(
-        self, state: FilterState, found: Arrived, length: Array, duration: float
-    ) -> FilterState:
+        self, state: DynamicFilterState, found: Arrived, length: Array, duration: float
+    ) -> DynamicFilterState:
         """The estimate moved on."""
         return replace(
             state,
@@ -153,7 +155,7 @@ class Model:
             np.einsum("bji,bj->bi", axes, omega), np.einsum("bji,bj->bi", axes, force)
         ])  # fmt: skip
 
-    def _pulled(self, state: FilterState) -> Array:
+    def _pulled(self, state: DynamicFilterState) -> Array:
         """What an IMU reads more per tension, shape (6, n)."""
         pulls = state.sway.pulls
         arm = state.rotation @ self._lever
@@ -162,7 +164,7 @@ class Model:
             force = force + np.cross(pulls[3:], arm, axisa=0, axisc=0)
         return np.vstack([np.zeros_like(force), (state.rotation @ self._mount).T @ force])
 
-    def _stretched(self, state: FilterState) -> Array:
+    def _stretched(self, state: DynamicFilterState) -> Array:
         """What an IMU reads more per rate of stretch, shape (6, n)."""
         turn = state.sway.slaved[3:]
         return np.vstack([(state.rotation @ self._mount).T @ turn, np.zeros_like(turn)])

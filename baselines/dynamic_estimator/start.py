@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.state import Errors, FilterState
-from baselines.dynamic_estimator.sway import Sway, sway_at
+from baselines.dynamic_estimator.state import DynamicFilterState, Errors
+from baselines.dynamic_estimator.sway import SwayBasis, sway_at
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
@@ -18,7 +18,7 @@ STEPS = (1e-3, 1e-4, 1e-4, 1e-4)  # of the differences: logarithm of the mass, c
 LENGTH_STEP = 1e-4  # [m]
 
 
-class Rest:
+class RestStart:
     """The equilibrium on given lengths, and its derivatives by what is not known."""
 
     def __init__(self, robot: Robot, settings: DynamicEstimatorSettings) -> None:
@@ -31,7 +31,9 @@ class Rest:
             loads.append(replace(robot, center_of_mass=center))
         self._fleet = Fleet([robot, *loads, *[robot] * robot.n])
 
-    def state(self, time: float, reading: Array, speed: float | None = None) -> FilterState | None:
+    def state(
+        self, time: float, reading: Array, speed: float | None = None
+    ) -> DynamicFilterState | None:
         """The estimate at rest; None where the robot cannot rest on these lengths.
 
         Args:
@@ -51,7 +53,7 @@ class Rest:
         if not (found.converged & found.stable).all():
             return None
         sway = sway_at(robot, alone.position[0], alone.rotation[0], reading)
-        return FilterState(
+        return DynamicFilterState(
             time=time,
             position=alone.position[0],
             rotation=alone.rotation[0],
@@ -76,7 +78,9 @@ class Rest:
         steps = np.array([*STEPS, *[LENGTH_STEP] * self._robot.n])
         return np.asarray((moved / steps[:, None]).T)
 
-    def _covariance(self, rest: Equilibrium, sway: Sway, by: Array, speed: float | None) -> Array:
+    def _covariance(
+        self, rest: Equilibrium, sway: SwayBasis, by: Array, speed: float | None
+    ) -> Array:
         """Of all errors: what is not known moves the rest, about which there is some motion."""
         s, where = self._settings, Errors(self._robot.n)
         spread = np.zeros(where.size)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from baselines.dynamic_estimator.sway import Sway
+from baselines.dynamic_estimator.sway import SwayBasis
 from baselines.length_readings import SLIP_DOUBT
 from carosac_toolkit.base.arrays import Array
 
@@ -15,7 +15,7 @@ class Errors:
     """The order of errors, truth minus estimate, of a robot of n cables with m ways to sway.
 
     Attributes:
-        sway: Along the ways to sway, in `Sway` coordinates, m of them [m kg^0.5].
+        sway: Along the ways to sway, in `SwayBasis` coordinates, m of them [m kg^0.5].
         speed: Their rates [m kg^0.5/s].
         wind: Force along x and y of W [N].
         mass: Logarithm of the platform's mass.
@@ -42,7 +42,7 @@ class Errors:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FilterState:
+class DynamicFilterState:
     """Estimate of one robot at one time; no batch.
 
     Attributes:
@@ -71,7 +71,7 @@ class FilterState:
     length_bias: Array
     imu_bias: Array
     covariance: Array
-    sway: Sway
+    sway: SwayBasis
     tension: Array
     exit_tension: Array
 
@@ -88,7 +88,7 @@ class FilterState:
         by[:, where.bias] = self.sway.slaved
         return by
 
-    def corrected(self, error: Array, covariance: Array) -> FilterState:
+    def corrected(self, error: Array, covariance: Array) -> DynamicFilterState:
         """The state after an error was estimated, which is then zero.
 
         Args:
@@ -112,14 +112,14 @@ class FilterState:
             covariance=0.5 * (covariance + covariance.T),
         )
 
-    def loosened(self, deviation: Array) -> FilterState:
+    def loosened(self, deviation: Array) -> DynamicFilterState:
         """The state with more doubt of the lengths, by one standard deviation each (n,) [m]."""
         matrix = np.array(self.covariance)
         where = self.errors.bias
         matrix[where, where] += np.diag(deviation**2)
         return replace(self, covariance=matrix)
 
-    def slipped(self, slip: Array) -> FilterState:
+    def slipped(self, slip: Array) -> DynamicFilterState:
         """The state after encoders slipped, by (n,) [m]: the platform is where it was."""
         doubt = np.where(slip == 0.0, 0.0, SLIP_DOUBT)
         return replace(self, length_bias=self.length_bias + slip).loosened(doubt)

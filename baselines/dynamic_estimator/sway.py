@@ -22,7 +22,7 @@ from carosac_toolkit.physics.rest.structure import constrained_motion, structure
 from carosac_toolkit.robot.robot import Robot
 
 
-class Sway(NamedTuple):
+class SwayBasis(NamedTuple):
     """At one pose.
 
     Attributes:
@@ -40,7 +40,7 @@ class Sway(NamedTuple):
     pulls: Array
 
 
-def sway_at(robot: Robot, position: Array, rotation: Array, unstrained_length: Array) -> Sway:
+def sway_at(robot: Robot, position: Array, rotation: Array, unstrained_length: Array) -> SwayBasis:
     """Ways to sway.
 
     Args:
@@ -56,7 +56,7 @@ def sway_at(robot: Robot, position: Array, rotation: Array, unstrained_length: A
     count = max(0, 6 - robot.n)
     left, _, _ = np.linalg.svd(white)
     ways = np.linalg.solve(root.T, left[:, 6 - count :])
-    return Sway(
+    return SwayBasis(
         ways=ways,
         slaved=constrained_motion(mass, structure.T),
         momentum=ways.T @ mass,

@@ -11,13 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.dynamic_estimator.evidence import Felt
-from baselines.dynamic_estimator.filter import Filter, Tally
-from baselines.dynamic_estimator.model import Model, NoMotion
+from baselines.dynamic_estimator.evidence import ImuMean
+from baselines.dynamic_estimator.filter import DynamicFilter, InnovationTally
+from baselines.dynamic_estimator.model import DynamicModel, NoMotion
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.start import Rest
-from baselines.dynamic_estimator.state import FilterState
-from baselines.length_readings import SHORTEST, Readings
+from baselines.dynamic_estimator.start import RestStart
+from baselines.dynamic_estimator.state import DynamicFilterState
+from baselines.length_readings import SHORTEST, LengthReadings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Measurement
 from carosac_toolkit.robot.robot import Robot
@@ -62,12 +62,12 @@ class Track:
             winches are.
     """
 
-    state: FilterState | None
-    now: FilterState | None
-    readings: Readings
+    state: DynamicFilterState | None
+    now: DynamicFilterState | None
+    readings: LengthReadings
     waiting: Array
     poses: tuple[TimedPose, ...]
-    tally: Tally
+    tally: InnovationTally
     restarts: int
     stale: int = 0
 
@@ -79,9 +79,9 @@ class Tracker:
         """Take the robot."""
         self._robot = robot
         self._settings = settings
-        self._model = Model(robot, settings)
-        self._filter = Filter(self._model, settings)
-        self._rest = Rest(robot, settings)
+        self._model = DynamicModel(robot, settings)
+        self._filter = DynamicFilter(self._model, settings)
+        self._rest = RestStart(robot, settings)
         self._short = SHORT * settings.time_step
         known = robot.length_delay or 0.0
         self._delay = known if settings.delay is None else settings.delay
@@ -96,13 +96,13 @@ class Tracker:
         """
         now = float(measurement.time[row])
         length = measurement.unstrained_length[row]
-        readings = Readings.first(self._counts(measurement, row), length, slid)
+        readings = LengthReadings.first(self._counts(measurement, row), length, slid)
         state = self._rest.state(now, length - readings.slid, speed)
         if state is not None:
             state = state.slipped(readings.slid)
         return Track(
             state=state, now=state, readings=readings, waiting=np.empty((0, 7)),
-            poses=(), tally=Tally(), restarts=0,
+            poses=(), tally=InnovationTally(), restarts=0,
         )  # fmt: skip
 
     def advance(self, track: Track, measurement: Measurement, row: int) -> Track:
@@ -118,7 +118,7 @@ class Tracker:
         readings = track.readings.taken(
             when, length, self._robot, self._settings.reading_jump, keep
         )
-        track = replace(track, readings=readings, tally=Tally(),
+        track = replace(track, readings=readings, tally=InnovationTally(),
                         waiting=_waiting(track.waiting, measurement, row),
                         poses=_known_poses(track.poses, measurement, row))  # fmt: skip
         if readings.slipped is not None:
@@ -169,7 +169,9 @@ class Tracker:
             state = self._predicted(state, track.readings, now)
         return replace(track, now=state)
 
-    def _predicted(self, state: FilterState, readings: Readings, now: float) -> FilterState:
+    def _predicted(
+        self, state: DynamicFilterState, readings: LengthReadings, now: float
+    ) -> DynamicFilterState:
         """The estimate at a later time than lengths are known of, its covariance included."""
         for end in readings.knots(state.time, now, self._short):
             start = state.time
@@ -196,25 +198,27 @@ class Tracker:
         poses = tuple(p._replace(used=p.used or p.time <= known + SHORTEST) for p in track.poses)
         return replace(track, state=state, waiting=waiting, tally=tally, poses=poses)
 
-    def _posed(self, state: FilterState, pose: TimedPose) -> tuple[FilterState, Tally]:
+    def _posed(
+        self, state: DynamicFilterState, pose: TimedPose
+    ) -> tuple[DynamicFilterState, InnovationTally]:
         """Correct by a pose, unless it is too late to say anything."""
         late = max(0.0, state.time - pose.time)
         if late > LATEST:
-            return state, Tally(disturbed=1)
+            return state, InnovationTally(disturbed=1)
         return self._filter.pose(state, pose.position, pose.rotation, late)
 
     def _to(
-        self, state: FilterState, readings: Readings, stop: float, group: Array | None
-    ) -> tuple[FilterState, Tally]:
+        self, state: DynamicFilterState, readings: LengthReadings, stop: float, group: Array | None
+    ) -> tuple[DynamicFilterState, InnovationTally]:
         """The filter to a time, with the IMU samples (K, 7) there."""
-        tally = Tally()
+        tally = InnovationTally()
         if stop - state.time < SHORTEST:
             return state, tally
         for end in readings.knots(state.time, stop, self._short):
             start = state.time
             felt = None
             if group is not None and end == stop:
-                felt = Felt(values=group[:, 1:].mean(axis=0), samples=len(group))
+                felt = ImuMean(values=group[:, 1:].mean(axis=0), samples=len(group))
             state, found = self._filter.step(
                 state, readings.at(start), readings.at(end), end - start, felt
             )

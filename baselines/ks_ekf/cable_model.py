@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.ks_ekf.cable_swing import Strings, Swing
-from baselines.ks_ekf.filter_state import FilterState, cross
+from baselines.ks_ekf.cable_swing import CableStrings, CableSwing
+from baselines.ks_ekf.filter_state import KsEkfState, cross
 from baselines.ks_ekf.platform_motion import origin, pose_map
 from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.base.arrays import Array
@@ -46,11 +46,11 @@ class ExpectedLengths:
     tension: Array
     valid: NDArray[np.bool_]
     spread: Array
-    swing: Swing
+    swing: CableSwing
 
 
 def expected_lengths(
-    robot: Robot, state: FilterState, turning: Array, swing: Swing, settings: KsEkfSettings
+    robot: Robot, state: KsEkfState, turning: Array, swing: CableSwing, settings: KsEkfSettings
 ) -> ExpectedLengths:
     """Expect the lengths of a state.
 
@@ -96,19 +96,19 @@ def expected_lengths(
     )
 
 
-def _strings(robot: Robot, straight: StraightCables, tension: Array) -> Strings:
+def _strings(robot: Robot, straight: StraightCables, tension: Array) -> CableStrings:
     """The cables as strings; those that hang loose as if under their own weight."""
     length, unit = straight.length[0], straight.direction[0]
     weight = robot.weight_per_length
     across = np.sqrt(np.maximum(1.0 - unit[:, 2] ** 2, 0.0))
-    return Strings(
+    return CableStrings(
         length=length, tension=np.maximum(tension, weight * length), density=robot.linear_density,
         weight=weight * across,
     )  # fmt: skip
 
 
 def _curvature(
-    robot: Robot, state: FilterState, straight: StraightCables, settings: KsEkfSettings
+    robot: Robot, state: KsEkfState, straight: StraightCables, settings: KsEkfSettings
 ) -> Array:
     """By how much lengths are not linear in the errors of the pose, as these may be [m], (n,)."""
     mapping = pose_map(state, settings.imu_position)
@@ -127,14 +127,14 @@ def _hanging(robot: Robot, rotation: Array, straight: StraightCables) -> Array:
     return np.concatenate([force.sum(axis=0), np.cross(arm, force).sum(axis=0)])
 
 
-def _weight(robot: Robot, state: FilterState) -> Array:
+def _weight(robot: Robot, state: KsEkfState) -> Array:
     """What they must exert about the platform origin where nothing moves, in W, shape (6,)."""
     force = np.array([0.0, 0.0, robot.weight])
     arm = state.rotation @ (robot.center_of_mass + state.center)
     return np.concatenate([force, np.cross(arm, force)])
 
 
-def _wrench(robot: Robot, state: FilterState, turning: Array, settings: KsEkfSettings) -> Array:
+def _wrench(robot: Robot, state: KsEkfState, turning: Array, settings: KsEkfSettings) -> Array:
     """What the cables must exert about the platform origin, in W [N, N m], shape (6,)."""
     rate, force = state.samples.at(state.time)
     spin = rate - state.rate_bias

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from baselines.ks_ekf.cable_model import expected_lengths
-from baselines.ks_ekf.cable_swing import Swing
+from baselines.ks_ekf.cable_swing import CableSwing
 from baselines.ks_ekf.filter_state import (
     CENTER,
     FORCE_BIAS,
@@ -15,11 +15,11 @@ from baselines.ks_ekf.filter_state import (
     RATE_BIAS,
     ROTATION,
     VELOCITY,
-    FilterState,
+    KsEkfState,
     cross,
 )
 from baselines.ks_ekf.platform_motion import origin, pose_map
-from baselines.ks_ekf.rest_detection import Quiet
+from baselines.ks_ekf.rest_detection import RestMeans
 from baselines.ks_ekf.rest_pose import RestPose
 from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.base.arrays import Array
@@ -27,7 +27,7 @@ from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Evidence:
+class MeasurementResidual:
     """A measurement against a state.
 
     Attributes:
@@ -44,18 +44,18 @@ class Evidence:
     noise: Array
     left_out: int = 0
     tension: Array | None = None
-    swing: Swing | None = None
+    swing: CableSwing | None = None
 
 
 def of_lengths(
-    robot: Robot, state: FilterState, lengths: Array, turning: Array, swing: Swing,
+    robot: Robot, state: KsEkfState, lengths: Array, turning: Array, swing: CableSwing,
     settings: KsEkfSettings,
-) -> Evidence:  # fmt: skip
+) -> MeasurementResidual:  # fmt: skip
     """Lengths (n,) as they are, tight; `turning` is the angular acceleration in P [rad/s^2]."""
     expected = expected_lengths(robot, state, turning, swing, settings)
     use = expected.valid
     residual = (lengths - expected.length - state.length_bias)[use]
-    return Evidence(
+    return MeasurementResidual(
         residual=residual,
         jacobian=expected.jacobian[use],
         noise=np.diag(settings.length_noise**2 + expected.spread[use] ** 2),
@@ -66,8 +66,8 @@ def of_lengths(
 
 
 def of_rest_pose(
-    state: FilterState, rest: RestPose, noise: Array, settings: KsEkfSettings
-) -> Evidence:
+    state: KsEkfState, rest: RestPose, noise: Array, settings: KsEkfSettings
+) -> MeasurementResidual:
     """A pose of rest with its noise (6, 6), whose errors of lengths and mass are in the state."""
     import pinocchio
 
@@ -76,7 +76,7 @@ def of_rest_pose(
     jacobian = pose_map(state, settings.imu_position)
     jacobian[:, CENTER] = -rest.per_center
     jacobian[:, LENGTHS] = rest.per_length
-    return Evidence(
+    return MeasurementResidual(
         residual=np.concatenate([shift, turn]),
         jacobian=jacobian,
         noise=noise,
@@ -96,8 +96,8 @@ def sway_noise(rest: RestPose, settings: KsEkfSettings) -> Array:
 
 
 def of_stillness(
-    state: FilterState, quiet: Quiet, gravity: float, settings: KsEkfSettings
-) -> Evidence:
+    state: KsEkfState, quiet: RestMeans, gravity: float, settings: KsEkfSettings
+) -> MeasurementResidual:
     """Rest as the IMU sees it: no velocity, no angular rate, nothing but gravity."""
     down = np.array([0.0, 0.0, -gravity])
     jacobian = np.zeros((9, len(state.covariance)))
@@ -113,10 +113,10 @@ def of_stillness(
         ]
     )
     spread = np.repeat([settings.rest_rate, settings.rest_force, settings.rest_rate], 3)
-    return Evidence(residual=residual, jacobian=jacobian, noise=np.diag(spread**2))
+    return MeasurementResidual(residual=residual, jacobian=jacobian, noise=np.diag(spread**2))
 
 
-def without_worst(state: FilterState, evidence: Evidence) -> Evidence:
+def without_worst(state: KsEkfState, evidence: MeasurementResidual) -> MeasurementResidual:
     """The same without the channel that contradicts all others most."""
     spread = evidence.jacobian @ state.covariance @ evidence.jacobian.T + evidence.noise
     inverse = np.linalg.inv(spread)

@@ -13,7 +13,7 @@ from carosac_toolkit.loop.consistency import Innovations
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Correction:
+class FilterCorrection:
     """What a measurement did.
 
     Attributes:
@@ -60,7 +60,7 @@ class ErrorFilter:
     def correct(
         self, covariance: Array, residual: Array, jacobian: Array, noise: Array,
         *, bounded: bool = False,
-    ) -> Correction:  # fmt: skip
+    ) -> FilterCorrection:  # fmt: skip
         """Weigh a residual (m,), measured minus expected, with its Jacobian (m, k) and noise.
 
         One beyond the gate is rejected. Where it is `bounded` it corrects the state by as much as
@@ -77,14 +77,14 @@ class ErrorFilter:
             noise = np.sqrt(beyond) * spread - predicted
         elif not accepted:
             error = np.zeros(len(covariance))
-            return Correction(
+            return FilterCorrection(
                 error=error, covariance=covariance, square=square, dof=dof, accepted=False
             )
         kalman.P = covariance
         kalman.update(residual, lambda _: jacobian, lambda x: jacobian @ x, noise)
         error = kalman.x
         kalman.x = np.zeros(len(error))
-        return Correction(
+        return FilterCorrection(
             error=error, covariance=kalman.P, square=square, dof=dof, accepted=accepted
         )
 
@@ -102,7 +102,7 @@ def no_innovations() -> Innovations:
     return Innovations(squares=np.zeros(1), dof=np.zeros(1), rejected=np.zeros(1))
 
 
-def added(before: Innovations, found: Correction) -> Innovations:
+def added(before: Innovations, found: FilterCorrection) -> Innovations:
     """With what one more measurement said; a rejected one is only counted."""
     return Innovations(
         squares=before.squares + (found.square if found.accepted else 0.0),

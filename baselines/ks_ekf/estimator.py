@@ -14,17 +14,17 @@ import numpy as np
 
 from baselines.found_center import found_center
 from baselines.ks_ekf import corrections, starting
-from baselines.ks_ekf.corrections import Evidence
-from baselines.ks_ekf.error_filter import Correction, ErrorFilter, added, no_innovations
-from baselines.ks_ekf.filter_state import CENTER, FIXED, NO_SAMPLES, POSITION, FilterState
+from baselines.ks_ekf.corrections import MeasurementResidual
+from baselines.ks_ekf.error_filter import ErrorFilter, FilterCorrection, added, no_innovations
+from baselines.ks_ekf.filter_state import CENTER, FIXED, NO_SAMPLES, POSITION, KsEkfState
 from baselines.ks_ekf.inertial import InertialMotion, samples_of, slope
 from baselines.ks_ekf.platform_motion import at_rest, carried, origin
-from baselines.ks_ekf.readings import SHORTEST, Reading, due, reading_of
+from baselines.ks_ekf.readings import SHORTEST, TimedLengths, due, reading_of
 from baselines.ks_ekf.record import KsEkfRecord
-from baselines.ks_ekf.rest_detection import Quiet, Window, detect_rest
+from baselines.ks_ekf.rest_detection import RecentMeasurements, RestMeans, detect_rest
 from baselines.ks_ekf.rest_pose import RestPose, find_rest
 from baselines.ks_ekf.settings import KsEkfSettings
-from baselines.length_readings import Readings
+from baselines.length_readings import LengthReadings
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.robot.robot import Robot
@@ -61,13 +61,13 @@ class KsEkf:
         first = reading_of(measurement, self._lead)
         first = replace(first, time=min(first.time, float(measurement.time[0])))
         samples = samples_of(measurement, self._settings)
-        nothing = Window(time=np.zeros(0), lengths=np.zeros((0, self._robot.n)))
+        nothing = RecentMeasurements(time=np.zeros(0), lengths=np.zeros((0, self._robot.n)))
         state = starting.blank(self._robot, self._settings, first.time)
         record = KsEkfRecord(
             state=replace(state, samples=samples),
             reading=first,
             window=nothing.extended([first], samples, self._settings.rest_window),
-            encoders=Readings.first(first.time, first.lengths),
+            encoders=LengthReadings.first(first.time, first.lengths),
             slid=np.zeros(self._robot.n),
             innovations=no_innovations(),
             updates=1,
@@ -75,7 +75,7 @@ class KsEkf:
         record = self._place(record, first, self._settings.initial_sway)
         if len(samples) and not record.failures:
             record = self._carry(record)
-            quiet = Quiet(rate=samples.rate.mean(axis=0), force=samples.force.mean(axis=0))
+            quiet = RestMeans(rate=samples.rate.mean(axis=0), force=samples.force.mean(axis=0))
             record = self._use_stillness(record, quiet)
         return self._belief(record, measurement)
 
@@ -105,7 +105,7 @@ class KsEkf:
 
     def _received(
         self, record: KsEkfRecord, measurement: Measurement
-    ) -> tuple[KsEkfRecord, list[Reading]]:
+    ) -> tuple[KsEkfRecord, list[TimedLengths]]:
         """Note what came; find lengths whose time has come. A gap between samples ends carrying."""
         new, now = reading_of(measurement, self._lead), float(measurement.time[0])
         ready, waiting = due(record.waiting, new, now)
@@ -132,8 +132,8 @@ class KsEkf:
         return record, later
 
     def _believed(
-        self, record: KsEkfRecord, ready: tuple[Reading, ...], now: float
-    ) -> tuple[KsEkfRecord, list[Reading]]:
+        self, record: KsEkfRecord, ready: tuple[TimedLengths, ...], now: float
+    ) -> tuple[KsEkfRecord, list[TimedLengths]]:
         """Hold back lengths that no winch can have wound; take off what encoders slipped by."""
         good = []
         for reading in ready:
@@ -159,12 +159,12 @@ class KsEkf:
         state = record.state.slipped(beyond != 0.0)
         return replace(record, state=state, slid=record.encoders.slid)
 
-    def _is_carried(self, state: FilterState, now: float) -> bool:
+    def _is_carried(self, state: KsEkfState, now: float) -> bool:
         """Whether inertial samples reach up to now."""
         samples = state.samples
         return len(samples) > 0 and now - float(samples.time[-1]) <= self._settings.imu_gap
 
-    def _filter(self, record: KsEkfRecord, ready: list[Reading], now: float) -> KsEkfRecord:
+    def _filter(self, record: KsEkfRecord, ready: list[TimedLengths], now: float) -> KsEkfRecord:
         """Go from lengths to lengths, as far as their time has come."""
         if not ready:
             until = max(record.state.time, now - LAG)
@@ -174,7 +174,7 @@ class KsEkf:
                 record = self._weigh(record, reading)
         return record
 
-    def _weigh(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
+    def _weigh(self, record: KsEkfRecord, reading: TimedLengths) -> KsEkfRecord:
         """Go to the time of lengths and weigh them; what rests says so."""
         record = replace(record, state=self._motion.advance(record.state, reading.time))
         quiet = detect_rest(record.window, record.state.rate_bias, self._settings)
@@ -186,7 +186,7 @@ class KsEkf:
             record = self._use_equilibrium(record, reading)
         return record
 
-    def _use_lengths(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
+    def _use_lengths(self, record: KsEkfRecord, reading: TimedLengths) -> KsEkfRecord:
         """Weigh lengths, as they are or as a pose of rest; start anew after too many misfits."""
         record, evidence = self._evidence(record, reading)
         if evidence is None:  # without a pose of rest nothing holds the inertial prediction
@@ -211,7 +211,7 @@ class KsEkf:
             record = replace(record, state=state)
         return self._misfit(record, reading)
 
-    def _misfit(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
+    def _misfit(self, record: KsEkfRecord, reading: TimedLengths) -> KsEkfRecord:
         """Count lengths that do not fit; where none do for long, that raises doubts."""
         since = reading.time if record.misfit_since is None else record.misfit_since
         record = replace(record, rejected=record.rejected + 1, misfit_since=since)
@@ -219,7 +219,7 @@ class KsEkf:
             return record
         return self._doubt(record, reading)
 
-    def _doubt(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
+    def _doubt(self, record: KsEkfRecord, reading: TimedLengths) -> KsEkfRecord:
         """Believe less and less of the state, in the end nothing: then start anew."""
         robot, settings = self._robot, self._settings
         state = starting.doubted(robot, settings, record.state, DOUBT)
@@ -229,8 +229,8 @@ class KsEkf:
         return self._restart(replace(record, state=lost), reading)
 
     def _evidence(
-        self, record: KsEkfRecord, reading: Reading
-    ) -> tuple[KsEkfRecord, Evidence | None]:
+        self, record: KsEkfRecord, reading: TimedLengths
+    ) -> tuple[KsEkfRecord, MeasurementResidual | None]:
         """What the lengths say; None where they have no pose of rest but need one."""
         state, settings = record.state, self._settings
         if settings.coupling == "tight":
@@ -247,13 +247,13 @@ class KsEkf:
             noise = corrections.rest_noise(settings)
         return record, corrections.of_rest_pose(state, rest, noise, settings)
 
-    def _use_stillness(self, record: KsEkfRecord, quiet: Quiet) -> KsEkfRecord:
+    def _use_stillness(self, record: KsEkfRecord, quiet: RestMeans) -> KsEkfRecord:
         """Weigh that nothing moves, by the IMU."""
         gravity = self._robot.gravity
         evidence = corrections.of_stillness(record.state, quiet, gravity, self._settings)
         return self._use_rest(replace(record, rest_used=record.state.time), evidence)
 
-    def _use_equilibrium(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
+    def _use_equilibrium(self, record: KsEkfRecord, reading: TimedLengths) -> KsEkfRecord:
         """Weigh that the platform is where it rests, unless that was the measurement anyway."""
         if self._settings.coupling == "loose":
             return record
@@ -264,7 +264,7 @@ class KsEkf:
         evidence = corrections.of_rest_pose(record.state, rest, noise, self._settings)
         return self._use_rest(record, evidence)
 
-    def _use_rest(self, record: KsEkfRecord, evidence: Evidence) -> KsEkfRecord:
+    def _use_rest(self, record: KsEkfRecord, evidence: MeasurementResidual) -> KsEkfRecord:
         """Weigh something that holds at rest; where it does not fit, it is held back."""
         found = self._correct(record.state, evidence)
         if not found.accepted:
@@ -272,8 +272,8 @@ class KsEkf:
         return replace(record, state=record.state.injected(found.error, found.covariance))
 
     def _correct(
-        self, state: FilterState, evidence: Evidence, *, bounded: bool = False
-    ) -> Correction:
+        self, state: KsEkfState, evidence: MeasurementResidual, *, bounded: bool = False
+    ) -> FilterCorrection:
         """Weigh evidence; beyond the gate not at all, or as far as the gate allows."""
         return self._kalman.correct(
             state.covariance, evidence.residual, evidence.jacobian, evidence.noise, bounded=bounded
@@ -285,14 +285,14 @@ class KsEkf:
         record = replace(record, state=state, coasted=record.coasted + 1)
         return self._place(record, record.reading, self._settings.sway)
 
-    def _restart(self, record: KsEkfRecord, reading: Reading) -> KsEkfRecord:
+    def _restart(self, record: KsEkfRecord, reading: TimedLengths) -> KsEkfRecord:
         """Start anew at the pose of rest, with the sway that there may be."""
         found = self._place(record, reading, self._settings.sway)
         if found.failures > record.failures:
             return replace(found, state=replace(found.state, samples=record.state.samples))
         return self._carry(replace(found, restarts=record.restarts + 1, misfit_since=None))
 
-    def _place(self, record: KsEkfRecord, reading: Reading, sway: float) -> KsEkfRecord:
+    def _place(self, record: KsEkfRecord, reading: TimedLengths, sway: float) -> KsEkfRecord:
         """Put the state at the pose of rest of the lengths; where there is none, it is lost."""
         record, rest = self._rest(record, reading)
         if rest is None:
@@ -305,7 +305,9 @@ class KsEkf:
         """Let the inertial samples carry a state that was just placed."""
         return replace(record, state=starting.inertial(record.state, self._settings))
 
-    def _rest(self, record: KsEkfRecord, reading: Reading) -> tuple[KsEkfRecord, RestPose | None]:
+    def _rest(
+        self, record: KsEkfRecord, reading: TimedLengths
+    ) -> tuple[KsEkfRecord, RestPose | None]:
         """Pose of rest of the lengths, without what the state knows of their errors."""
         state = record.state
         lengths = reading.lengths - state.length_bias

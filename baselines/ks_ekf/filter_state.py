@@ -23,7 +23,7 @@ FIXED = 18  # entries before those of the lengths
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Samples:
+class InertialSamples:
     """Inertial samples in time order, axes of P.
 
     Attributes:
@@ -39,19 +39,21 @@ class Samples:
     def __len__(self) -> int:
         return len(self.time)
 
-    def keep(self, which: slice) -> Samples:
+    def keep(self, which: slice) -> InertialSamples:
         """A part of them."""
-        return Samples(time=self.time[which], rate=self.rate[which], force=self.force[which])
+        return InertialSamples(
+            time=self.time[which], rate=self.rate[which], force=self.force[which]
+        )
 
-    def after(self, time: float) -> Samples:
+    def after(self, time: float) -> InertialSamples:
         """Those from the last one at or before a time on, from which motion can go on."""
         first = int(np.searchsorted(self.time, time + 1e-9, side="right")) - 1
         return self.keep(slice(max(first, 0), None))
 
-    def joined(self, other: Samples) -> Samples:
+    def joined(self, other: InertialSamples) -> InertialSamples:
         """With later ones; what is not later than the last one here is left out."""
         new = other.time > (self.time[-1] + 1e-9 if len(self) else -np.inf)
-        return Samples(
+        return InertialSamples(
             time=np.concatenate([self.time, other.time[new]]),
             rate=np.concatenate([self.rate, other.rate[new]]),
             force=np.concatenate([self.force, other.force[new]]),
@@ -68,11 +70,11 @@ class Samples:
         return rate, self.force[k - 1] + share * (self.force[k] - self.force[k - 1])
 
 
-NO_SAMPLES = Samples(time=np.zeros(0), rate=np.zeros((0, 3)), force=np.zeros((0, 3)))
+NO_SAMPLES = InertialSamples(time=np.zeros(0), rate=np.zeros((0, 3)), force=np.zeros((0, 3)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FilterState:
+class KsEkfState:
     """State of the filter at one time, for one robot of n cables.
 
     The filter stands at the time of the lengths used last; inertial samples after that wait in
@@ -108,10 +110,10 @@ class FilterState:
     inertial: bool
     twist: Array
     twist_covariance: Array
-    samples: Samples
+    samples: InertialSamples
     solution: Equilibrium | None = None
 
-    def injected(self, error: Array, covariance: Array) -> FilterState:
+    def injected(self, error: Array, covariance: Array) -> KsEkfState:
         """Put an estimated error (18 + n,) into the state, and take its covariance over."""
         import pinocchio
 
@@ -132,7 +134,7 @@ class FilterState:
             covariance=0.5 * (moved + moved.T),
         )
 
-    def slipped(self, which: NDArray[np.bool_]) -> FilterState:
+    def slipped(self, which: NDArray[np.bool_]) -> KsEkfState:
         """With more doubt of the lengths of cables (n,) whose encoders have slipped."""
         covariance = self.covariance.copy()
         covariance[LENGTHS, LENGTHS] += np.diag(np.where(which, SLIP_DOUBT**2, 0.0))

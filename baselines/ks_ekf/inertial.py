@@ -26,8 +26,8 @@ from baselines.ks_ekf.filter_state import (
     RATE_BIAS,
     ROTATION,
     VELOCITY,
-    FilterState,
-    Samples,
+    InertialSamples,
+    KsEkfState,
     cross,
 )
 from baselines.ks_ekf.readings import SHORTEST
@@ -38,14 +38,14 @@ from carosac_toolkit.loop.values import Measurement
 MINUTE = 60.0  # [s]
 
 
-def samples_of(measurement: Measurement, settings: KsEkfSettings) -> Samples:
+def samples_of(measurement: Measurement, settings: KsEkfSettings) -> InertialSamples:
     """Inertial samples of a measurement, maybe none, turned into the axes of the platform."""
     imu = measurement.imu
     if imu is None:
         return NO_SAMPLES
     turn = settings.imu_rotation.T
     order = np.argsort(imu.time[0], kind="stable")
-    return Samples(
+    return InertialSamples(
         time=imu.time[0][order],
         rate=imu.angular_rate[0][order] @ turn,
         force=imu.specific_force[0][order] @ turn,
@@ -81,7 +81,7 @@ class InertialMotion:
         drift[VELOCITY] = settings.force_change**2
         self._held = np.diag(drift)
 
-    def advance(self, state: FilterState, until: float) -> FilterState:
+    def advance(self, state: KsEkfState, until: float) -> KsEkfState:
         """Go to a time [s] with the samples that the state has; after the last one, it is held."""
         samples = state.samples
         self._kalman.begin(state.covariance)
@@ -97,12 +97,12 @@ class InertialMotion:
 
     def _step(
         self,
-        state: FilterState,
+        state: KsEkfState,
         h: float,
         start: tuple[Array, Array],
         end: tuple[Array, Array],
         held: float = 0.0,
-    ) -> FilterState:
+    ) -> KsEkfState:
         """One step of h seconds by the trapezoidal rule; its end is `held` after any sample [s]."""
         import pinocchio
 
@@ -140,7 +140,7 @@ class InertialMotion:
         return matrix
 
 
-def slope(samples: Samples, time: float, reach: float) -> Array:
+def slope(samples: InertialSamples, time: float, reach: float) -> Array:
     """Angular acceleration in P [rad/s^2], shape (3,): least squares over samples within `reach`.
 
     Args:

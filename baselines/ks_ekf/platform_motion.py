@@ -12,19 +12,19 @@ from baselines.ks_ekf.filter_state import (
     RATE_BIAS,
     ROTATION,
     VELOCITY,
-    FilterState,
+    KsEkfState,
     cross,
 )
 from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.base.arrays import Array
 
 
-def origin(state: FilterState, lever: Array) -> Array:
+def origin(state: KsEkfState, lever: Array) -> Array:
     """Platform origin in W [m], shape (3,), for an IMU at `lever` in P [m]."""
     return state.position - state.rotation @ lever
 
 
-def pose_map(state: FilterState, lever: Array) -> Array:
+def pose_map(state: KsEkfState, lever: Array) -> Array:
     """Error of the platform's pose [dp; dtheta] per error of the state, shape (6, 18 + n)."""
     matrix = np.zeros((6, len(state.covariance)))
     matrix[:, POSE] = np.eye(6)
@@ -32,7 +32,7 @@ def pose_map(state: FilterState, lever: Array) -> Array:
     return matrix
 
 
-def carried(state: FilterState, settings: KsEkfSettings) -> tuple[Array, Array]:
+def carried(state: KsEkfState, settings: KsEkfSettings) -> tuple[Array, Array]:
     """Twist of the platform origin, and covariance of pose and twist, from inertial samples.
 
     Args:
@@ -60,7 +60,7 @@ def carried(state: FilterState, settings: KsEkfSettings) -> tuple[Array, Array]:
     return twist, 0.5 * (covariance + covariance.T)
 
 
-def at_rest(state: FilterState) -> tuple[Array, Array]:
+def at_rest(state: KsEkfState) -> tuple[Array, Array]:
     """The same where nothing inertial carries the state, which then sits at the origin."""
     covariance = np.zeros((12, 12))
     covariance[:6, :6] = state.covariance[POSE, POSE]
@@ -68,7 +68,7 @@ def at_rest(state: FilterState) -> tuple[Array, Array]:
     return state.twist, covariance
 
 
-def moved_to_imu(state: FilterState, rate: Array, lever: Array) -> FilterState:
+def moved_to_imu(state: KsEkfState, rate: Array, lever: Array) -> KsEkfState:
     """Move a state from the platform's origin to the IMU, turning at `rate` in W [rad/s]."""
     arm = state.rotation @ lever
     matrix = np.eye(len(state.covariance))

@@ -13,7 +13,7 @@ SHORTEST = 1e-9  # [s]: less is rounding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Reading:
+class TimedLengths:
     """Lengths of one robot of n cables.
 
     Attributes:
@@ -27,11 +27,11 @@ class Reading:
     rates: Array
 
 
-def reading_of(measurement: Measurement, lead: float) -> Reading:
+def reading_of(measurement: Measurement, lead: float) -> TimedLengths:
     """The lengths of a measurement of one robot, which lead the platform by `lead` [s]."""
     rate, lengths = measurement.length_rate, measurement.unstrained_length[0]
     taken = measurement.time if rate is None else rate.time
-    return Reading(
+    return TimedLengths(
         time=float(taken[0]) + lead,
         lengths=lengths,
         rates=np.zeros_like(lengths) if rate is None else rate.value[0],
@@ -39,8 +39,8 @@ def reading_of(measurement: Measurement, lead: float) -> Reading:
 
 
 def due(
-    waiting: tuple[Reading, ...], new: Reading, now: float
-) -> tuple[tuple[Reading, ...], tuple[Reading, ...]]:
+    waiting: tuple[TimedLengths, ...], new: TimedLengths, now: float
+) -> tuple[tuple[TimedLengths, ...], tuple[TimedLengths, ...]]:
     """Split what waits and what came, in the order of time.
 
     Args:

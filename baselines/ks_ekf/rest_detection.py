@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.ks_ekf.filter_state import NO_SAMPLES, Samples
-from baselines.ks_ekf.readings import Reading
+from baselines.ks_ekf.filter_state import NO_SAMPLES, InertialSamples
+from baselines.ks_ekf.readings import TimedLengths
 from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.base.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Window:
+class RecentMeasurements:
     """The last measurements.
 
     Attributes:
@@ -25,9 +25,11 @@ class Window:
 
     time: Array
     lengths: Array
-    samples: Samples = NO_SAMPLES
+    samples: InertialSamples = NO_SAMPLES
 
-    def extended(self, readings: Sequence[Reading], samples: Samples, span: float) -> Window:
+    def extended(
+        self, readings: Sequence[TimedLengths], samples: InertialSamples, span: float
+    ) -> RecentMeasurements:
         """With measurements that are later, without those older than `span` seconds."""
         last = self.time[-1] if len(self.time) else -np.inf
         new = [reading for reading in readings if reading.time > last]
@@ -37,18 +39,20 @@ class Window:
         inertial = self.samples.joined(samples)
         if len(inertial):
             inertial = inertial.after(inertial.time[-1] - span)
-        return Window(time=when[first:], lengths=lengths[first:], samples=inertial)
+        return RecentMeasurements(time=when[first:], lengths=lengths[first:], samples=inertial)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Quiet:
+class RestMeans:
     """Means over a window at rest: angular rate [rad/s] and specific force [m/s^2], axes of P."""
 
     rate: Array
     force: Array
 
 
-def detect_rest(window: Window, rate_bias: Array, settings: KsEkfSettings) -> Quiet | None:
+def detect_rest(
+    window: RecentMeasurements, rate_bias: Array, settings: KsEkfSettings
+) -> RestMeans | None:
     """Decide whether the platform rests; None where it does not, or the window is too short.
 
     Without an IMU nothing is known of sway, and no rest is ever detected.
@@ -70,4 +74,4 @@ def detect_rest(window: Window, rate_bias: Array, settings: KsEkfSettings) -> Qu
     moved = np.ptp(window.lengths, axis=0).max()
     if moved > settings.rest_length or rate > settings.rest_rate or spread > settings.rest_force:
         return None
-    return Quiet(rate=samples.rate.mean(axis=0), force=samples.force.mean(axis=0))
+    return RestMeans(rate=samples.rate.mean(axis=0), force=samples.force.mean(axis=0))

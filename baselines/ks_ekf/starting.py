@@ -15,10 +15,10 @@ from baselines.ks_ekf.filter_state import (
     POSE,
     RATE_BIAS,
     VELOCITY,
-    FilterState,
+    KsEkfState,
 )
 from baselines.ks_ekf.platform_motion import moved_to_imu
-from baselines.ks_ekf.readings import Reading
+from baselines.ks_ekf.readings import TimedLengths
 from baselines.ks_ekf.rest_pose import RestPose
 from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.base.arrays import Array
@@ -39,10 +39,10 @@ def prior(robot: Robot, settings: KsEkfSettings) -> Array:
     return np.asarray(spread**2)
 
 
-def blank(robot: Robot, settings: KsEkfSettings, time: float) -> FilterState:
+def blank(robot: Robot, settings: KsEkfSettings, time: float) -> KsEkfState:
     """A state at home of which nothing is known but the priors."""
     lost = np.repeat((LOST[2], LOST[1]), 3)
-    return FilterState(
+    return KsEkfState(
         time=time,
         position=robot.home_position,
         rotation=robot.home_rotation,
@@ -59,15 +59,13 @@ def blank(robot: Robot, settings: KsEkfSettings, time: float) -> FilterState:
     )
 
 
-def forgotten(robot: Robot, settings: KsEkfSettings, state: FilterState) -> FilterState:
+def forgotten(robot: Robot, settings: KsEkfSettings, state: KsEkfState) -> KsEkfState:
     """A state of which nothing is known, with the pose and the samples of another one."""
     nothing, kept = blank(robot, settings, state.time), released(state, settings)
     return replace(nothing, position=kept.position, rotation=kept.rotation, samples=state.samples)
 
 
-def doubted(
-    robot: Robot, settings: KsEkfSettings, state: FilterState, factor: float
-) -> FilterState:
+def doubted(robot: Robot, settings: KsEkfSettings, state: KsEkfState, factor: float) -> KsEkfState:
     """The same with larger standard deviations; constants are never less known than at first."""
     first = prior(robot, settings)
     growth = np.full(len(first), factor)
@@ -78,8 +76,8 @@ def doubted(
 
 
 def placed(
-    state: FilterState, rest: RestPose, reading: Reading, sway: float, settings: KsEkfSettings
-) -> FilterState:
+    state: KsEkfState, rest: RestPose, reading: TimedLengths, sway: float, settings: KsEkfSettings
+) -> KsEkfState:
     """Put a state at a pose of rest; biases and what is known of them stay.
 
     Args:
@@ -123,7 +121,7 @@ def placed(
     )
 
 
-def lost(robot: Robot, settings: KsEkfSettings, state: FilterState, time: float) -> FilterState:
+def lost(robot: Robot, settings: KsEkfSettings, state: KsEkfState, time: float) -> KsEkfState:
     """The same, at the platform's origin, of whose pose and motion nothing is known any more."""
     nothing, state = blank(robot, settings, time), released(state, settings)
     covariance = nothing.covariance.copy()
@@ -140,14 +138,14 @@ def lost(robot: Robot, settings: KsEkfSettings, state: FilterState, time: float)
     )
 
 
-def inertial(state: FilterState, settings: KsEkfSettings) -> FilterState:
+def inertial(state: KsEkfState, settings: KsEkfSettings) -> KsEkfState:
     """Let inertial samples carry a state that sits at the platform's origin."""
     rate = state.rotation @ (state.samples.at(state.time)[0] - state.rate_bias)
     moved = moved_to_imu(state, rate, settings.imu_position)
     return replace(moved, inertial=True, samples=state.samples.after(state.time))
 
 
-def released(state: FilterState, settings: KsEkfSettings) -> FilterState:
+def released(state: KsEkfState, settings: KsEkfSettings) -> KsEkfState:
     """A state that inertial samples carry no more: back at the platform's origin."""
     if not state.inertial:
         return state

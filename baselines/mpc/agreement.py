@@ -8,7 +8,7 @@ TAUT = 0.3  # [s] with all cables taut, before a new plan begins
 STUCK = 1.0  # [s] of disagreement while the winches rest: then the lengths are wrong
 
 
-class Agreement:
+class BeliefGate:
     """Counts beliefs that agree, one a period.
 
     On slack cables a platform flies, and a plan for taut ones would drive it on. Such a plan is

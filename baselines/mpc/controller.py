@@ -7,16 +7,16 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from baselines.mpc.agreement import Agreement
-from baselines.mpc.fallback import Rest
+from baselines.mpc.agreement import BeliefGate
+from baselines.mpc.fallback import RestFallback
 from baselines.mpc.geometry import Geometry, excess_at, geometry_at
-from baselines.mpc.observer import Observer, Start
+from baselines.mpc.observer import Observer, PlanStart
 from baselines.mpc.plan import Plan, pose_of
 from baselines.mpc.planner import Planner
 from baselines.mpc.record import MpcRecord
 from baselines.mpc.settings import MpcSettings
-from baselines.mpc.target import Targets
-from baselines.mpc.unknown_load import Motion
+from baselines.mpc.target import TargetReader
+from baselines.mpc.unknown_load import PlannedMotion
 from baselines.mpc.winch_reference import WinchReference
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
@@ -52,9 +52,9 @@ class Mpc:
         self._planner = Planner(robot, settings)
         self._observer = Observer(robot, settings)
         self._winches = WinchReference(robot, period=self.period, jerk_max=settings.jerk_max)
-        self._targets = Targets(robot, self._planner.grid)
-        self._rest = Rest(robot)
-        self._agreement = Agreement(settings.belief_gate, settings.period)
+        self._targets = TargetReader(robot, self._planner.grid)
+        self._rest = RestFallback(robot)
+        self._agreement = BeliefGate(settings.belief_gate, settings.period)
         self.horizon = self.period * float(np.ceil(settings.lookahead / self.period - 1e-9))
         self.record = MpcRecord()
         self._ready = False
@@ -127,7 +127,7 @@ class Mpc:
         self.record.no_rest = self._targets.no_rest
         return Command(time=belief.time, unstrained_length=lengths[None])
 
-    def _solve(self, start: Start, reference: Reference, now: float) -> Plan | None:
+    def _solve(self, start: PlanStart, reference: Reference, now: float) -> Plan | None:
         """A plan from here, or None with the reason in the record."""
         self.record.reason = ""
         if not np.isfinite(start.distance) or not start.geometry.valid:
@@ -174,9 +174,9 @@ class Mpc:
         position, rotation = pose_of(state, plan.rotation)
         geometry = self._update_excess(position, rotation, plan.tension[0], share=self._share())
         self._observer.predict(
-            Start(position=position, rotation=rotation, twist=state[6:], geometry=geometry,
+            PlanStart(position=position, rotation=rotation, twist=state[6:], geometry=geometry,
                   distance=0.0),
-            Motion.of(
+            PlannedMotion.of(
                 self._robot, geometry, plan.tension[0],
                 rotation=pose_of(before, plan.rotation)[1], spin=before[9:],
                 spin_rate=(state[9:] - before[9:]) / self.period,
@@ -195,7 +195,7 @@ class Mpc:
             position, rotation = pose_of(states[0], old.rotation)
             geometry = geometry_at(self._robot, position, rotation)
             self._observer.predict(
-                Start(position=position, rotation=rotation, twist=states[0, 6:],
+                PlanStart(position=position, rotation=rotation, twist=states[0, 6:],
                       geometry=geometry, distance=0.0)
             )  # fmt: skip
             rate = geometry.jacobian @ states[0, 6:]

@@ -13,7 +13,7 @@ SHARE = 0.5  # of the winches' acceleration that is used
 REACH = 3.0  # [m]: lengths of rest that are farther away are not near
 
 
-class Rest:
+class RestFallback:
     """Leads the lengths to those of the catenary equilibrium at the position first believed."""
 
     def __init__(self, robot: Robot) -> None:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from baselines.mpc.geometry import Geometry, geometry_at
 from baselines.mpc.settings import MpcSettings
-from baselines.mpc.unknown_load import Motion, UnknownLoad
+from baselines.mpc.unknown_load import PlannedMotion, UnknownLoad
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Belief
 from carosac_toolkit.physics.rest.modes import mass_matrix
@@ -31,7 +31,7 @@ SLACK = 0.05  # [m]: a cable that is longer than believed by more is slack
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Start:
+class PlanStart:
     """Pose and twist now.
 
     Attributes:
@@ -86,17 +86,17 @@ class Observer:
     def forget(self) -> None:
         """Nothing is planned, and what was learned of the motion may be wrong."""
         self.load.reset()
-        self._predicted: Start | None = None
-        self._planned: Motion | None = None
+        self._predicted: PlanStart | None = None
+        self._planned: PlannedMotion | None = None
 
-    def predict(self, start: Start, planned: Motion | None = None) -> None:
+    def predict(self, start: PlanStart, planned: PlannedMotion | None = None) -> None:
         """Keep what the next belief should say, and the motion to it if it was planned just now."""
         self._predicted, self._planned = start, planned
 
     def start(
         self, belief: Belief, length: Array, rate: Array, *, within: float | None = None,
         stuck: bool = False,
-    ) -> Start:  # fmt: skip
+    ) -> PlanStart:  # fmt: skip
         """Where the platform is.
 
         Args:
@@ -122,7 +122,7 @@ class Observer:
             distance = 0.0
         twist = self._twist(belief)
         if distance > allowed:
-            return Start(position=position, rotation=rotation, twist=twist, geometry=geometry,
+            return PlanStart(position=position, rotation=rotation, twist=twist, geometry=geometry,
                          distance=distance)  # fmt: skip
         self._learn_lengths(missing)
         if not self.slack.any():
@@ -134,7 +134,7 @@ class Observer:
             return _nowhere(position, rotation, geometry)
         motion = self._motion(geometry, rotation)
         twist = twist + motion @ (rate - geometry.jacobian @ twist)
-        return Start(position=position, rotation=rotation, twist=twist, geometry=geometry,
+        return PlanStart(position=position, rotation=rotation, twist=twist, geometry=geometry,
                      distance=distance)  # fmt: skip
 
     def _rebase(self, missing: Array) -> None:
@@ -224,8 +224,8 @@ def _sound(geometry: Geometry) -> bool:
     return geometry.valid and bool(np.isfinite(geometry.jacobian).all())
 
 
-def _nowhere(position: Array, rotation: Array, geometry: Geometry) -> Start:
+def _nowhere(position: Array, rotation: Array, geometry: Geometry) -> PlanStart:
     """A start that no plan can begin at."""
-    return Start(
+    return PlanStart(
         position=position, rotation=rotation, twist=np.zeros(6), geometry=geometry, distance=np.inf
     )

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.mpc import model
-from baselines.mpc.observer import Start
+from baselines.mpc.observer import PlanStart
 from baselines.mpc.plan import Plan
 from baselines.mpc.quadratic_program import FAR, QuadraticProgram
 from baselines.mpc.settings import MpcSettings
 from baselines.mpc.stage_function import StageFunction
 from baselines.mpc.unknown_load import UnknownLoad
-from baselines.mpc.winch_reference import Range
+from baselines.mpc.winch_reference import WinchRange
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
@@ -25,7 +25,7 @@ LENGTH_SCALE = 1.0  # [m]: excess of a length that counts like that of a full li
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Target:
+class PlanTarget:
     """What the platform should do at the N + 1 times of a plan.
 
     Attributes:
@@ -85,8 +85,8 @@ class Planner:
         self._habit = np.zeros(self._robot.n)
 
     def improve(
-        self, start: Start, target: Target, *, time: float, load: UnknownLoad,
-        acceleration: Range, offset: Array,
+        self, start: PlanStart, target: PlanTarget, *, time: float, load: UnknownLoad,
+        acceleration: WinchRange, offset: Array,
     ) -> tuple[Plan, float] | None:  # fmt: skip
         """Make a plan from where the platform is.
 
@@ -115,7 +115,7 @@ class Planner:
             self._habit = self._habit + share * (now - self._habit)
         return plan, slack
 
-    def _guess(self, start: Start, target: Target, time: float) -> Plan:
+    def _guess(self, start: PlanStart, target: PlanTarget, time: float) -> Plan:
         """The last plan, shifted to now, with the first state replaced."""
         when = time + self.grid
         old = self.plan
@@ -135,7 +135,7 @@ class Planner:
         state[0, 6:] = start.twist
         return Plan(time=when, state=state, tension=tension, rotation=rotation)
 
-    def _linearise(self, plan: Plan, start: Start, load: UnknownLoad) -> None:
+    def _linearise(self, plan: Plan, start: PlanStart, load: UnknownLoad) -> None:
         """Evaluate the stage function along the plan."""
         stage, geometry = self.stage, start.geometry
         stage.state[:] = plan.state[:-1]
@@ -148,14 +148,14 @@ class Planner:
         stage()
         self._hanging = self._robot.weight_per_length * geometry.free
 
-    def _least(self, target: Target) -> Array:
+    def _least(self, target: PlanTarget) -> Array:
         """Tensions at which cables are still taut [N], shape (N, n)."""
         half = HALF * target.tension
         taut = half if target.calm else np.minimum(self._settings.taut * self._hanging, half)
         return np.maximum(self._robot.tension_min, taut)
 
     def _correct(
-        self, plan: Plan, target: Target, acceleration: Range, offset: Array
+        self, plan: Plan, target: PlanTarget, acceleration: WinchRange, offset: Array
     ) -> tuple[Plan, float] | None:
         """Solve for the best change of the plan."""
         stage, settings, n = self.stage, self._settings, self._robot.n
@@ -185,7 +185,7 @@ class Planner:
         sound = np.abs(better.state).max() < STATE_MAX and np.abs(better.state[:, 3:6]).max() < 1.0
         return (better, float(step.slack.max())) if sound else None
 
-    def _error(self, plan: Plan, target: Target) -> Array:
+    def _error(self, plan: Plan, target: PlanTarget) -> Array:
         """State minus target; no attitude where it is free."""
         error = plan.state.copy()
         error[:, :3] -= target.position
@@ -195,7 +195,7 @@ class Planner:
                 row[3:6] -= model.parameters_of(wanted @ plan.rotation.T)
         return error
 
-    def _rows(self, acceleration: Range, offset: Array) -> tuple[Array, Array, Array]:
+    def _rows(self, acceleration: WinchRange, offset: Array) -> tuple[Array, Array, Array]:
         """Limits on length, rate and acceleration of the cables, in shares of themselves."""
         robot, stage, share = self._robot, self.stage, self._settings.limit_share
         n, stages = robot.n, self._settings.stages

@@ -31,7 +31,7 @@ OPTIONS = {
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Step:
+class GaussNewtonStep:
     """Solution of the program.
 
     Attributes:
@@ -70,7 +70,7 @@ class QuadraticProgram:
     def solve(
         self, *, hessian: Array, gradient: Array, end: Array, dynamics: tuple[Array, Array, Array],
         bounds: tuple[Array, Array], rows: tuple[Array, Array, Array], price: float, start: Array,
-    ) -> Step:  # fmt: skip
+    ) -> GaussNewtonStep:  # fmt: skip
         """Solve.
 
         Args:
@@ -96,11 +96,11 @@ class QuadraticProgram:
         try:
             self._evaluate()
         except RuntimeError:  # the solver refuses numbers that are not finite
-            return Step(solved=False, state=np.zeros((stages + 1, states)),
+            return GaussNewtonStep(solved=False, state=np.zeros((stages + 1, states)),
                         tension=np.zeros((stages, n)), slack=np.zeros(stages))  # fmt: skip
         return self._read(dynamics)
 
-    def _read(self, dynamics: tuple[Array, Array, Array]) -> Step:
+    def _read(self, dynamics: tuple[Array, Array, Array]) -> GaussNewtonStep:
         """Take the solution and look whether it is one."""
         stages, states, n, _ = self._sizes
         a, b, c = dynamics
@@ -111,7 +111,7 @@ class QuadraticProgram:
         if solved:
             follow = np.einsum("kij,kj->ki", a, x[:-1]) + np.einsum("kij,kj->ki", b, u) + c
             solved = bool(np.abs(follow - x[1:]).max() < GAP)
-        return Step(solved=solved, state=x, tension=u, slack=slack)
+        return GaussNewtonStep(solved=solved, state=x, tension=u, slack=slack)
 
     def _fill_cost(self, hessian: Array, gradient: Array, end: Array, price: float) -> None:
         """Hessian and gradient, the slack among them."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from baselines.mpc.planner import Target
+from baselines.mpc.planner import PlanTarget
 from baselines.reference_ahead import interpolated
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Pose, Reference
@@ -17,7 +17,7 @@ REACH = 0.3  # [m]: from farther away the reference is not chased, but approache
 APPROACH = 0.7  # [m/s]
 
 
-class Targets:
+class TargetReader:
     """Reads references; tensions of rest are solved for when the reference moves.
 
     Attributes:
@@ -42,7 +42,7 @@ class Targets:
         self._rest(np.stack([position, position]))
         return np.asarray(self._tension[0])
 
-    def read(self, reference: Reference) -> Target:
+    def read(self, reference: Reference) -> PlanTarget:
         """The reference, linear between its rows, and the last row beyond them."""
         when, rows = reference.time[0, 0] + self._grid, reference.time[0]
         position, velocity = (
@@ -58,9 +58,9 @@ class Targets:
         self._rest(position[[0, -1]])
         share = (self._grid[:-1] / self._grid[-1])[:, None]
         tension = (1.0 - share) * self._tension[0] + share * self._tension[1]
-        return Target(position=position, velocity=velocity, rotation=rotation, tension=tension)
+        return PlanTarget(position=position, velocity=velocity, rotation=rotation, tension=tension)
 
-    def nearer(self, target: Target, position: Array) -> Target:
+    def nearer(self, target: PlanTarget, position: Array) -> PlanTarget:
         """The target itself, or a slow way there from where the platform is.
 
         Args:

@@ -39,7 +39,7 @@ MOVED = 1e-4  # [m] by which the centre of mass moves before the robot is made a
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
+class PlannedMotion:
     """What was planned for a command.
 
     Attributes:
@@ -60,7 +60,7 @@ class Motion:
     def of(
         cls, robot: Robot, geometry: Geometry, tension: Array, *, rotation: Array, spin: Array,
         spin_rate: Array,
-    ) -> Motion:  # fmt: skip
+    ) -> PlannedMotion:  # fmt: skip
         """With cables of a geometry and of tensions along their chords [N], shape (n,)."""
         hanging = 0.5 * robot.weight_per_length @ geometry.free
         return cls(
@@ -124,7 +124,13 @@ class UnknownLoad:
         return np.asarray(self._found[3:])
 
     def learn(
-        self, gained: Array, free: Array, mass: Array, motion: Motion, *, turning: bool = True
+        self,
+        gained: Array,
+        free: Array,
+        mass: Array,
+        motion: PlannedMotion,
+        *,
+        turning: bool = True,
     ) -> None:
         """Take in what a twist gained beyond its prediction.
 
@@ -188,7 +194,7 @@ class UnknownLoad:
         if np.abs(center_of_mass - self.robot.center_of_mass).max() > MOVED:
             self.robot = replace(self._nominal, center_of_mass=center_of_mass)
 
-    def _by(self, motion: Motion) -> Array:
+    def _by(self, motion: PlannedMotion) -> Array:
         """Acceleration, linear first, in W, per shift in P and per `acceleration`, shape (6, 9)."""
         robot, rotation = self.robot, motion.rotation
         body = moving_body(robot, motion.length)

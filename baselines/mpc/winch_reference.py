@@ -25,7 +25,7 @@ JERK_MARGIN = 0.02  # of the jerk limit: at the start, lengths are known to some
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Range:
+class WinchRange:
     """What the next command may be.
 
     Attributes:
@@ -64,7 +64,7 @@ class WinchReference:
         """Whether they have all but stopped."""
         return bool(np.abs(self.rate).max() < STOPPED)
 
-    def command_range(self) -> Range:
+    def command_range(self) -> WinchRange:
         """Commands within speed, acceleration, jerk and length limits; acceleration goes first."""
         robot, h, keep = self._robot, self._period, 1.0 - MARGIN
         change = self._jerk_max * h * (1.0 - JERK_MARGIN)
@@ -78,16 +78,16 @@ class WinchReference:
         high_speed = np.clip((speed - self._speed - np.maximum(room, 0.0)) / h, low, high)
         ahead = self._sent + h * self._speed
         low_length, high_length = ahead + h * h * low_speed, ahead + h * h * high_speed
-        return Range(
+        return WinchRange(
             low=np.clip(robot.length_min + 0.0, low_length, high_length),
             high=np.clip(robot.length_max + 0.0, low_length, high_length),
         )
 
-    def acceleration_range(self) -> Range:
+    def acceleration_range(self) -> WinchRange:
         """Accelerations of the length in this tick that keep the command in its range [m/s^2]."""
         allowed = self.command_range()
         base, gain = self._response()
-        return Range(low=(allowed.low - base) / gain, high=(allowed.high - base) / gain)
+        return WinchRange(low=(allowed.low - base) / gain, high=(allowed.high - base) / gain)
 
     def follow(self, length: Array, rate: Array) -> Array:
         """Command that brings the winches to a length and rate by the next tick.

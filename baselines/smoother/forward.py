@@ -7,10 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from baselines.dynamic_estimator.evidence import Evidence, Felt, Sensors
-from baselines.dynamic_estimator.model import Model
-from baselines.dynamic_estimator.state import Errors, FilterState
-from baselines.smoother.measured import Measured
+from baselines.dynamic_estimator.evidence import ImuMean, LinearisedMeasurement, MeasurementModels
+from baselines.dynamic_estimator.model import DynamicModel
+from baselines.dynamic_estimator.state import DynamicFilterState, Errors
+from baselines.smoother.measured import ArrangedRecording
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
 
@@ -18,7 +18,7 @@ FLOOR = 1e-4  # of the scale of an error, per root of a second: noise of what is
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Link:
+class KeyFrameLink:
     """From one key frame to the next, to first order.
 
     Attributes:
@@ -30,12 +30,12 @@ class Link:
 
     carry: Array
     noise: Array
-    felt: Evidence | None
+    felt: LinearisedMeasurement | None
     expected: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Passed:
+class ForwardPass:
     """A forward pass through K key frames.
 
     Attributes:
@@ -47,28 +47,32 @@ class Passed:
     """
 
     delay: float
-    states: list[FilterState]
+    states: list[DynamicFilterState]
     corrections: Array
-    links: list[Link]
-    poses: dict[int, Evidence]
+    links: list[KeyFrameLink]
+    poses: dict[int, LinearisedMeasurement]
 
 
-class Forward:
+class ForwardModel:
     """Forward passes through one recording.
 
     Errors are those of `Errors`, and one more at the end: that of the delay [s]. A longer one is
     the same motion later.
     """
 
-    def __init__(self, model: Model, measured: Measured, settings: SmootherSettings) -> None:
+    def __init__(
+        self, model: DynamicModel, measured: ArrangedRecording, settings: SmootherSettings
+    ) -> None:
         """Take the dynamics and the recording."""
         self._model = model
         self._measured = measured
         self._settings = settings
-        self._sensors = Sensors(model, settings.dynamics)
+        self._sensors = MeasurementModels(model, settings.dynamics)
         self._floor = (FLOOR * scales(model, settings)[:-1]) ** 2
 
-    def run(self, rest: FilterState, wanted: list[FilterState] | None, delay: float) -> Passed:
+    def run(
+        self, rest: DynamicFilterState, wanted: list[DynamicFilterState] | None, delay: float
+    ) -> ForwardPass:
         """Go through the recording.
 
         Args:
@@ -99,13 +103,13 @@ class Forward:
             k: widened(self._sensors.pose(states[k], *pose), -states[k].twist)
             for k, pose in sorted(self._measured.poses.items())
         }
-        return Passed(
+        return ForwardPass(
             delay=delay, states=states, corrections=added, links=_delayed(links, time), poses=poses
         )
 
     def _to(
-        self, state: FilterState, end: float, felt: Felt | None, delay: float
-    ) -> tuple[FilterState, Link]:
+        self, state: DynamicFilterState, end: float, felt: ImuMean | None, delay: float
+    ) -> tuple[DynamicFilterState, KeyFrameLink]:
         """Move a state to the next key frame."""
         size = self._model.errors.size
         carry, noise, said, expected = np.eye(size), np.zeros((size, size)), None, None
@@ -119,12 +123,14 @@ class Forward:
             if felt is not None and stop == stops[-1]:
                 now = self._sensors.felt(move, felt)
                 expected = move.felt
-                said = Evidence(now.residual, now.by @ carry, now.noise + now.by @ noise @ now.by.T)
+                said = LinearisedMeasurement(
+                    now.residual, now.by @ carry, now.noise + now.by @ noise @ now.by.T
+                )
             carry, noise = step @ carry, step @ noise @ step.T + added
             state = replace(move.state, time=stop, wind=keep * state.wind)
         kept = np.eye(size + 1)  # the delay stays as it is
         kept[:size, :size] = carry
-        link = Link(carry=kept, noise=np.pad(noise, (0, 1)), felt=said, expected=expected)
+        link = KeyFrameLink(carry=kept, noise=np.pad(noise, (0, 1)), felt=said, expected=expected)
         return replace(state, time=end), link
 
     def _noise(self, duration: float, keep: float) -> Array:
@@ -145,12 +151,12 @@ class Forward:
         return noise
 
 
-def widened(said: Evidence, late: Array) -> Evidence:
+def widened(said: LinearisedMeasurement, late: Array) -> LinearisedMeasurement:
     """The same, and its change per second (6,) by which the delay is longer."""
     return said._replace(by=np.column_stack([said.by, late]))
 
 
-def _delayed(links: list[Link], time: Array) -> list[Link]:
+def _delayed(links: list[KeyFrameLink], time: Array) -> list[KeyFrameLink]:
     """The same, where the IMU tells of the delay too: by how its readings change with time."""
     heard = [k for k, link in enumerate(links) if link.felt is not None]
     if not heard:
@@ -167,7 +173,7 @@ def _delayed(links: list[Link], time: Array) -> list[Link]:
     return found
 
 
-def shifted(state: FilterState, delay: float) -> FilterState:
+def shifted(state: DynamicFilterState, delay: float) -> DynamicFilterState:
     """Where a state is if the motion is later by a delay [s]."""
     import pinocchio
 
@@ -177,7 +183,7 @@ def shifted(state: FilterState, delay: float) -> FilterState:
     )
 
 
-def missing(state: FilterState, wanted: FilterState) -> Array:
+def missing(state: DynamicFilterState, wanted: DynamicFilterState) -> Array:
     """Errors of a state against another nearby, in the order of `Errors`, shape (size,).
 
     Of pose and twist these are what sway and length biases can put right; the rest, stretch, is
@@ -199,7 +205,7 @@ def missing(state: FilterState, wanted: FilterState) -> Array:
     return found
 
 
-def scales(model: Model, settings: SmootherSettings) -> Array:
+def scales(model: DynamicModel, settings: SmootherSettings) -> Array:
     """What errors are measured in, so that all are of order one, shape (size + 1,)."""
     where: Errors = model.errors
     s = settings.dynamics

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.dynamic_estimator.evidence import Evidence
+from baselines.dynamic_estimator.evidence import LinearisedMeasurement
 from baselines.dynamic_estimator.state import Errors
-from baselines.smoother.forward import Passed
+from baselines.smoother.forward import ForwardPass
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 
@@ -26,7 +26,7 @@ FLOOR = 1e-4  # of the scale of an error: what counts as known
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Solution:
+class GraphSolution:
     """What a graph says of the errors of K key frames.
 
     Attributes:
@@ -40,7 +40,7 @@ class Solution:
     constant: Array
 
 
-class Graph:
+class ErrorGraph:
     """Graphs of one robot and one start."""
 
     def __init__(self, errors: Errors, scale: Array, start: Array) -> None:
@@ -59,8 +59,8 @@ class Graph:
         self._start = start + np.diag((FLOOR * scale) ** 2)
 
     def solve(
-        self, passed: Passed, time: Array, weight: Mapping[int, float], lag: float | None
-    ) -> Solution:
+        self, passed: ForwardPass, time: Array, weight: Mapping[int, float], lag: float | None
+    ) -> GraphSolution:
         """Find the errors.
 
         Args:
@@ -80,7 +80,7 @@ class Graph:
         longest = float(np.diff(time).max())
         window = FOREVER if lag is None else 2.0 * lag + longest
         smoother = gtsam.IncrementalFixedLagSmoother(window, params)
-        found = _Found(self, len(time))
+        found = _SolutionReader(self, len(time))
         ends = [len(time)] if lag is None else _ends(time, lag)
         begin = taken = 0
         try:
@@ -98,7 +98,12 @@ class Graph:
         return found.solution()
 
     def _update(
-        self, smoother: Any, passed: Passed, time: Array, weight: Mapping[int, float], new: range
+        self,
+        smoother: Any,
+        passed: ForwardPass,
+        time: Array,
+        weight: Mapping[int, float],
+        new: range,
     ) -> None:
         """Add key frames to the smoother."""
         import gtsam
@@ -136,7 +141,7 @@ class Graph:
         ]
         return _linear(blocks, -root @ correction[changing])
 
-    def _said(self, k: int, said: Evidence, weight: float) -> Any:
+    def _said(self, k: int, said: LinearisedMeasurement, weight: float) -> Any:
         """A measurement of key frame k."""
         root = np.sqrt(weight) * _whitening(said.noise)
         return self._factor(k, root @ said.by, root @ said.residual)
@@ -154,10 +159,10 @@ class Graph:
         return np.asarray(self._scale[some])
 
 
-class _Found:
+class _SolutionReader:
     """Collects a solution, key frame by key frame."""
 
-    def __init__(self, graph: Graph, count: int) -> None:
+    def __init__(self, graph: ErrorGraph, count: int) -> None:
         self._graph = graph
         changing, constant = graph.changing, graph.constant
         self._error = np.zeros((count, len(changing) + len(constant)))
@@ -179,9 +184,11 @@ class _Found:
         if whole:
             self._constant = smoother.marginalCovariance(CONSTANT) * np.outer(there, there)
 
-    def solution(self) -> Solution:
+    def solution(self) -> GraphSolution:
         """What was found."""
-        return Solution(error=self._error, covariance=self._covariance, constant=self._constant)
+        return GraphSolution(
+            error=self._error, covariance=self._covariance, constant=self._constant
+        )
 
 
 CONSTANT = 0  # key; those of key frames follow

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.dynamic_estimator.evidence import Felt
-from baselines.length_readings import SHORTEST, Readings
+from baselines.dynamic_estimator.evidence import ImuMean
+from baselines.length_readings import SHORTEST, LengthReadings
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
@@ -28,7 +28,7 @@ BEFORE = 0.01  # [s] before an inertial sample, at most, where the step to it be
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Measured:
+class ArrangedRecording:
     """A recording for a smoother.
 
     Attributes:
@@ -52,7 +52,7 @@ class Measured:
     delay_sigma: float
     time: Array
     samples: NDArray[np.int64]
-    felt: dict[int, Felt]
+    felt: dict[int, ImuMean]
     poses: dict[int, tuple[Array, Array]]
     used: NDArray[np.bool_]
     outliers: int
@@ -92,7 +92,7 @@ class Measured:
         return (keys, found) if len(keys) else None
 
 
-def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> Measured:
+def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> ArrangedRecording:
     """Put a recording in order.
 
     Args:
@@ -121,7 +121,7 @@ def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> M
     time = _apart(np.sort(np.concatenate([time, np.maximum(begins, first)])))
     known = settings.dynamics.delay
     known = robot.length_delay if known is None else known
-    return Measured(
+    return ArrangedRecording(
         recording=run,
         settings=settings,
         path=LengthPath(kept),
@@ -152,7 +152,7 @@ def _believed(run: Recording, robot: Robot, settings: SmootherSettings) -> tuple
 
     What encoders slipped by is taken off.
     """
-    readings = Readings.first(float(run.time[0]), run.unstrained_length[0])
+    readings = LengthReadings.first(float(run.time[0]), run.unstrained_length[0])
     keep = np.ones(len(run.time), dtype=np.bool_)
     lengths = run.unstrained_length.copy()
     jump = settings.dynamics.reading_jump
@@ -177,7 +177,7 @@ def _used(run: Recording, settings: SmootherSettings) -> NDArray[np.bool_]:
 
 def _groups(
     run: Recording, settings: SmootherSettings, first: float, last: float
-) -> list[tuple[float, Felt]]:
+) -> list[tuple[float, ImuMean]]:
     """Inertial samples in groups, each with its mean time [s]."""
     if run.imu is None or not settings.imu:
         return []
@@ -188,7 +188,7 @@ def _groups(
     start = 0
     for k in range(1, len(time) + 1):
         if k == len(time) or time[k] - time[start] > settings.imu_step - SHORTEST:
-            felt = Felt(values=values[start:k].mean(axis=0), samples=k - start)
+            felt = ImuMean(values=values[start:k].mean(axis=0), samples=k - start)
             groups.append((float(time[start:k].mean()), felt))
             start = k
     return groups

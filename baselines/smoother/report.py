@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from baselines.smoother.result import Smoothed
-from baselines.smoother.scores import Scores
+from baselines.smoother.scores import SmoothingScores
 from carosac_toolkit.text_tables import counted
 from carosac_toolkit.validation.plausibility import doubt_exit_points, exit_point_distance
 
@@ -93,7 +93,7 @@ def _sigma(result: Smoothed) -> str:
     return f"One sigma of the estimate: {position} mm in x / y / z, {turn} degrees about them."
 
 
-def _scored(result: Smoothed, scores: Scores) -> list[str]:
+def _scored(result: Smoothed, scores: SmoothingScores) -> list[str]:
     """Errors against poses that were not used."""
     found = []
     for name, part in scores.parts.items():

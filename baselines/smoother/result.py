@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.smoother.scores import Scores
+from baselines.smoother.scores import SmoothingScores
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Pose
@@ -86,7 +86,7 @@ class Smoothed:
     misfits: tuple[str, ...]
     measured: Pose | None
     compared: Pose | None
-    scores: Scores | None
+    scores: SmoothingScores | None
 
     @property
     def sigma(self) -> Array:

@@ -19,7 +19,7 @@ from carosac_toolkit.validation.scores import PoseScores, rotation_angle, score_
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scores:
+class SmoothingScores:
     """Errors in all, and apart with winches in motion and at rest.
 
     Attributes:
@@ -42,7 +42,7 @@ def score(
     estimate: Pose,
     covariance: Array,
     settings: DynamicEstimatorSettings,
-) -> Scores:
+) -> SmoothingScores:
     """Score an estimate.
 
     Args:
@@ -66,7 +66,7 @@ def score(
     angle = rotation_angle(measured.rotation, estimate.rotation)
     parts = {"all": np.ones(len(error), dtype=np.bool_), "moving": ~resting, "resting": resting}
     some = {name: mask for name, mask in parts.items() if mask.any()}
-    return Scores(
+    return SmoothingScores(
         parts={name: score_poses(error[mask], angle[mask]) for name, mask in some.items()},
         nees={name: float(square[mask].mean()) for name, mask in some.items()},
     )

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.dynamic_estimator.evidence import Evidence
-from baselines.dynamic_estimator.model import Model
-from baselines.dynamic_estimator.start import Rest
-from baselines.dynamic_estimator.state import FilterState
-from baselines.smoother.forward import Forward, Passed, scales, shifted
-from baselines.smoother.graph import Graph, Solution
-from baselines.smoother.measured import Measured, arrange
+from baselines.dynamic_estimator.evidence import LinearisedMeasurement
+from baselines.dynamic_estimator.model import DynamicModel
+from baselines.dynamic_estimator.start import RestStart
+from baselines.dynamic_estimator.state import DynamicFilterState
+from baselines.smoother.forward import ForwardModel, ForwardPass, scales, shifted
+from baselines.smoother.graph import ErrorGraph, GraphSolution
+from baselines.smoother.measured import ArrangedRecording, arrange
 from baselines.smoother.result import Smoothed
 from baselines.smoother.scores import score
 from baselines.smoother.settings import SmootherSettings
@@ -30,7 +30,7 @@ SAME_WEIGHT = 0.05
 SAME_CONSTANT = 0.3  # of a sigma
 SHORTEST_STEP = 0.125  # of what a pass found: how much goes into the next one, at least
 
-Report = Callable[[int, float], None]
+PassReport = Callable[[int, float], None]
 
 
 def smooth(
@@ -40,7 +40,7 @@ def smooth(
     *,
     start: int = 0,
     stop: int | None = None,
-    report: Report | None = None,
+    report: PassReport | None = None,
 ) -> Smoothed:
     """Find the best estimate of a whole recording.
 
@@ -75,17 +75,17 @@ def smooth(
 
 
 def _settled(
-    measured: Measured, robot: Robot, chosen: SmootherSettings, report: Report | None
-) -> _Pass:
+    measured: ArrangedRecording, robot: Robot, chosen: SmootherSettings, report: PassReport | None
+) -> _LastPass:
     """Go through the recording until nothing changes; see `smooth`."""
     rest = _rest(measured, robot, chosen)
     damping = max(chosen.dynamics.stretch_damping, chosen.imu_damping if measured.felt else 0.0)
-    model = Model(robot, replace(chosen.dynamics, stretch_damping=damping))
-    forward = Forward(model, measured, chosen)
+    model = DynamicModel(robot, replace(chosen.dynamics, stretch_damping=damping))
+    forward = ForwardModel(model, measured, chosen)
     start_covariance = np.pad(rest.covariance, (0, 1))
     start_covariance[-1, -1] = measured.delay_sigma**2
-    graph = Graph(model.errors, scales(model, chosen), start_covariance)
-    wanted: list[FilterState] | None = None
+    graph = ErrorGraph(model.errors, scales(model, chosen), start_covariance)
+    wanted: list[DynamicFilterState] | None = None
     delay, step, before = measured.delay, 1.0, np.inf
     for passes in range(1, chosen.iterations + 1):
         passed = forward.run(rest, wanted, delay)
@@ -100,28 +100,30 @@ def _settled(
         step = min(1.0, 2.0 * step) if largest < before else max(0.5 * step, SHORTEST_STEP)
         before = largest
         wanted, delay = _wanted(passed, solution, graph, step)
-    return _Pass(robot, graph, passed, solution, weight, passes, change, settled)
+    return _LastPass(robot, graph, passed, solution, weight, passes, change, settled)
 
 
 @dataclass(frozen=True)
-class _Pass:
+class _LastPass:
     """The last pass."""
 
     robot: Robot
-    graph: Graph
-    passed: Passed
-    solution: Solution
+    graph: ErrorGraph
+    passed: ForwardPass
+    solution: GraphSolution
     weight: dict[int, float]
     passes: int
     change: float
     settled: bool
 
 
-def _rest(measured: Measured, robot: Robot, settings: SmootherSettings) -> FilterState:
+def _rest(
+    measured: ArrangedRecording, robot: Robot, settings: SmootherSettings
+) -> DynamicFilterState:
     """Where the recording begins."""
     first = float(measured.time[0])
     reading = measured.reading(first, measured.delay)
-    found = Rest(robot, settings.dynamics).state(first, reading, settings.dynamics.start_speed)
+    found = RestStart(robot, settings.dynamics).state(first, reading, settings.dynamics.start_speed)
     if found is None:
         lengths = ", ".join(f"{value:.3f}" for value in reading)
         raise CarosacError(
@@ -132,8 +134,8 @@ def _rest(measured: Measured, robot: Robot, settings: SmootherSettings) -> Filte
 
 
 def _solved(
-    graph: Graph, passed: Passed, measured: Measured, settings: SmootherSettings
-) -> tuple[Solution, dict[int, float]]:
+    graph: ErrorGraph, passed: ForwardPass, measured: ArrangedRecording, settings: SmootherSettings
+) -> tuple[GraphSolution, dict[int, float]]:
     """The errors, with poses that are far off weighing less."""
     import gtsam
 
@@ -150,13 +152,13 @@ def _solved(
     return solution, weight
 
 
-def _distance(said: Evidence, error: Array) -> float:
+def _distance(said: LinearisedMeasurement, error: Array) -> float:
     """How far a measurement is off after an error is put right, in standard deviations."""
     left = said.residual - said.by @ error
     return float(np.sqrt(left @ np.linalg.solve(said.noise, left)))
 
 
-def _change(passed: Passed, solution: Solution) -> tuple[float, float]:
+def _change(passed: ForwardPass, solution: GraphSolution) -> tuple[float, float]:
     """Largest change of a position [m] and of an orientation [rad]."""
     moved = np.array([
         state.pose_by() @ error[:-1] - error[-1] * state.twist
@@ -166,15 +168,15 @@ def _change(passed: Passed, solution: Solution) -> tuple[float, float]:
     return float(size[0]), float(size[1])
 
 
-def _still(solution: Solution, graph: Graph) -> bool:
+def _still(solution: GraphSolution, graph: ErrorGraph) -> bool:
     """Whether what is constant stays as it is, too, against one sigma of it."""
     moved = np.abs(solution.error[-1, graph.constant])
     return bool((moved <= SAME_CONSTANT * np.sqrt(np.diag(solution.constant))).all())
 
 
 def _wanted(
-    passed: Passed, solution: Solution, graph: Graph, step: float
-) -> tuple[list[FilterState], float]:
+    passed: ForwardPass, solution: GraphSolution, graph: ErrorGraph, step: float
+) -> tuple[list[DynamicFilterState], float]:
     """States that the next pass is to reach, and the delay that it is to have [s].
 
     A `step` below 1 goes only that share of the way.
@@ -188,14 +190,14 @@ def _wanted(
     return wanted, passed.delay + float(error[-1, -1])
 
 
-def _put_right(state: FilterState, error: Array, covariance: Array) -> FilterState:
+def _put_right(state: DynamicFilterState, error: Array, covariance: Array) -> DynamicFilterState:
     """A state after an error was estimated, that of the delay included."""
     return shifted(state.corrected(error[:-1], covariance), float(error[-1]))
 
 
 def _result(
-    found: _Pass,
-    measured: Measured,
+    found: _LastPass,
+    measured: ArrangedRecording,
     misfits: tuple[str, ...],
     withheld: tuple[NDArray[np.int64], Pose] | None,
 ) -> Smoothed:
@@ -251,7 +253,7 @@ def _result(
 
 
 def _poses(
-    states: list[FilterState], time: Array | None, noise: tuple[float, float, float]
+    states: list[DynamicFilterState], time: Array | None, noise: tuple[float, float, float]
 ) -> tuple[Pose, Array]:
     """Poses, and the covariances of pose and twist, shape (S, 12, 12).
 
@@ -269,7 +271,7 @@ def _poses(
     return poses, covariance
 
 
-def _states(found: _Pass, keys: NDArray[np.int64]) -> tuple[list[FilterState], Array]:
+def _states(found: _LastPass, keys: NDArray[np.int64]) -> tuple[list[DynamicFilterState], Array]:
     """States at S key frames, and the covariances of what changes, shape (S, size, size)."""
     solution, graph, states = found.solution, found.graph, []
     size = len(graph.changing) + len(graph.constant) - 1  # without the delay

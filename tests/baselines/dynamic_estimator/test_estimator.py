@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 import carosac_toolkit as ct
 from baselines.dynamic_estimator import DynamicEstimator, DynamicEstimatorSettings
-from baselines.dynamic_estimator.model import Model
-from baselines.dynamic_estimator.start import Rest
+from baselines.dynamic_estimator.model import DynamicModel
+from baselines.dynamic_estimator.start import RestStart
 from baselines.kinematic_solver import KinematicSolver
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.drivers.sensors import PERFECT, SensorSettings
@@ -129,10 +129,10 @@ def test_what_an_imu_off_centre_feels_is_the_motion_of_where_it_sits(robot):
     """Specific force there: second difference of the path of that point, seen in its axes."""
     lever, mount = np.array([0.1, -0.2, 0.05]), np.array([0.3, -0.5, 1.0])
     settings = DynamicEstimatorSettings(imu_position=tuple(lever), imu_rotation=tuple(mount))
-    model = Model(robot, settings)
+    model = DynamicModel(robot, settings)
     home = ct.statics.inverse_kinematics(robot, robot.home_position[None])
     length = home.unstrained_length[0]
-    state = Rest(robot, settings).state(0.0, length)
+    state = RestStart(robot, settings).state(0.0, length)
     turn = Rotation.from_rotvec([0.15, -0.1, 0.05]).as_matrix()
     state = replace(
         state, rotation=turn @ state.rotation, twist=np.array([0.2, -0.1, 0.05, 0.4, -0.6, 0.8])

@@ -10,7 +10,7 @@ import carosac_toolkit as ct
 from baselines.mpc import MpcSettings
 from baselines.mpc.geometry import geometry_at
 from baselines.mpc.observer import SLACK, Observer
-from baselines.mpc.unknown_load import Motion
+from baselines.mpc.unknown_load import PlannedMotion
 from carosac_toolkit.loop.values import Belief
 
 
@@ -29,7 +29,7 @@ def at_home(robot, twist=(0.0,) * 6):
 
 def resting(robot):
     """A planned motion that is none, with cables that carry the weight."""
-    return Motion(
+    return PlannedMotion(
         rotation=np.eye(3), spin=np.zeros(3), spin_rate=np.zeros(3),
         force=np.array([0.0, 0.0, robot.weight]), length=np.zeros(robot.n),
     )  # fmt: skip
