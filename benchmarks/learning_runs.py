@@ -20,7 +20,7 @@ from learned.evaluation import (
 )
 from learned.pictures.training import curve_of, learning_curves
 from learned.policy_file import Policy
-from learned.scores import Scores
+from learned.scores import PolicyScores
 from learned.training import POLICY
 from learned.training_record import SETTINGS
 
@@ -162,12 +162,12 @@ def verdict(*good: bool) -> str:
     return "passed" if all(good) else "**missed**"
 
 
-def distinct(scores: Scores) -> int:
+def distinct(scores: PolicyScores) -> int:
     """How many of the paths differ."""
     return len(np.unique(scores.target[:, :2].reshape(len(scores.target), -1), axis=0))
 
 
-def scored(training: Training, protocol: Any) -> tuple[dict[str, Any], Scores]:
+def scored(training: Training, protocol: Any) -> tuple[dict[str, Any], PolicyScores]:
     """The numbers of one policy, and what is behind them."""
     policy = Policy.load(training.folder / POLICY)
     scores = evaluate(policy, protocol, paths=PATHS[protocol], seed=SEED)
@@ -245,7 +245,7 @@ def settled(mine: Sequence[Training], trainings: Sequence[Training]) -> str:
 def real_time(mine: Sequence[Training], _: Sequence[Training]) -> str:
     """Paths in time on robots that sway, beside inverse kinematics with and without feedforward."""
     rows = []
-    known: dict[str, tuple[Scores, Scores]] = {}
+    known: dict[str, tuple[PolicyScores, PolicyScores]] = {}
     resting: dict[str, float] = {}
     for training in mine:
         data, scores = scored(training, "realtime")

@@ -9,7 +9,7 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 from learned.length_map import LengthMap
-from learned.observation import Look, Scales
+from learned.observation import ObservationInputs, ObservationScales
 
 
 class ActionMap(Protocol):
@@ -17,11 +17,11 @@ class ActionMap(Protocol):
 
     size: int
 
-    def applied(self, action: Array, look: Look) -> Array:
+    def applied(self, action: Array, look: ObservationInputs) -> Array:
         """What an action comes to after what was applied last, in [-1, 1], shape (B, a)."""
         ...
 
-    def lengths(self, applied: Array, look: Look) -> Array:
+    def lengths(self, applied: Array, look: ObservationInputs) -> Array:
         """Lengths to ask the winches for [m], shape (B, n)."""
         ...
 
@@ -33,15 +33,15 @@ class ActionMap(Protocol):
 class Absolute:
     """Each number is a length: -1 the shortest in the workspace box, 1 the longest."""
 
-    def __init__(self, scales: Scales) -> None:
+    def __init__(self, scales: ObservationScales) -> None:
         self._scales = scales
         self.size = len(scales.length_low)
 
-    def applied(self, action: Array, look: Look) -> Array:
+    def applied(self, action: Array, look: ObservationInputs) -> Array:
         """The action itself."""
         return action
 
-    def lengths(self, applied: Array, look: Look) -> Array:
+    def lengths(self, applied: Array, look: ObservationInputs) -> Array:
         """The lengths, whatever there is to see."""
         return self._scales.to_length(applied)
 
@@ -105,11 +105,11 @@ class Push:
         self._share = share
         self._correction = correction
 
-    def applied(self, action: Array, look: Look) -> Array:
+    def applied(self, action: Array, look: ObservationInputs) -> Array:
         """Some of the way from what was applied last to the action."""
         return look.last_action + self._share * (action - look.last_action)
 
-    def lengths(self, applied: Array, look: Look) -> Array:
+    def lengths(self, applied: Array, look: ObservationInputs) -> Array:
         """Lengths of rest at the displaced target."""
         push = self._reach * applied
         if self._feedforward:

@@ -16,12 +16,19 @@ from carosac_toolkit.physics.device import check_device
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 from learned.actions import Absolute, ActionMap, Push
-from learned.episodes import Path, PathPool, PathSettings
+from learned.episodes import PathPool, PathSettings, TargetPath
 from learned.moving_worlds import MovingSettings, MovingWorlds
-from learned.observation import Look, Scales, Units, check_parts, fading, observe
+from learned.observation import (
+    ObservationInputs,
+    ObservationScales,
+    ObservationUnits,
+    check_parts,
+    fading,
+    observe,
+)
 from learned.rewards import Reward, RewardSettings
 from learned.transition import Transition
-from learned.worlds import NoSagWorlds, Reached, SettledWorlds, Worlds
+from learned.worlds import NoSagWorlds, SettledWorlds, TrainingWorlds, WorldStates
 
 WorldName = Literal["no_sag", "settle", "realtime"]
 FAILURE = -1.0  # reward of a step without a solution; what came later is still valued
@@ -62,7 +69,7 @@ class EnvironmentSettings:
     reward: RewardSettings = field(default_factory=RewardSettings)
     path: PathSettings = field(default_factory=PathSettings)
     moving: MovingSettings = field(default_factory=MovingSettings)
-    units: Units = field(default_factory=Units)
+    units: ObservationUnits = field(default_factory=ObservationUnits)
     memory: float = 1.0
     correction: float = 0.0
     correction_memory: float = 4.0
@@ -136,7 +143,7 @@ class StepResult:
     failed: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
     transition: Transition
-    reached: Reached
+    reached: WorldStates
 
 
 class CableEnvironment:
@@ -163,7 +170,7 @@ class CableEnvironment:
         self.settings = settings
         self.size = size
         self._device = device
-        self.scales = Scales.of(robot, settings.units)
+        self.scales = ObservationScales.of(robot, settings.units)
         self.worlds = _worlds(robot, settings, size, seed, device)
         self.actions = make_actions(robot, settings, self.scales, device)
         span = float(np.linalg.norm(robot.workspace_max - robot.workspace_min))
@@ -171,14 +178,14 @@ class CableEnvironment:
         feasible = None if settings.world == "no_sag" else self._feasible
         self._pool = PathPool(robot, settings.path, seed, feasible)
         self._rng = np.random.default_rng([seed, 3])
-        self._paths: list[Path] = []
-        self._targets = np.zeros((size, 1, 3, 3))  # of the paths, see `Path.targets`
+        self._paths: list[TargetPath] = []
+        self._targets = np.zeros((size, 1, 3, 3))  # of the paths, see `TargetPath.targets`
         self._step = np.zeros(size, dtype=np.int64)
         self._last_action = np.zeros((size, self.actions.size))
         self._mean_error = np.zeros((size, 3))
         self._lasting_error = np.zeros((size, 3))
         self._asked = np.zeros((size, robot.n))
-        self._reached: Reached | None = None
+        self._reached: WorldStates | None = None
         shapes = empty_look(robot, len(settings.preview), self.actions.size)
         self.observation_size = observe(settings.observation, shapes, self.scales).shape[1]
 
@@ -188,15 +195,15 @@ class CableEnvironment:
         return self.actions.size
 
     @property
-    def paths(self) -> tuple[Path, ...]:
+    def paths(self) -> tuple[TargetPath, ...]:
         """The targets of the present episodes."""
         return tuple(self._paths)
 
-    def first_paths(self, count: int) -> list[Path]:
+    def first_paths(self, count: int) -> list[TargetPath]:
         """The first paths of the pool, all different."""
         return [self._pool.path(k) for k in range(count)]
 
-    def reset(self, paths: list[Path] | None = None) -> Array:
+    def reset(self, paths: list[TargetPath] | None = None) -> Array:
         """Begin an episode in every environment; first observations, shape (B, d).
 
         Args:
@@ -273,7 +280,7 @@ class CableEnvironment:
         self._reached = state["reached"]
         self._rng.bit_generator.state = state["rng"]
 
-    def _draw(self) -> Path:
+    def _draw(self) -> TargetPath:
         """A path of an episode."""
         return self._pool.path(int(self._rng.integers(self.settings.path.pool)))
 
@@ -307,7 +314,7 @@ class CableEnvironment:
                 mean[rows] = fading(mean, error, period, memory)[rows]  # the look shows the arrays
         return observe(self.settings.observation, look, self.scales)
 
-    def _look(self, reached: Reached) -> Look:
+    def _look(self, reached: WorldStates) -> ObservationInputs:
         """What there is to see before the next step."""
         ahead = [self._path_rows(step) for step in (1, *(1 + k for k in self.settings.preview))]
         due, aimed = ahead[0], ahead[0][2]
@@ -315,7 +322,7 @@ class CableEnvironment:
             due, aimed = self._path_rows(0), self._aimed_acceleration(self.settings.path.period)
         seen = reached if reached.belief is None else reached.belief
         assert seen.twist is not None
-        return Look(
+        return ObservationInputs(
             position=seen.position, rotation=seen.rotation, twist=seen.twist,
             length=self._asked, due=due[0], due_velocity=due[1], target=ahead[0][0],
             target_velocity=ahead[0][1], target_acceleration=ahead[0][2],
@@ -349,7 +356,12 @@ class CableEnvironment:
             self._targets[row, len(found) :] = found[-1]
 
     def _transition(
-        self, before: Reached, reached: Reached, look: Look, asked: Array, applied: Array
+        self,
+        before: WorldStates,
+        reached: WorldStates,
+        look: ObservationInputs,
+        asked: Array,
+        applied: Array,
     ) -> Transition:
         moving = self.settings.world == "realtime"
         return Transition(
@@ -363,10 +375,10 @@ class CableEnvironment:
         )  # fmt: skip
 
 
-def empty_look(robot: Robot, previews: int, actions: int) -> Look:
+def empty_look(robot: Robot, previews: int, actions: int) -> ObservationInputs:
     """A robot at rest at home that shall stay there."""
     home, nothing = robot.home_position[None], np.zeros((1, 3))
-    return Look(
+    return ObservationInputs(
         position=home, rotation=robot.home_rotation[None], twist=np.zeros((1, 6)),
         length=straight_line.inverse_kinematics(robot, home), due=home, due_velocity=nothing,
         target=home, target_velocity=nothing, target_acceleration=nothing,
@@ -376,7 +388,7 @@ def empty_look(robot: Robot, previews: int, actions: int) -> Look:
 
 
 def make_actions(
-    robot: Robot, settings: EnvironmentSettings, scales: Scales, device: str = "cpu"
+    robot: Robot, settings: EnvironmentSettings, scales: ObservationScales, device: str = "cpu"
 ) -> ActionMap:
     """What the numbers of an action mean; lengths of pushes are found on a Warp device."""
     if settings.action == "absolute":
@@ -400,7 +412,7 @@ def lead_of(robot: Robot, settings: EnvironmentSettings) -> float:
 
 def _worlds(
     robot: Robot, settings: EnvironmentSettings, size: int, seed: int, device: str
-) -> Worlds:
+) -> TrainingWorlds:
     """The worlds of some settings."""
     if settings.world == "no_sag":
         return NoSagWorlds(robot, size, device)

@@ -62,7 +62,7 @@ class PathSettings:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Path:
+class TargetPath:
     """Targets of one episode: the first is where it starts.
 
     Attributes:
@@ -100,9 +100,9 @@ class PathPool:
         self._arguments = (robot, settings)
         self._seed = seed
         self._feasible = feasible
-        self._paths: dict[int, Path] = {}
+        self._paths: dict[int, TargetPath] = {}
 
-    def path(self, index: int) -> Path:
+    def path(self, index: int) -> TargetPath:
         """A path by its number, the same one however often it is asked for."""
         if index not in self._paths:
             rng = np.random.default_rng([self._seed, 7, index])
@@ -112,7 +112,7 @@ class PathPool:
 
 def draw_path(
     robot: Robot, settings: PathSettings, rng: np.random.Generator, feasible: Feasible | None = None
-) -> Path:
+) -> TargetPath:
     """Draw until all targets are feasible.
 
     Args:
@@ -146,7 +146,7 @@ def _all(feasible: Feasible, position: Array) -> bool:
 
 def _scattered(
     robot: Robot, settings: PathSettings, rng: np.random.Generator, feasible: Feasible | None
-) -> Path:
+) -> TargetPath:
     """Feasible points with the density of Chebyshev nodes along each axis."""
     center = (robot.workspace_max + robot.workspace_min) / 2
     half = (robot.workspace_max - robot.workspace_min) / 2
@@ -157,26 +157,26 @@ def _scattered(
         found = np.concatenate([found, points if feasible is None else points[feasible(points)]])
         if len(found) >= count:
             still = np.zeros((count, 3))
-            return Path(position=found[:count], velocity=still, acceleration=still)
+            return TargetPath(position=found[:count], velocity=still, acceleration=still)
     raise CarosacError(
         f"{robot.name}: too few of {ATTEMPTS * count} random points in its workspace box are "
         "feasible; `carosac check` shows why"
     )
 
 
-def sampled(trajectory: Trajectory, settings: PathSettings) -> Path:
+def sampled(trajectory: Trajectory, settings: PathSettings) -> TargetPath:
     """Targets along a trajectory: in even steps from start to end, or one each period."""
     if settings.period is None:
         times = np.linspace(0.0, trajectory.duration, settings.steps + 1)
         position = trajectory.sample(times).position
         still = np.zeros_like(position)
-        return Path(position=position, velocity=still, acceleration=still)
+        return TargetPath(position=position, velocity=still, acceleration=still)
     count = settings.steps + 1
     ahead = int(np.ceil(AHEAD / settings.period))
     found = trajectory.sample(settings.period * np.arange(count + ahead))
     every = np.stack([found.position, found.velocity, found.acceleration], axis=1)
     position, velocity, acceleration = (every[:count, k] for k in range(3))
-    return Path(
+    return TargetPath(
         position=position, velocity=velocity, acceleration=acceleration, later=every[count:]
     )
 

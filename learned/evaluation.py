@@ -14,10 +14,10 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories import Trajectory, random_minimum_snap
 from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import ATTEMPTS, Path, PathSettings, sampled
+from learned.episodes import ATTEMPTS, PathSettings, TargetPath, sampled
 from learned.moving_worlds import MovingSettings, MovingWorlds
 from learned.policy_file import Policy
-from learned.scores import AT_LIMIT, Act, Scores, score
+from learned.scores import AT_LIMIT, Act, PolicyScores, score
 from learned.settings_data import environment_settings
 from sim_warp import Simulator
 
@@ -33,7 +33,7 @@ CHECKED = 0.05  # [s] between two points of a path at which the robot must be ab
 MOVING = MovingSettings(cables="particles", perturbation="nominal-1", start_speed=0.0)
 
 
-def evaluate(policy: Policy, protocol: Protocol, *, paths: int, seed: int) -> Scores:
+def evaluate(policy: Policy, protocol: Protocol, *, paths: int, seed: int) -> PolicyScores:
     """Follow random paths of a protocol.
 
     * ``no-sag``: cubic splines with peak speeds up to 5 m/s as set-points of straight cables.
@@ -60,7 +60,7 @@ def evaluate(policy: Policy, protocol: Protocol, *, paths: int, seed: int) -> Sc
 
 def evaluate_inverse_kinematics(
     policy: Policy, protocol: Protocol, *, paths: int, seed: int, feedforward: bool = False
-) -> Scores:
+) -> PolicyScores:
     """What catenary inverse kinematics of the targets does on the same paths and plants.
 
     In real time it acts as often as the policy and is aimed ahead as the reference of `Push` is.
@@ -120,15 +120,15 @@ def slack_at_rest(policy: Policy, *, paths: int, seed: int) -> float:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Trial:
+class _PolicyTrial:
     """What is the same for all that follow the paths of a protocol."""
 
     robot: Robot
     settings: EnvironmentSettings
-    paths: list[Path]
+    paths: list[TargetPath]
     seed: int
 
-    def follow(self, settings: EnvironmentSettings, act: Act) -> Scores:
+    def follow(self, settings: EnvironmentSettings, act: Act) -> PolicyScores:
         """Act on all paths."""
         count = len(self.paths)
         size = count  # in real time all have a plant of their own
@@ -138,7 +138,7 @@ class _Trial:
         return score(environment, act, self.paths)
 
 
-def _trial(policy: Policy, protocol: Protocol, paths: int, seed: int) -> _Trial:
+def _trial(policy: Policy, protocol: Protocol, paths: int, seed: int) -> _PolicyTrial:
     """The settings and paths of a protocol."""
     check_whole("paths", paths, 1)
     robot = policy.description.robot
@@ -151,7 +151,7 @@ def _trial(policy: Policy, protocol: Protocol, paths: int, seed: int) -> _Trial:
         settings = replace(settings, path=replace(settings.path, steps=steps))
     else:
         found = CableEnvironment(robot, settings, seed=UNSEEN + seed).first_paths(paths)
-    return _Trial(robot=robot, settings=settings, paths=found, seed=seed)
+    return _PolicyTrial(robot=robot, settings=settings, paths=found, seed=seed)
 
 
 def settings_of(trained: EnvironmentSettings, protocol: Protocol) -> EnvironmentSettings:
@@ -200,19 +200,19 @@ def _drawn(robot: Robot, rng: np.random.Generator) -> Trajectory | None:
     return path if (rest.converged & rest.stable).all() else None
 
 
-def timed(trajectory: Trajectory, period: float) -> Path:
+def timed(trajectory: Trajectory, period: float) -> TargetPath:
     """A whole path and a second of rest, one target each period."""
     steps = int(np.ceil((trajectory.duration + REST) / period - 1e-9))
     return sampled(trajectory, PathSettings(steps=steps, period=period))
 
 
-def solved(robot: Robot, paths: list[Path]) -> Scores:
+def solved(robot: Robot, paths: list[TargetPath]) -> PolicyScores:
     """Set-points at rest on the lengths of catenary inverse kinematics; they are reached."""
     target = np.stack([path.position[1:] for path in paths])
     rest = statics.inverse_kinematics(robot, target.reshape(-1, 3))
     shape = target.shape[:2]
     zero = np.zeros((*shape, robot.n))
-    return Scores(
+    return PolicyScores(
         target=target,
         position=rest.position.reshape(target.shape),
         length_error=zero,
@@ -225,7 +225,7 @@ def solved(robot: Robot, paths: list[Path]) -> Scores:
     )
 
 
-def settled_particles(robot: Robot, scores: Scores) -> Scores:
+def settled_particles(robot: Robot, scores: PolicyScores) -> PolicyScores:
     """The same set-points in cables of particles: placed at rest, and left alone for a second.
 
     Positions and tensions are those of the particles then; tilt and inconsistency stay those of
@@ -244,21 +244,21 @@ def settled_particles(robot: Robot, scores: Scores) -> Scores:
     return replace(scores, position=position, tension=tension, failed=failed)
 
 
-def trajectory_errors(scores: Scores) -> tuple[Array, Array]:
+def trajectory_errors(scores: PolicyScores) -> tuple[Array, Array]:
     """Mean distance and mean absolute length error of each path [m], each of shape (N,)."""
     distance = np.linalg.norm(scores.error, axis=2)
     length = np.abs(scores.length_error).mean(axis=2)
     return _mean_of_path(scores, distance), _mean_of_path(scores, length)
 
 
-def trajectory_rmse(scores: Scores) -> Array:
+def trajectory_rmse(scores: PolicyScores) -> Array:
     """RMSE of each path along each axis of W [m], shape (N, 3)."""
     squares = (_mean_of_path(scores, scores.error[..., k] ** 2) for k in range(3))
     found: Array = np.sqrt(np.stack(list(squares), axis=1))
     return found
 
 
-def rmse_ratio(scores: Scores, other: Scores) -> float:
+def rmse_ratio(scores: PolicyScores, other: PolicyScores) -> float:
     """RMSE of the distance over that of another's, over all steps that count for both."""
     failed = np.maximum.accumulate(scores.failed | other.failed, axis=1)
     seen = scores.counted & ~failed
@@ -266,7 +266,7 @@ def rmse_ratio(scores: Scores, other: Scores) -> float:
     return float(np.sqrt(mine / theirs)) if seen.any() else float("nan")
 
 
-def _mean_of_path(scores: Scores, values: Array) -> Array:
+def _mean_of_path(scores: PolicyScores, values: Array) -> Array:
     """The mean of values (N, T) over the steps of each path that count, shape (N,)."""
     found: Array = np.where(scores.counted, values, 0.0).sum(axis=1) / scores.counted.sum(axis=1)
     return found

@@ -16,7 +16,7 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.perturbations import find_condition
 from carosac_toolkit.robot.robot import Robot
 from learned.sensing import Sensing
-from learned.worlds import Reached
+from learned.worlds import WorldStates
 from sim_warp import Simulator
 
 ATTEMPTS = 10  # to find a start near a position at which a plant can rest
@@ -99,7 +99,7 @@ class MovingWorlds:
                 robot, self._simulator, settings.suite, settings.estimator, count, seed
             )
 
-    def reset(self, rows: NDArray[Any], position: Array) -> Reached:
+    def reset(self, rows: NDArray[Any], position: Array) -> WorldStates:
         """Hang on the lengths of rest at positions, with some speed; biases are drawn anew.
 
         These lengths are what would be asked for there, of the nominal robot; where its plant hangs
@@ -119,7 +119,7 @@ class MovingWorlds:
             sensing.begin(rows)
         return self._reached()
 
-    def advance(self, length: Array) -> Reached:
+    def advance(self, length: Array) -> WorldStates:
         """Let a period pass."""
         asked = length + self._length_bias
         if self._sensing is None:
@@ -170,13 +170,13 @@ class MovingWorlds:
             where[bad] += RETREAT * (self.robot.home_position - where[bad])
         raise CarosacError(f"{self.robot.name}: a plant that was drawn cannot rest near its home")
 
-    def _reached(self) -> Reached:
+    def _reached(self) -> WorldStates:
         state = self._simulator.state.numpy()
         belief = Belief(
             time=state.time, position=state.position + self._position_bias,
             rotation=state.rotation, twist=state.twist,
         )  # fmt: skip
-        return Reached(
+        return WorldStates(
             position=state.position, rotation=state.rotation, twist=state.twist,
             length=state.unstrained_length - self._length_bias,
             inconsistency=np.full_like(state.unstrained_length, np.nan), tension=state.tension,

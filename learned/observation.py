@@ -23,7 +23,7 @@ GRID = 9  # points along each edge of the box at which lengths are looked at
 
 
 @dataclass(frozen=True, kw_only=True)
-class Units:
+class ObservationUnits:
     """What counts as 1 in an observation; kept with a policy, which knows no others.
 
     Attributes:
@@ -51,7 +51,7 @@ class Units:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Look:
+class ObservationInputs:
     """What there is to see for B robots with n cables.
 
     Attributes:
@@ -90,7 +90,7 @@ class Look:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scales:
+class ObservationScales:
     """The workspace box and the lengths in it, which count as -1 to 1.
 
     Attributes:
@@ -105,10 +105,10 @@ class Scales:
     half: Array
     length_low: Array
     length_high: Array
-    units: Units
+    units: ObservationUnits
 
     @classmethod
-    def of(cls, robot: Robot, units: Units | None = None) -> Scales:
+    def of(cls, robot: Robot, units: ObservationUnits | None = None) -> ObservationScales:
         """Those of a robot; without units the default ones."""
         low, high = robot.workspace_min, robot.workspace_max
         axes = [np.linspace(a, b, GRID) for a, b in zip(low, high, strict=True)]
@@ -119,7 +119,7 @@ class Scales:
         return cls(
             center=(low + high) / 2, half=(high - low) / 2,
             length_low=least - room, length_high=most + room,
-            units=units or Units(),
+            units=units or ObservationUnits(),
         )  # fmt: skip
 
     def to_length(self, action: Array) -> Array:
@@ -135,12 +135,12 @@ class Scales:
         return (position - self.center) / self.half
 
 
-def _tilt(look: Look, scales: Scales) -> Array:
+def _tilt(look: ObservationInputs, scales: ObservationScales) -> Array:
     """Horizontal components of the platform's z axis, in W."""
     return look.rotation[:, :2, 2] / scales.units.tilt
 
 
-PARTS: dict[str, Callable[[Look, Scales], Array]] = {
+PARTS: dict[str, Callable[[ObservationInputs, ObservationScales], Array]] = {
     "length": lambda look, scales: scales.to_action(look.length),
     "position": lambda look, scales: scales.to_unit(look.position),
     "target": lambda look, scales: scales.to_unit(look.target),
@@ -164,7 +164,7 @@ PARTS: dict[str, Callable[[Look, Scales], Array]] = {
 
 
 OF_TWIST = {"velocity", "velocity_error", "turn"}  # parts that need a twist
-# Parts that `Units` scale.
+# Parts that `ObservationUnits` scale.
 IN_UNITS = {
     *OF_TWIST,
     "error",
@@ -186,7 +186,7 @@ def check_parts(parts: Sequence[str]) -> None:
             raise InvalidField(f"observation[{k}]", repr(name), allowed)
 
 
-def observe(parts: Sequence[str], look: Look, scales: Scales) -> Array:
+def observe(parts: Sequence[str], look: ObservationInputs, scales: ObservationScales) -> Array:
     """The parts side by side, shape (B, d)."""
     return np.concatenate([PARTS[name](look, scales) for name in parts], axis=1)
 

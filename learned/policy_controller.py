@@ -18,7 +18,7 @@ from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.robot.differences import same
 from carosac_toolkit.robot.robot import Robot
 from learned.environment import EnvironmentSettings, empty_look, lead_of, make_actions
-from learned.observation import OF_TWIST, Look, Scales, fading, observe
+from learned.observation import OF_TWIST, ObservationInputs, ObservationScales, fading, observe
 from learned.policy_file import Policy
 from learned.settings_data import environment_settings
 
@@ -75,7 +75,7 @@ class PolicyController:
         check_robot(robot, policy)
         self._policy = policy
         self._environment: EnvironmentSettings = environment_settings(policy.description.settings)
-        self._scales = Scales.of(robot, self._environment.units)
+        self._scales = ObservationScales.of(robot, self._environment.units)
         self._actions = make_actions(robot, self._environment, self._scales)
         self._check_sizes(robot)
         period = policy.description.period
@@ -83,10 +83,10 @@ class PolicyController:
         self.period = settings.period if period is None else period
         lag = float(robot.winch_lag.mean()) / self.period + 0.5  # [periods], of set-points
         target = lag if period is None else 1.0
-        self._target = _Ahead.of([target])
-        self._preview = _Ahead.of([1.0 + k for k in self._environment.preview])
+        self._target = _LookaheadRows.of([target])
+        self._preview = _LookaheadRows.of([1.0 + k for k in self._environment.preview])
         lead = lead_of(robot, self._environment) if self._in_motion else 0.0
-        self._aim = _Ahead.of([target + lead / self.period])
+        self._aim = _LookaheadRows.of([target + lead / self.period])
         rows = [x.last_row for x in (self._target, self._preview, self._aim)]
         self._last_row = max(rows)
         self.horizon = self.period * float(self._last_row)
@@ -142,7 +142,7 @@ class PolicyController:
         self._length = self._actions.lengths(self._last_action, look)
         return Command(time=belief.time, unstrained_length=self._length)
 
-    def _look(self, belief: Belief, reference: Reference) -> Look:
+    def _look(self, belief: Belief, reference: Reference) -> ObservationInputs:
         """What there is to see."""
         wanted = OF_TWIST & set(self._environment.observation)
         if belief.twist is None and wanted:
@@ -163,7 +163,7 @@ class PolicyController:
             mean_error = fading(mean_error, error, self.period, environment.memory)
             memory = environment.correction_memory
             lasting_error = fading(lasting_error, error, self.period, memory)
-        return Look(
+        return ObservationInputs(
             position=belief.position, rotation=belief.rotation,
             twist=np.zeros((size, 6)) if belief.twist is None else belief.twist,
             length=self._length, due=due, due_velocity=due_velocity,
@@ -189,7 +189,7 @@ class PolicyController:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Ahead:
+class _LookaheadRows:
     """Times ahead of now, in rows of a reference.
 
     Attributes:
@@ -207,7 +207,7 @@ class _Ahead:
     between: bool
 
     @classmethod
-    def of(cls, ahead: Sequence[float]) -> _Ahead:
+    def of(cls, ahead: Sequence[float]) -> _LookaheadRows:
         """Times in periods."""
         row = np.floor(np.array(ahead) + ROUNDING).astype(np.intp)
         share: Array = np.array(ahead, dtype=np.float64)[:, None] - row[:, None]
@@ -250,7 +250,7 @@ def check_robot(robot: Robot, policy: Policy) -> None:
         raise InvalidField("robot", repr(robot.name), f"{allowed}: train one with `carosac train`")
 
 
-def check_targets(scales: Scales, target: Array) -> None:
+def check_targets(scales: ObservationScales, target: Array) -> None:
     """Refuse targets outside the workspace box, where a policy has learned nothing.
 
     Args:
@@ -268,7 +268,7 @@ def check_targets(scales: Scales, target: Array) -> None:
         raise InvalidField(f"reference.position[{row}]", f"{target[row].round(3)} m", allowed)
 
 
-def check_near(look: Look, lost: float) -> None:
+def check_near(look: ObservationInputs, lost: float) -> None:
     """Refuse beliefs so far from the reference that training cut its episodes short there.
 
     Either the platform is lost or the estimator is; pushing on would make both worse.

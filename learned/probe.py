@@ -18,7 +18,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.robot.robot import Robot
 from learned.environment import EnvironmentSettings, empty_look, make_actions
-from learned.observation import Look, Scales, observe
+from learned.observation import ObservationInputs, ObservationScales, observe
 
 SEED = 5
 LOOKS = 6  # the first one rests at home
@@ -34,7 +34,7 @@ def make_probe(robot: Robot, settings: EnvironmentSettings) -> dict[str, list[li
         robot: The nominal robot.
         settings: Of the environment of the policy.
     """
-    scales = Scales.of(robot, settings.units)
+    scales = ObservationScales.of(robot, settings.units)
     actions = make_actions(robot, settings, scales)
     rng = np.random.default_rng(SEED)
     look = _looks(robot, len(settings.preview), actions.size, rng)
@@ -75,7 +75,9 @@ def check_probe(kept: Any, robot: Robot, settings: EnvironmentSettings) -> None:
             raise InvalidField("policy", got, allowed)
 
 
-def _looks(robot: Robot, previews: int, actions: int, rng: np.random.Generator) -> Look:
+def _looks(
+    robot: Robot, previews: int, actions: int, rng: np.random.Generator
+) -> ObservationInputs:
     """One at rest at home, the others anyhow in the inner part of the workspace box."""
     center = (robot.workspace_min + robot.workspace_max) / 2
     half = INNER * (robot.workspace_max - robot.workspace_min) / 2
@@ -87,7 +89,7 @@ def _looks(robot: Robot, previews: int, actions: int, rng: np.random.Generator) 
 
     position = inside()
     rotation = Rotation.from_rotvec(0.1 * rng.standard_normal((count, 3))).as_matrix()
-    anyhow = Look(
+    anyhow = ObservationInputs(
         position=position,
         rotation=rotation,
         twist=0.3 * rng.standard_normal((count, 6)),
@@ -106,6 +108,6 @@ def _looks(robot: Robot, previews: int, actions: int, rng: np.random.Generator) 
     rest = empty_look(robot, previews, actions)
     both = {
         name: np.concatenate([getattr(rest, name), getattr(anyhow, name)])
-        for name in Look.__dataclass_fields__
+        for name in ObservationInputs.__dataclass_fields__
     }
     return replace(anyhow, **both)

@@ -16,7 +16,7 @@ import numpy as np
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.type_aliases import ReplayBufferSamples
 
-from learned.observation import Scales
+from learned.observation import ObservationScales
 from learned.rewards import misfit_reward
 
 
@@ -32,7 +32,7 @@ class RelabellingBuffer(ReplayBuffer):
         *args: Any,
         share: float,
         target: slice,
-        scales: Scales,
+        scales: ObservationScales,
         fit_scale: float,
         span: float,
         **kwargs: Any,

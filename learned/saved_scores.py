@@ -9,7 +9,7 @@ from typing import Any
 
 from carosac_toolkit.npz import read_npz, write_npz
 from carosac_toolkit.robot.robot import Robot
-from learned.scores import Scores
+from learned.scores import PolicyScores
 
 SCORES, ROBOT = "scores.npz", "robot.npz"
 KEY = "evaluation"
@@ -29,7 +29,7 @@ class SavedScores:
     policy: str
     protocol: str
     robot: Robot
-    scores: Mapping[str, Scores]
+    scores: Mapping[str, PolicyScores]
 
     def write(self, folder: Path) -> None:
         """Write it into a folder that exists."""
@@ -52,11 +52,11 @@ class SavedScores:
             InvalidField: ``carosac evaluate`` did not write it.
         """
         rest, arrays = read_npz(folder / SCORES, KEY, "carosac evaluate")
-        scores: dict[str, Scores] = {}
+        scores: dict[str, PolicyScores] = {}
         for number, name in enumerate(rest["names"]):
             known: dict[str, Any] = {
-                x.name: arrays.get(f"{number}.{x.name}") for x in fields(Scores)
+                x.name: arrays.get(f"{number}.{x.name}") for x in fields(PolicyScores)
             }
-            scores[name] = Scores(**known)
+            scores[name] = PolicyScores(**known)
         robot = Robot.from_npz(folder / ROBOT)
         return cls(policy=rest["policy"], protocol=rest["protocol"], robot=robot, scores=scores)

@@ -15,7 +15,7 @@ from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 from learned.environment import CableEnvironment
-from learned.episodes import Path
+from learned.episodes import TargetPath
 
 AT_LIMIT = 1e-3  # [N] inverse kinematics may choose a tension that is just at its limit
 
@@ -23,7 +23,7 @@ Act = Callable[[Array], Array]  # observations (B, d) to actions (B, a) in [-1, 
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scores:
+class PolicyScores:
     """What happened on N paths of T steps, with n cables.
 
     Attributes:
@@ -89,12 +89,12 @@ class Scores:
         return data
 
 
-def sound_paths(scores: Scores) -> NDArray[np.bool_]:
+def sound_paths(scores: PolicyScores) -> NDArray[np.bool_]:
     """Paths on which nothing failed, shape (N,)."""
     return np.asarray(~scores.failed.any(axis=1))
 
 
-def score(environment: CableEnvironment, act: Act, paths: list[Path]) -> Scores:
+def score(environment: CableEnvironment, act: Act, paths: list[TargetPath]) -> PolicyScores:
     """Follow paths to the end of the longest, as many at once as the environment has rows.
 
     Args:
@@ -121,15 +121,15 @@ def score(environment: CableEnvironment, act: Act, paths: list[Path]) -> Scores:
     }
     found["counted"] = np.arange(steps) < ends[:, None]
     found["failed"] &= found["counted"]
-    return Scores(**found)
+    return PolicyScores(**found)
 
 
 def _score_batch(
-    environment: CableEnvironment, act: Act, paths: list[Path], steps: int
+    environment: CableEnvironment, act: Act, paths: list[TargetPath], steps: int
 ) -> dict[str, Any]:
-    """Follow one path in each row of the environment; all of `Scores` but what counts."""
+    """Follow one path in each row of the environment; all of `PolicyScores` but what counts."""
     observation = environment.reset(paths)
-    names = [name for name in Scores.__dataclass_fields__ if name != "counted"]
+    names = [name for name in PolicyScores.__dataclass_fields__ if name != "counted"]
     found: dict[str, list[Any]] = {name: [] for name in names}
     for _ in range(steps):
         result = environment.step(act(observation))

@@ -9,9 +9,9 @@ from carosac_toolkit.base.errors import InvalidField
 from learned.environment import EnvironmentSettings
 from learned.episodes import PathSettings
 from learned.moving_worlds import MovingSettings
-from learned.observation import IN_UNITS, Units
+from learned.observation import IN_UNITS, ObservationUnits
 
-_PARTS = {"path": PathSettings, "moving": MovingSettings, "units": Units}
+_PARTS = {"path": PathSettings, "moving": MovingSettings, "units": ObservationUnits}
 
 
 def environment_settings(settings: dict[str, Any]) -> EnvironmentSettings:

@@ -33,7 +33,7 @@ from learned.curve import (
 )
 from learned.delayed_signals import delayed_signals
 from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import Path as TargetPath
+from learned.episodes import TargetPath
 from learned.policy_file import PolicyDescription, write_policy
 from learned.presets import Stage
 from learned.scores import score
@@ -52,7 +52,7 @@ Report = Callable[[dict[str, float], float], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job:
+class TrainingJob:
     """What to train.
 
     Attributes:
@@ -100,7 +100,7 @@ class Job:
 
 
 def train(
-    job: Job, folder: Path, *, report: Report | None = None, stop_after: int | None = None
+    job: TrainingJob, folder: Path, *, report: Report | None = None, stop_after: int | None = None
 ) -> Path | None:
     """Train, or go on with what was begun in a folder.
 
@@ -137,7 +137,7 @@ def train(
     return run.export()
 
 
-def _finished(job: Job, folder: Path) -> bool:
+def _finished(job: TrainingJob, folder: Path) -> bool:
     """Whether a folder holds the policy of all steps of this very training."""
     check_settings(job.settings_as_json(), folder)
     if not all((folder / name).is_file() for name in (POLICY, CHECKPOINT, CURVE)):
@@ -149,7 +149,7 @@ def _finished(job: Job, folder: Path) -> bool:
 class _Run:
     """One training in one folder."""
 
-    def __init__(self, job: Job, folder: Path, report: Report | None) -> None:
+    def __init__(self, job: TrainingJob, folder: Path, report: Report | None) -> None:
         from learned.td3 import build_model
         from learned.vector_environment import CableVecEnv
 

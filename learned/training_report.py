@@ -14,7 +14,7 @@ from learned.curve import COLUMNS, CURVE
 from learned.pictures.sweep import sweep
 from learned.pictures.training import curve_of, learning_curves
 from learned.training import POLICY
-from learned.training_study import Training, TrainingStudy
+from learned.training_study import TrainingRun, TrainingStudy
 
 LABEL_SHOWN = 60  # characters of a variation
 SHOWN = (  # column, title, factor to its unit
@@ -35,7 +35,7 @@ def report(study: TrainingStudy, rows: Sequence[Row]) -> dict[str, Any]:
         ``trainings``, each with its last scores by stage, and ``pictures``.
     """
     pairs = list(zip(study.trainings, rows, strict=True))
-    groups: dict[str, list[tuple[Training, Row]]] = {}
+    groups: dict[str, list[tuple[TrainingRun, Row]]] = {}
     for training, row in pairs:
         groups.setdefault(training.variation, []).append((training, row))
     pictures: list[Path] = []
@@ -56,7 +56,7 @@ def report(study: TrainingStudy, rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def _table(stage: str, groups: dict[str, list[tuple[Training, Row]]]) -> str:
+def _table(stage: str, groups: dict[str, list[tuple[TrainingRun, Row]]]) -> str:
     """Scores of a stage: of each seed, or over the seeds of each variation."""
     if len(groups) == 1:
         (members,) = groups.values()
@@ -84,7 +84,7 @@ def _range(rows: Sequence[Row], column: str, factor: float) -> str:
 
 
 def _pictures(
-    study: TrainingStudy, stage: str, groups: dict[str, list[tuple[Training, Row]]]
+    study: TrainingStudy, stage: str, groups: dict[str, list[tuple[TrainingRun, Row]]]
 ) -> list[Path]:
     """Draw the curves of the seeds of each variation, and the variations side by side."""
     made: list[Path] = []
@@ -112,7 +112,7 @@ def _pictures(
     return made
 
 
-def _data(study: TrainingStudy, training: Training, row: Row) -> dict[str, Any]:
+def _data(study: TrainingStudy, training: TrainingRun, row: Row) -> dict[str, Any]:
     """One training as data."""
     place = study.folder / training.place
     stages = {

@@ -24,7 +24,7 @@ from carosac_toolkit.studies.run.run_case import digest_of, robot_digest, robot_
 from learned.changes import changed, concerned, label_of
 from learned.curve import COLUMNS, CURVE, read_curve
 from learned.presets import Stage, find_preset
-from learned.training import CHECKPOINT, POLICY, Job, train
+from learned.training import CHECKPOINT, POLICY, TrainingJob, train
 
 FUNCTION = "learned.training_study:train_case"
 CPU = "cpu"  # of studies that do not say where
@@ -35,7 +35,7 @@ RANDOM_SHARE = 0.2  # of shortened trainings, at most, is random
 
 
 @dataclass(frozen=True, kw_only=True)
-class Training:
+class TrainingRun:
     """Stages of a preset, trained one after the other.
 
     Attributes:
@@ -78,7 +78,7 @@ class Training:
         """Its folder in that of the study."""
         return Path(self.variation) / f"seed{self.seed}"
 
-    def jobs(self, robot: Robot, folder: Path) -> list[Job]:
+    def jobs(self, robot: Robot, folder: Path) -> list[TrainingJob]:
         """What is trained, stage by stage.
 
         Args:
@@ -94,7 +94,7 @@ class Training:
         for name, stage in self.settings().items():
             before = order[: order.index(name)]
             jobs.append(
-                Job(
+                TrainingJob(
                     robot=robot,
                     preset=self.preset,
                     changes=label_of(concerned(name, order, changes)),
@@ -139,7 +139,7 @@ class Training:
         )  # fmt: skip
 
     @classmethod
-    def of_case(cls, case: Case) -> Training:
+    def of_case(cls, case: Case) -> TrainingRun:
         """The training that a case stands for."""
         values = {name: x for name, x in case.settings.items() if name != "robot_digest"}
         values["stages"] = tuple(values["stages"])
@@ -155,7 +155,7 @@ class TrainingStudy:
         folder: Of the study; a second run with the same folder goes on.
     """
 
-    trainings: tuple[Training, ...]
+    trainings: tuple[TrainingRun, ...]
     folder: Path
 
     def run(
@@ -184,7 +184,7 @@ class TrainingStudy:
             own_files=True, share=self.share, progress=progress,
         )  # fmt: skip
 
-    def _has_policies(self, training: Training) -> bool:
+    def _has_policies(self, training: TrainingRun) -> bool:
         """Whether all policies of a training are there; who removes one wants it trained again."""
         place = self.folder / training.place
         return all((place / stage / POLICY).is_file() for stage in training.stages)
@@ -202,7 +202,7 @@ class TrainingStudy:
         return done / whole
 
 
-def free_study(base: Path, trainings: Sequence[Training]) -> TrainingStudy:
+def free_study(base: Path, trainings: Sequence[TrainingRun]) -> TrainingStudy:
     """A study in `base`, or in ``base-2``, ``base-3`` and so on where others are there already."""
     folder = free_folder(base, [training.case() for training in trainings])
     return TrainingStudy(trainings=tuple(trainings), folder=folder)
@@ -212,13 +212,13 @@ def train_case(case: Case, folder: Path) -> dict[str, Any]:
     """Train what a case stands for, or go on with it.
 
     Args:
-        case: Of a `Training`.
+        case: Of a `TrainingRun`.
         folder: Of the study.
 
     Returns:
         The row of `TrainingStudy.run`.
     """
-    training = Training.of_case(case)
+    training = TrainingRun.of_case(case)
     place = folder / training.place
     row: dict[str, Any] = {}
     for job in training.jobs(robot_of(case.robot, digest_of(case)), place):

@@ -21,7 +21,7 @@ from carosac_toolkit.robot.robot import Robot
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Reached:
+class WorldStates:
     """Where B platforms are.
 
     Attributes:
@@ -45,17 +45,17 @@ class Reached:
     belief: Belief | None = None
 
 
-class Worlds(Protocol):
+class TrainingWorlds(Protocol):
     """B worlds that advance together."""
 
     robot: Robot
     size: int
 
-    def reset(self, rows: NDArray[Any], position: Array) -> Reached:
+    def reset(self, rows: NDArray[Any], position: Array) -> WorldStates:
         """Put some worlds at rest at positions (K, 3); where all worlds are then."""
         ...
 
-    def advance(self, length: Array) -> Reached:
+    def advance(self, length: Array) -> WorldStates:
         """Ask the winches for lengths [m], shape (B, n); where the platforms get by that."""
         ...
 
@@ -82,7 +82,7 @@ class NoSagWorlds:
         home = np.tile(robot.home_position, (size, 1))
         self._now = self._at(home, straight_line.inverse_kinematics(robot, home))
 
-    def reset(self, rows: NDArray[Any], position: Array) -> Reached:
+    def reset(self, rows: NDArray[Any], position: Array) -> WorldStates:
         """Put some worlds at positions, with the lengths of these."""
         where, length = self._now.position.copy(), self._now.length.copy()
         where[rows] = position
@@ -90,7 +90,7 @@ class NoSagWorlds:
         self._now = self._at(where, length)
         return self._now
 
-    def advance(self, length: Array) -> Reached:
+    def advance(self, length: Array) -> WorldStates:
         """Fit the positions; each starts at home, on the side where the robot works."""
         fit = straight_line.forward_kinematics(self.robot, length, device=self._device)
         where = np.where(fit.converged[:, None], fit.position, self._now.position)
@@ -105,10 +105,10 @@ class NoSagWorlds:
         """Go on from them."""
         self._now = self._at(state["position"], state["length"])
 
-    def _at(self, position: Array, length: Array) -> Reached:
+    def _at(self, position: Array, length: Array) -> WorldStates:
         """There, with what the lengths lack."""
         found = straight_line.straight_length(self.robot, position, device=self._device)
-        return Reached(
+        return WorldStates(
             position=position,
             rotation=np.broadcast_to(self.robot.home_rotation, (self.size, 3, 3)),
             twist=np.zeros((self.size, 6)),
@@ -138,7 +138,7 @@ class SettledWorlds:
         self._rest = rest
         self._inconsistency = np.zeros((size, robot.n))
 
-    def reset(self, rows: NDArray[Any], position: Array) -> Reached:
+    def reset(self, rows: NDArray[Any], position: Array) -> WorldStates:
         """Put some worlds at rest at positions; they must be feasible."""
         rest = statics.inverse_kinematics(self.robot, position, device=self._device)
         sound = rest.converged & rest.stable
@@ -149,7 +149,7 @@ class SettledWorlds:
         self._inconsistency[rows] = 0.0
         return self._reached(np.zeros(self.size, dtype=bool))
 
-    def advance(self, length: Array) -> Reached:
+    def advance(self, length: Array) -> WorldStates:
         """Settle on the lengths; the way there leads downhill in energy from home."""
         device = self._device
         found = statics.forward_kinematics(self.robot, length, device=device)
@@ -180,9 +180,9 @@ class SettledWorlds:
             merged[name] = values
         self._rest = Equilibrium(**merged)
 
-    def _reached(self, failed: NDArray[np.bool_]) -> Reached:
+    def _reached(self, failed: NDArray[np.bool_]) -> WorldStates:
         """The equilibria, as all worlds show themselves."""
-        return Reached(
+        return WorldStates(
             position=self._rest.position,
             rotation=self._rest.rotation,
             twist=np.zeros((self.size, 6)),

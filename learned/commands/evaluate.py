@@ -36,7 +36,7 @@ from learned.evaluation import (
 from learned.policy_controller import check_robot, find_policy
 from learned.policy_file import Policy, PolicyDescription
 from learned.saved_scores import SCORES, SavedScores
-from learned.scores import Scores, sound_paths
+from learned.scores import PolicyScores, sound_paths
 from learned.settings_data import environment_settings
 
 SOLVER, FEEDFORWARD = "catenary IK", "with feedforward"  # columns beside the policy
@@ -186,7 +186,7 @@ ROWS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
 )
 
 
-def draw(scores: Scores, robot: Robot, folder: Path) -> list[Path]:
+def draw(scores: PolicyScores, robot: Robot, folder: Path) -> list[Path]:
     """The paper's pictures, of paths that did not fail."""
     from learned.pictures.evaluation import draw_histograms, draw_paths, draw_violins
 
@@ -200,7 +200,7 @@ def draw(scores: Scores, robot: Robot, folder: Path) -> list[Path]:
     return files
 
 
-def draw_rmse(scores: dict[str, Scores], folder: Path) -> list[Path]:
+def draw_rmse(scores: dict[str, PolicyScores], folder: Path) -> list[Path]:
     """How the RMSE of a path scatters, over paths on which nothing failed."""
     from learned.pictures.accuracy import rmse_gaussians
 

@@ -32,9 +32,9 @@ from carosac_toolkit.text_tables import counted, terminal_width, wrapped
 from learned.changes import check_changes, read_changes, read_variations
 from learned.curve import CURVE, read_curve
 from learned.presets import Preset, Stage, find_preset
-from learned.training import CHECKPOINT, Job, train
+from learned.training import CHECKPOINT, TrainingJob, train
 from learned.training_record import SETTINGS
-from learned.training_study import CPU, Training, TrainingStudy, check_stages, free_study
+from learned.training_study import CPU, TrainingRun, TrainingStudy, check_stages, free_study
 
 FOLDER = Path("carosac-results") / "train"
 
@@ -92,7 +92,7 @@ def run(options: Options) -> CommandResult:
     check_whole("--seed", options.seed, 0)
     first = options.seed
     trainings = [
-        Training(preset=preset.name, robot=options.robot, stages=tuple(names), seed=seed,
+        TrainingRun(preset=preset.name, robot=options.robot, stages=tuple(names), seed=seed,
                  steps=options.steps, fixed=fixed, varied=varied, device=options.device)
         for varied in variations for seed in range(first, first + (options.seeds or 1))
     ]  # fmt: skip
@@ -115,7 +115,7 @@ def _stages(preset: Preset, asked: tuple[str, ...]) -> list[str]:
     return [name for name in preset.stages if name in wanted or not wanted]
 
 
-def _train_once(options: Options, preset: Preset, training: Training) -> CommandResult:
+def _train_once(options: Options, preset: Preset, training: TrainingRun) -> CommandResult:
     """One training in this process."""
     for name in ("workers", "scheduler"):
         if getattr(options, name) is not None:
@@ -134,7 +134,7 @@ def _train_once(options: Options, preset: Preset, training: Training) -> Command
     return CommandResult(data | {"stages": stages})
 
 
-def _train_all(options: Options, preset: Preset, trainings: list[Training]) -> CommandResult:
+def _train_all(options: Options, preset: Preset, trainings: list[TrainingRun]) -> CommandResult:
     """Several trainings on the study engine."""
     from learned.training_report import report
 
@@ -171,7 +171,7 @@ def _train_all(options: Options, preset: Preset, trainings: list[Training]) -> C
     return CommandResult(data | found, status=0 if complete else 1)
 
 
-def _train(job: Job, folder: Path) -> dict[str, Any]:
+def _train(job: TrainingJob, folder: Path) -> dict[str, Any]:
     """Train a stage and draw its curve."""
     from learned.pictures.training import curve_of, learning_curves
 
@@ -218,7 +218,7 @@ def _report(row: dict[str, float], left: float) -> None:
     )
 
 
-def _name(options: Options, training: Training, robot: str, last: str) -> str:
+def _name(options: Options, training: TrainingRun, robot: str, last: str) -> str:
     """Folder of what was not sent anywhere; short trainings, and devices, apart."""
     parts = [training.fixed_name, robot, last]
     if options.device != CPU:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from carosac_toolkit.pictures.paper_figure import Drawn, PaperFigure, Source, of_kind
 from learned.pictures.evaluation import draw_histograms, draw_paths, draw_violins
 from learned.pictures.reward_figure import paper_reward_terms
-from learned.pictures.training import Curve, curve_of, learning_curves
+from learned.pictures.training import LearningCurve, curve_of, learning_curves
 from learned.saved_scores import SavedScores
 from learned.scores import sound_paths
 
@@ -49,7 +49,7 @@ def _evaluated(
 
 def _trained(sources: Sequence[Source]) -> list[Drawn]:
     """One figure for each stage, with the curves of all its trainings."""
-    stages: dict[str, dict[Path, Curve]] = {}
+    stages: dict[str, dict[Path, LearningCurve]] = {}
     folders = of_kind(sources, "training")
     for folder in folders:
         name = folder.parent.name

@@ -24,7 +24,7 @@ COLUMNS = 3
 WIDE = 8.0  # ratio of errors from which their axis is logarithmic
 
 
-class Curve(TypedDict):
+class LearningCurve(TypedDict):
     """What one training left behind, E episodes and K evaluations.
 
     Attributes:
@@ -44,7 +44,7 @@ class Curve(TypedDict):
     name: NotRequired[str]
 
 
-def curve_of(folder: Path, name: str) -> Curve | None:
+def curve_of(folder: Path, name: str) -> LearningCurve | None:
     """The learning curve of a training, as its picture wants it.
 
     Args:
@@ -63,7 +63,7 @@ def curve_of(folder: Path, name: str) -> Curve | None:
     if len(points) < 2:
         return None
     steps, reward = np.array(points).T
-    curve = Curve(steps=steps, reward=reward, averaged=not ended.is_file(), name=name)
+    curve = LearningCurve(steps=steps, reward=reward, averaged=not ended.is_file(), name=name)
     scored = [row for row in rows if np.isfinite(row["median_error_m"])]  # not all paths failed
     if scored:
         curve["evaluated_steps"] = [row["steps"] for row in scored]
@@ -102,7 +102,7 @@ def reward_terms(terms: Mapping[str, tuple[str, ArrayLike, ArrayLike]], path: st
 
 
 def learning_curves(
-    curves: Sequence[Curve], path: str | Path, *, marks: Mapping[str, float] | None = None
+    curves: Sequence[LearningCurve], path: str | Path, *, marks: Mapping[str, float] | None = None
 ) -> Figure:
     """Draw the reward of each episode, raw and smoothed, and the error at each evaluation.
 
@@ -156,7 +156,7 @@ def smoothed(steps: Array, values: Array, share: float = SMOOTHED) -> tuple[Arra
     return when, mean
 
 
-def _draw_reward(axes: Any, curve: Curve, color: str, label: str) -> None:
+def _draw_reward(axes: Any, curve: LearningCurve, color: str, label: str) -> None:
     """Draw the reward of one training."""
     steps, reward = _pair("steps", curve["steps"], "reward", curve["reward"])
     if curve.get("averaged", False):
@@ -171,7 +171,7 @@ def _draw_reward(axes: Any, curve: Curve, color: str, label: str) -> None:
     axes.plot(when, mean, color=color, lw=1.8, marker=alone, ms=3.5, label=label, zorder=2)
 
 
-def _legend(curves: Sequence[Curve]) -> list[str]:
+def _legend(curves: Sequence[LearningCurve]) -> list[str]:
     """What the marks of the rewards are."""
     averaged = {curve.get("averaged", False) for curve in curves}
     said = []
@@ -185,7 +185,7 @@ def _legend(curves: Sequence[Curve]) -> list[str]:
     return said
 
 
-def _draw_errors(axes: Any, curve: Curve, color: str) -> None:
+def _draw_errors(axes: Any, curve: LearningCurve, color: str) -> None:
     """Draw the evaluations of one training."""
     if "evaluated_steps" not in curve:
         raise InvalidField("evaluated_steps", "none", "the steps of each median_error")
@@ -223,7 +223,7 @@ def _pair(name: str, x: ArrayLike, other: str, y: ArrayLike) -> tuple[Array, Arr
     return first, second
 
 
-def _name(curve: Curve, k: int) -> str:
+def _name(curve: LearningCurve, k: int) -> str:
     return curve.get("name", f"training {k + 1}")
 
 

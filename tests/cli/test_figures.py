@@ -16,7 +16,7 @@ from carosac_toolkit.validation import validate
 from carosac_toolkit.validation.saved import SAMPLES, read_samples, samples_bytes
 from learned.curve import CURVE, EPISODES, Episode, write_curve, write_episodes
 from learned.saved_scores import SavedScores
-from learned.scores import Scores
+from learned.scores import PolicyScores
 from tests.studies.tables import case, good, series, study
 from tests.validation.runs import ROBOT, perfect
 
@@ -45,7 +45,7 @@ def evaluation_in(folder, protocol):
     target = rng.uniform(-1.0, 1.0, size=(3, 25, 3)) + np.array([0.4, -1.8, 3.0])
     failed = np.zeros((3, 25), dtype=bool)
     failed[1, 10] = True
-    scores = Scores(
+    scores = PolicyScores(
         target=target, position=target + 0.01 * rng.normal(size=target.shape),
         length_error=0.01 * rng.normal(size=(3, 25, 4)), inconsistency=np.zeros((3, 25)),
         length=np.ones((3, 25, 4)), tilt=np.zeros((3, 25)), tension=None, failed=failed,

@@ -24,7 +24,7 @@ from learned.evaluation import (
     trajectory_rmse,
 )
 from learned.moving_worlds import MovingSettings
-from learned.observation import Scales
+from learned.observation import ObservationScales
 from learned.policy_file import PolicyDescription
 from learned.rewards import RewardSettings
 from tests.robots import simple_robot
@@ -60,7 +60,7 @@ def still(seen):
 
 def solver(offset=0.0):
     """The lengths of the target, a constant too long."""
-    scales = Scales.of(ROBOT)
+    scales = ObservationScales.of(ROBOT)
 
     def act(seen):
         rest = statics.inverse_kinematics(ROBOT, scales.center + scales.half * seen)

@@ -11,7 +11,7 @@ from carosac_toolkit.base.errors import InvalidField
 from learned import environment, length_map, observation
 from learned.environment import EnvironmentSettings
 from learned.episodes import PathSettings
-from learned.observation import Units
+from learned.observation import ObservationUnits
 from learned.probe import CLOSE, check_probe, make_probe
 from tests.robots import eight_cable_robot, simple_robot
 
@@ -78,7 +78,7 @@ def test_lengths_may_differ_by_a_tenth_of_a_millimetre_and_no_more():
 def test_other_units_of_an_observation_are_noticed():
     probe = make_probe(ROBOT, PUSH)
     with pytest.raises(InvalidField, match=r"observations differ by up to \d"):
-        check_probe(probe, ROBOT, replace(PUSH, units=Units(error=0.2)))
+        check_probe(probe, ROBOT, replace(PUSH, units=ObservationUnits(error=0.2)))
 
 
 @pytest.mark.parametrize(

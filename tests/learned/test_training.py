@@ -21,7 +21,7 @@ from learned.episodes import PathSettings
 from learned.policy_file import Policy
 from learned.presets import PRESETS, Stage, Td3Settings
 from learned.rewards import RewardSettings
-from learned.training import Job, train
+from learned.training import TrainingJob, train
 from learned.training_record import SETTINGS, read_record
 from tests.robots import simple_robot
 
@@ -59,7 +59,7 @@ def small(monkeypatch):
 
 
 def job(kind="metric", **changes):
-    made = Job(robot=simple_robot(), preset="tiny", stage_name="no_sag", stage=STAGES[kind])
+    made = TrainingJob(robot=simple_robot(), preset="tiny", stage_name="no_sag", stage=STAGES[kind])
     return replace(made, **changes)
 
 
@@ -337,7 +337,7 @@ def test_a_short_training_brings_the_error_down(tmp_path, monkeypatch):
         batch_size=32, gradient_steps=7, buffer_size=20_000,
     )  # fmt: skip
     environment = replace(stage.environment, path=PathSettings(steps=128, pool=40))
-    wanted = Job(robot=load_robot("carosac"), preset="carosac", stage_name="no_sag",
+    wanted = TrainingJob(robot=load_robot("carosac"), preset="carosac", stage_name="no_sag",
                  stage=Stage(environment=environment, td3=short))  # fmt: skip
     seen = []
     path = train(wanted, tmp_path, report=lambda row, left: seen.append((row, left)))

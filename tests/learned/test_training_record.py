@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from carosac_toolkit.base.errors import InvalidField
-from learned.observation import Units
+from learned.observation import ObservationUnits
 from learned.rewards import RewardSettings
 from learned.training_record import (
     SETTINGS,
@@ -57,7 +57,7 @@ def test_the_history_of_a_training_is_none_of_its_settings(tmp_path):
 
 
 def test_fields_that_came_later_make_no_other_training(tmp_path):
-    reward, units = asdict(RewardSettings()), asdict(Units())
+    reward, units = asdict(RewardSettings()), asdict(ObservationUnits())
     environment = {"world": "no_sag", "reward": reward, "units": units, "memory": 1.0}
     environment |= {"correction": 0.0, "correction_memory": 4.0}
     asked = ASKED | {"environment": environment}
