@@ -30,7 +30,7 @@ from typing import ClassVar, Literal, Self, get_args
 import numpy as np
 
 from baselines.kinematic_solver_controller import UnreachableReference
-from baselines.reference_ahead import LookaheadSettings, delay_of, interpolated
+from baselines.lookahead import LookaheadSettings, delay_of, interpolated
 from baselines.shaped_signal import ShapedSignal, SignalHistory
 from baselines.shapers import SHAPERS, Shaper, impulses, mean_delay
 from baselines.sway_modes import SwayModes, sway_modes

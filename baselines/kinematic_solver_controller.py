@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from baselines.reference_ahead import LookaheadController
+from baselines.lookahead import LookaheadController
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.rest import statics

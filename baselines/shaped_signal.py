@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.reference_ahead import interpolated
+from baselines.lookahead import interpolated
 from baselines.shapers import Shaper, impulses
 from carosac_toolkit.base.arrays import Array
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from baselines.reference_ahead import LookaheadController
+from baselines.lookahead import LookaheadController
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.cable import straight_line
 

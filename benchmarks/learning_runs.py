@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks.results import table
-from learned.curve import CURVE, read_curve
 from learned.evaluation import (
     evaluate,
     evaluate_inverse_kinematics,
     rmse_ratio,
     slack_at_rest,
 )
+from learned.learning_curve import CURVE, read_curve
 from learned.pictures.training import curve_of, learning_curves
 from learned.policy_file import Policy
 from learned.scores import PolicyScores

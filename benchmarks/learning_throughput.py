@@ -18,8 +18,8 @@ from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.device import check_device
 from carosac_toolkit.physics.rest import statics
 from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import TargetPath
 from learned.presets import Stage, find_preset
+from learned.target_paths import TargetPath
 
 TITLE = "Throughput of learned control"
 GPU_TITLE = "Environments on a GPU"

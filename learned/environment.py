@@ -16,7 +16,6 @@ from carosac_toolkit.physics.device import check_device
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 from learned.actions import Absolute, ActionMap, Push
-from learned.episodes import PathPool, PathSettings, TargetPath
 from learned.moving_worlds import MovingSettings, MovingWorlds
 from learned.observation import (
     ObservationInputs,
@@ -27,6 +26,7 @@ from learned.observation import (
     observe,
 )
 from learned.rewards import Reward, RewardSettings
+from learned.target_paths import PathPool, PathSettings, TargetPath
 from learned.transition import Transition
 from learned.worlds import NoSagWorlds, SettledWorlds, TrainingWorlds, WorldStates
 

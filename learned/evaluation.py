@@ -14,11 +14,11 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.trajectories import Trajectory, random_minimum_snap
 from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import ATTEMPTS, PathSettings, TargetPath, sampled
 from learned.moving_worlds import MovingSettings, MovingWorlds
 from learned.policy_file import Policy
 from learned.scores import AT_LIMIT, Act, PolicyScores, score
 from learned.settings_data import environment_settings
+from learned.target_paths import ATTEMPTS, PathSettings, TargetPath, sampled
 from sim_warp import Simulator
 
 Protocol = Literal["no-sag", "settle", "realtime"]

@@ -15,7 +15,7 @@ from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import CarosacError, InvalidField, MissingFile
 from carosac_toolkit.output_files import replacing
 from carosac_toolkit.robot.robot import Robot
-from learned.probe import check_probe, make_probe
+from learned.policy_probe import check_probe, make_probe
 from learned.settings_data import environment_settings
 
 if TYPE_CHECKING:
@@ -48,8 +48,8 @@ class PolicyDescription:
         steps: Environment steps it was trained for.
         commit: Commit of the code that trained it.
         scores: What an evaluation found, by name with its unit.
-        probe: What fixed looks and actions come to where it was trained (`learned.probe`); None:
-            found out when it is written.
+        probe: Results of fixed observations and actions where it was trained, see
+            `learned.policy_probe`; None: computed when it is written.
     """
 
     preset: str

@@ -8,10 +8,10 @@ from typing import Literal
 from carosac_toolkit.base.errors import InvalidField, did_you_mean
 from carosac_toolkit.base.numbers import check_fields, check_whole
 from learned.environment import EnvironmentSettings
-from learned.episodes import PathSettings
 from learned.exploration_settings import ExplorationSettings
 from learned.moving_worlds import MovingSettings
 from learned.rewards import PAPER_NO_SAG, PAPER_SAG, RewardSettings
+from learned.target_paths import PathSettings
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,7 +38,7 @@ class RewardSettings:
     """Which terms are summed, and their numbers.
 
     Attributes:
-        terms: Names of `TERMS`.
+        terms: Names of `REWARD_TERMS`.
         goal_radius: Within which the goal counts as reached [m].
         fit_scale: Misfit at which the reward `fit` turns from linear to logarithmic [m].
         tracking_scale: Misfit at which `tracking` turns from quadratic to logarithmic [m].
@@ -65,8 +65,8 @@ class RewardSettings:
     def __post_init__(self) -> None:
         """Refuse unknown terms and numbers that make no sense."""
         for k, name in enumerate(self.terms):
-            if name not in TERMS:
-                raise InvalidField(f"terms[{k}]", repr(name), f"one of {sorted(TERMS)}")
+            if name not in REWARD_TERMS:
+                raise InvalidField(f"terms[{k}]", repr(name), f"one of {sorted(REWARD_TERMS)}")
         check_fields(
             self,
             positive=("goal_radius", "fit_scale", "tracking_scale"),
@@ -180,7 +180,7 @@ class Reward:
 
     def terms(self, transition: Transition) -> dict[str, Array]:
         """Each term by name, shape (B,)."""
-        return {name: TERMS[name](transition, self) for name in self.settings.terms}
+        return {name: REWARD_TERMS[name](transition, self) for name in self.settings.terms}
 
 
 def _distance(transition: Transition, reward: Reward) -> Array:
@@ -214,7 +214,7 @@ def _tracking(transition: Transition, reward: Reward) -> Array:
     return tracking_reward(misfit, reward.settings.tracking_scale, reward.span)
 
 
-TERMS: dict[str, Callable[[Transition, Reward], Array]] = {
+REWARD_TERMS: dict[str, Callable[[Transition, Reward], Array]] = {
     "step": lambda transition, reward: step_reward(transition.distance),
     "goal": lambda transition, reward: goal_reward(
         transition.distance, reward.settings.goal_radius

@@ -15,7 +15,7 @@ from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 from learned.environment import CableEnvironment
-from learned.episodes import TargetPath
+from learned.target_paths import TargetPath
 
 AT_LIMIT = 1e-3  # [N] inverse kinematics may choose a tension that is just at its limit
 

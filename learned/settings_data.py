@@ -7,9 +7,9 @@ from typing import Any
 
 from carosac_toolkit.base.errors import InvalidField
 from learned.environment import EnvironmentSettings
-from learned.episodes import PathSettings
 from learned.moving_worlds import MovingSettings
 from learned.observation import IN_UNITS, ObservationUnits
+from learned.target_paths import PathSettings
 
 _PARTS = {"path": PathSettings, "moving": MovingSettings, "units": ObservationUnits}
 

@@ -22,7 +22,9 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.output_files import missing_folders, remove_empty
 from carosac_toolkit.reports.page import commit_of_code
 from carosac_toolkit.robot.robot import Robot
-from learned.curve import (
+from learned.delayed_signals import delayed_signals
+from learned.environment import CableEnvironment, EnvironmentSettings
+from learned.learning_curve import (
     CURVE,
     EPISODES,
     Episode,
@@ -31,12 +33,10 @@ from learned.curve import (
     write_curve,
     write_episodes,
 )
-from learned.delayed_signals import delayed_signals
-from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import TargetPath
 from learned.policy_file import PolicyDescription, write_policy
 from learned.presets import Stage
 from learned.scores import score
+from learned.target_paths import TargetPath
 from learned.training_record import UNKNOWN, TrainingRecord, check_settings, check_start, digest
 
 CHECKPOINT, POLICY = "checkpoint.pt", "policy.onnx"

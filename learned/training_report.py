@@ -10,7 +10,7 @@ import numpy as np
 
 from carosac_toolkit.studies import Row
 from carosac_toolkit.text_tables import Rows, fit, terminal_width, wrapped
-from learned.curve import COLUMNS, CURVE
+from learned.learning_curve import COLUMNS, CURVE
 from learned.pictures.sweep import sweep
 from learned.pictures.training import curve_of, learning_curves
 from learned.training import POLICY

@@ -21,9 +21,9 @@ from carosac_toolkit.studies.run.cluster import usable_cores
 from carosac_toolkit.studies.run.folder import free_folder
 from carosac_toolkit.studies.run.rows import STATUSES
 from carosac_toolkit.studies.run.run_case import digest_of, robot_digest, robot_of
-from learned.changes import changed, concerned, label_of
-from learned.curve import COLUMNS, CURVE, read_curve
+from learned.learning_curve import COLUMNS, CURVE, read_curve
 from learned.presets import Stage, find_preset
+from learned.setting_changes import changed, concerned, label_of
 from learned.training import CHECKPOINT, POLICY, TrainingJob, train
 
 FUNCTION = "learned.training_study:train_case"
@@ -44,7 +44,7 @@ class TrainingRun:
         stages: Names of those that are trained, in the order of the preset.
         seed: Of everything random.
         steps: Environment steps of each stage; None: those of the preset.
-        fixed: What is changed in the preset, see `learned.changes.Changes`.
+        fixed: What is changed in the preset, see `learned.setting_changes.Changes`.
         varied: The same, of a sweep.
         device: Warp device of the worlds.
     """
@@ -169,8 +169,8 @@ class TrainingStudy:
             progress: Whether to tell on standard error how far it is.
 
         Returns:
-            A row per training: ``STAGE_NAME`` for each name of `learned.curve.COLUMNS`, from the
-            last point of the learning curve; None for what is not finite.
+            A row per training: ``STAGE_NAME`` for each name of `learned.learning_curve.COLUMNS`,
+            from the last point of the learning curve; None for what is not finite.
 
         Raises:
             CarosacError: As `carosac_toolkit.studies.run_cases`.

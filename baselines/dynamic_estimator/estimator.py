@@ -8,10 +8,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.center_of_mass import learned_center_of_mass
+from baselines.dynamic_estimator.filter_state import DynamicFilterState
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.state import DynamicFilterState
-from baselines.dynamic_estimator.track import Track, Tracker
-from baselines.found_center import found_center
+from baselines.dynamic_estimator.tracker import Track, Tracker
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.consistency import Innovations
@@ -156,7 +156,7 @@ def _centers(states: list[DynamicFilterState], prior: float) -> Array | None:
     found = []
     for state in states:
         where = state.errors.center
-        found.append(found_center(state.center, state.covariance[where, where], prior))
+        found.append(learned_center_of_mass(state.center, state.covariance[where, where], prior))
     return None if any(center is None for center in found) else np.array(found)
 
 

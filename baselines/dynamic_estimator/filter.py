@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from baselines.dynamic_estimator.evidence import ImuMean, MeasurementModels
+from baselines.dynamic_estimator.filter_state import DynamicFilterState
+from baselines.dynamic_estimator.measurement_models import ImuMean, MeasurementModels
 from baselines.dynamic_estimator.model import DynamicModel, NoMotion
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.state import DynamicFilterState
 from carosac_toolkit.base.arrays import Array
 
 SWEPT = (2.0, 5.0)  # [m/s^2, rad/s^2] by which twists change while a pose is late

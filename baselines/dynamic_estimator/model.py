@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from baselines.dynamic_estimator.filter_state import DynamicFilterState, Errors
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.state import DynamicFilterState, Errors
-from baselines.dynamic_estimator.sway import sway_at
+from baselines.dynamic_estimator.sway_basis import sway_at
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.physics.motion.propagation import Arrived, Motions, Propagation

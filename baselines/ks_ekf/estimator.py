@@ -12,18 +12,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from baselines.found_center import found_center
-from baselines.ks_ekf import corrections, starting
+from baselines.center_of_mass import learned_center_of_mass
+from baselines.ks_ekf import corrections, initial_state
 from baselines.ks_ekf.corrections import MeasurementResidual
 from baselines.ks_ekf.error_filter import ErrorFilter, FilterCorrection, added, no_innovations
 from baselines.ks_ekf.filter_state import CENTER, FIXED, NO_SAMPLES, POSITION, KsEkfState
 from baselines.ks_ekf.inertial import InertialMotion, samples_of, slope
 from baselines.ks_ekf.platform_motion import at_rest, carried, origin
-from baselines.ks_ekf.readings import SHORTEST, TimedLengths, due, reading_of
 from baselines.ks_ekf.record import KsEkfRecord
 from baselines.ks_ekf.rest_detection import RecentMeasurements, RestMeans, detect_rest
 from baselines.ks_ekf.rest_pose import RestPose, find_rest
 from baselines.ks_ekf.settings import KsEkfSettings
+from baselines.ks_ekf.timed_lengths import SHORTEST, TimedLengths, due, reading_of
 from baselines.length_readings import LengthReadings
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.values import Belief, Command, Measurement
@@ -62,7 +62,7 @@ class KsEkf:
         first = replace(first, time=min(first.time, float(measurement.time[0])))
         samples = samples_of(measurement, self._settings)
         nothing = RecentMeasurements(time=np.zeros(0), lengths=np.zeros((0, self._robot.n)))
-        state = starting.blank(self._robot, self._settings, first.time)
+        state = initial_state.blank(self._robot, self._settings, first.time)
         record = KsEkfRecord(
             state=replace(state, samples=samples),
             reading=first,
@@ -115,7 +115,7 @@ class KsEkf:
         gaps = np.flatnonzero(np.diff(known.time) > self._settings.imu_gap)
         if len(gaps):
             known = known.keep(slice(int(gaps[-1]) + 1, None))
-            state = starting.released(state, self._settings)
+            state = initial_state.released(state, self._settings)
         record = replace(record, state=replace(state, samples=known))
         record, good = self._believed(record, ready, now)
         later = [reading for reading in good if reading.time > state.time + SHORTEST]
@@ -222,10 +222,10 @@ class KsEkf:
     def _doubt(self, record: KsEkfRecord, reading: TimedLengths) -> KsEkfRecord:
         """Believe less and less of the state, in the end nothing: then start anew."""
         robot, settings = self._robot, self._settings
-        state = starting.doubted(robot, settings, record.state, DOUBT)
+        state = initial_state.doubted(robot, settings, record.state, DOUBT)
         if np.trace(state.covariance[POSITION, POSITION]) < settings.sway**2:
             return replace(record, state=state, doubts=record.doubts + 1)
-        lost = starting.forgotten(robot, settings, record.state)
+        lost = initial_state.forgotten(robot, settings, record.state)
         return self._restart(replace(record, state=lost), reading)
 
     def _evidence(
@@ -281,7 +281,7 @@ class KsEkf:
 
     def _coast(self, record: KsEkfRecord) -> KsEkfRecord:
         """Without inertial samples: the pose of rest, with the sway that there may be."""
-        state = replace(starting.released(record.state, self._settings), samples=NO_SAMPLES)
+        state = replace(initial_state.released(record.state, self._settings), samples=NO_SAMPLES)
         record = replace(record, state=state, coasted=record.coasted + 1)
         return self._place(record, record.reading, self._settings.sway)
 
@@ -296,14 +296,14 @@ class KsEkf:
         """Put the state at the pose of rest of the lengths; where there is none, it is lost."""
         record, rest = self._rest(record, reading)
         if rest is None:
-            state = starting.lost(self._robot, self._settings, record.state, reading.time)
+            state = initial_state.lost(self._robot, self._settings, record.state, reading.time)
             return replace(record, state=state, failures=record.failures + 1)
-        state = starting.placed(record.state, rest, reading, sway, self._settings)
+        state = initial_state.placed(record.state, rest, reading, sway, self._settings)
         return replace(record, state=state, tension=rest.tension)
 
     def _carry(self, record: KsEkfRecord) -> KsEkfRecord:
         """Let the inertial samples carry a state that was just placed."""
-        return replace(record, state=starting.inertial(record.state, self._settings))
+        return replace(record, state=initial_state.inertial(record.state, self._settings))
 
     def _rest(
         self, record: KsEkfRecord, reading: TimedLengths
@@ -326,7 +326,7 @@ class KsEkf:
             state = record.state
             twist, covariance = at_rest(state)
             position = state.position
-        center = found_center(
+        center = learned_center_of_mass(
             self._robot.center_of_mass + state.center, state.covariance[CENTER, CENTER],
             self._settings.center_of_mass_prior,
         )  # fmt: skip

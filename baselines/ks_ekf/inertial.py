@@ -30,8 +30,8 @@ from baselines.ks_ekf.filter_state import (
     KsEkfState,
     cross,
 )
-from baselines.ks_ekf.readings import SHORTEST
 from baselines.ks_ekf.settings import KsEkfSettings
+from baselines.ks_ekf.timed_lengths import SHORTEST
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Measurement
 

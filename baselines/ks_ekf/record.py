@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from baselines.ks_ekf.cable_swing import CableSwing
 from baselines.ks_ekf.filter_state import KsEkfState
-from baselines.ks_ekf.readings import TimedLengths
 from baselines.ks_ekf.rest_detection import RecentMeasurements
+from baselines.ks_ekf.timed_lengths import TimedLengths
 from baselines.length_readings import LengthReadings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.consistency import Innovations

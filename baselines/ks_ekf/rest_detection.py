@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.ks_ekf.filter_state import NO_SAMPLES, InertialSamples
-from baselines.ks_ekf.readings import TimedLengths
 from baselines.ks_ekf.settings import KsEkfSettings
+from baselines.ks_ekf.timed_lengths import TimedLengths
 from carosac_toolkit.base.arrays import Array
 
 

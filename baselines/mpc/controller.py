@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from baselines.mpc.agreement import BeliefGate
+from baselines.mpc.belief_gate import BeliefGate
 from baselines.mpc.fallback import RestFallback
 from baselines.mpc.geometry import Geometry, excess_at, geometry_at
 from baselines.mpc.observer import Observer, PlanStart
@@ -15,7 +15,7 @@ from baselines.mpc.plan import Plan, pose_of
 from baselines.mpc.planner import Planner
 from baselines.mpc.record import MpcRecord
 from baselines.mpc.settings import MpcSettings
-from baselines.mpc.target import TargetReader
+from baselines.mpc.target_reader import TargetReader
 from baselines.mpc.unknown_load import PlannedMotion
 from baselines.mpc.winch_reference import WinchReference
 from carosac_toolkit.base.arrays import Array

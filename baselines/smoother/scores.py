@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.smoother.measured import nearest
+from baselines.smoother.arranged_recording import nearest
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.consistency import normalised_square

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.dynamic_estimator.evidence import LinearisedMeasurement
+from baselines.dynamic_estimator.filter_state import DynamicFilterState
+from baselines.dynamic_estimator.measurement_models import LinearisedMeasurement
 from baselines.dynamic_estimator.model import DynamicModel
-from baselines.dynamic_estimator.start import RestStart
-from baselines.dynamic_estimator.state import DynamicFilterState
-from baselines.smoother.forward import ForwardModel, ForwardPass, scales, shifted
-from baselines.smoother.graph import ErrorGraph, GraphSolution
-from baselines.smoother.measured import ArrangedRecording, arrange
+from baselines.dynamic_estimator.rest_start import RestStart
+from baselines.smoother.arranged_recording import ArrangedRecording, arrange
+from baselines.smoother.error_graph import ErrorGraph, GraphSolution
+from baselines.smoother.forward_pass import ForwardModel, ForwardPass, scales, shifted
 from baselines.smoother.result import Smoothed
 from baselines.smoother.scores import score
 from baselines.smoother.settings import SmootherSettings

@@ -29,9 +29,9 @@ from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies.run.cluster import remote_client
 from carosac_toolkit.studies.run.folder import MANIFEST
 from carosac_toolkit.text_tables import counted, terminal_width, wrapped
-from learned.changes import check_changes, read_changes, read_variations
-from learned.curve import CURVE, read_curve
+from learned.learning_curve import CURVE, read_curve
 from learned.presets import Preset, Stage, find_preset
+from learned.setting_changes import check_changes, read_changes, read_variations
 from learned.training import CHECKPOINT, TrainingJob, train
 from learned.training_record import SETTINGS
 from learned.training_study import CPU, TrainingRun, TrainingStudy, check_stages, free_study

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.pictures.drawing import COLORS, MEASURED, new_figure, put_legend
-from learned.curve import CURVE, EPISODES, read_curve, read_episodes
+from learned.learning_curve import CURVE, EPISODES, read_curve, read_episodes
 from learned.pictures.files import save
 
 if TYPE_CHECKING:

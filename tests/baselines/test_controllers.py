@@ -7,7 +7,7 @@ import pytest
 
 from baselines.kinematic_solver import KinematicSolver
 from baselines.kinematic_solver_controller import KinematicSolverController, UnreachableReference
-from baselines.reference_ahead import LookaheadSettings
+from baselines.lookahead import LookaheadSettings
 from baselines.straight_line_controller import StraightLineController
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import InvalidField

@@ -14,7 +14,7 @@ from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies.run.folder import opened
 from carosac_toolkit.validation import validate
 from carosac_toolkit.validation.saved import SAMPLES, read_samples, samples_bytes
-from learned.curve import CURVE, EPISODES, Episode, write_curve, write_episodes
+from learned.learning_curve import CURVE, EPISODES, Episode, write_curve, write_episodes
 from learned.saved_scores import SavedScores
 from learned.scores import PolicyScores
 from tests.studies.tables import case, good, series, study

@@ -11,7 +11,7 @@ import pytest
 from carosac_toolkit.cli.main import main
 from learned import training_study
 from learned.commands.train import _report
-from learned.curve import COLUMNS
+from learned.learning_curve import COLUMNS
 from learned.policy_file import Policy
 
 

@@ -9,10 +9,10 @@ from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.file import load_robot
 from learned.environment import FAILURE, CableEnvironment, EnvironmentSettings
-from learned.episodes import PathSettings
 from learned.moving_worlds import MovingSettings
 from learned.observation import slices
 from learned.rewards import PAPER_SAG, RewardSettings
+from learned.target_paths import PathSettings
 from tests.robots import simple_robot
 
 SHORT = PathSettings(steps=4)

@@ -13,7 +13,6 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.rest import statics
 from learned import evaluation
 from learned.environment import EnvironmentSettings
-from learned.episodes import PathSettings
 from learned.evaluation import (
     evaluate,
     evaluate_inverse_kinematics,
@@ -27,6 +26,7 @@ from learned.moving_worlds import MovingSettings
 from learned.observation import ObservationScales
 from learned.policy_file import PolicyDescription
 from learned.rewards import RewardSettings
+from learned.target_paths import PathSettings
 from tests.robots import simple_robot
 
 ROBOT = simple_robot()

@@ -12,9 +12,8 @@ import carosac_toolkit as ct
 from carosac_toolkit import trajectories
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.loop.values import Belief
-from learned.curve import read_curve
 from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import PathSettings, sampled
+from learned.learning_curve import read_curve
 from learned.policy_controller import (
     DEFAULTS,
     PolicyController,
@@ -26,6 +25,7 @@ from learned.policy_controller import (
 from learned.policy_file import Policy, PolicyDescription, write_policy
 from learned.presets import find_preset
 from learned.rewards import RewardSettings
+from learned.target_paths import PathSettings, sampled
 from learned.training_record import with_later_fields
 
 REALTIME = EnvironmentSettings(

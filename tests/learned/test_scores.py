@@ -7,8 +7,8 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.physics.rest import statics
 from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import PathSettings, TargetPath
 from learned.scores import PolicyScores, score
+from learned.target_paths import PathSettings, TargetPath
 from tests.robots import simple_robot
 
 SHORT = PathSettings(steps=5)

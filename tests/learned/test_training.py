@@ -15,12 +15,12 @@ import torch
 from carosac_toolkit.base.errors import CarosacError, InvalidField, MissingFile
 from carosac_toolkit.robot.file import load_robot
 from learned import training
-from learned.curve import CURVE, EPISODES, read_curve, read_episodes
 from learned.environment import CableEnvironment, EnvironmentSettings
-from learned.episodes import PathSettings
+from learned.learning_curve import CURVE, EPISODES, read_curve, read_episodes
 from learned.policy_file import Policy
 from learned.presets import PRESETS, Stage, Td3Settings
 from learned.rewards import RewardSettings
+from learned.target_paths import PathSettings
 from learned.training import TrainingJob, train
 from learned.training_record import SETTINGS, read_record
 from tests.robots import simple_robot

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 import carosac_toolkit as ct
 from baselines.dynamic_estimator import DynamicEstimator, DynamicEstimatorSettings
 from baselines.dynamic_estimator.model import DynamicModel
-from baselines.dynamic_estimator.start import RestStart
+from baselines.dynamic_estimator.rest_start import RestStart
 from baselines.kinematic_solver import KinematicSolver
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.drivers.sensors import PERFECT, SensorSettings

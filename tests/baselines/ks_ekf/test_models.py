@@ -9,16 +9,16 @@ import pinocchio
 import pytest
 
 import carosac_toolkit as ct
-from baselines.ks_ekf import KsEkfSettings, starting
+from baselines.ks_ekf import KsEkfSettings, initial_state
 from baselines.ks_ekf.cable_model import ExpectedLengths, expected_lengths
 from baselines.ks_ekf.cable_swing import CableSwing
 from baselines.ks_ekf.error_filter import ErrorFilter
 from baselines.ks_ekf.filter_state import FIXED, LENGTHS, POSE, InertialSamples, KsEkfState
 from baselines.ks_ekf.inertial import InertialMotion, slope
 from baselines.ks_ekf.platform_motion import carried, moved_to_imu, origin
-from baselines.ks_ekf.readings import TimedLengths
 from baselines.ks_ekf.rest_detection import RecentMeasurements, detect_rest
 from baselines.ks_ekf.rest_pose import find_rest
+from baselines.ks_ekf.timed_lengths import TimedLengths
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.rest import statics
 
@@ -37,7 +37,7 @@ def moving_state() -> KsEkfState:
         force=rng.normal([0.0, 0.0, 9.8], 2.0, (4, 3)),
     )
     return replace(
-        starting.blank(ROBOT, SETTINGS, 0.0),
+        initial_state.blank(ROBOT, SETTINGS, 0.0),
         position=np.array([0.5, -1.5, 3.0]),
         rotation=pinocchio.exp3(np.array([0.4, -0.3, 0.7])),
         velocity=np.array([0.3, -0.6, 0.2]),
@@ -146,18 +146,18 @@ def test_map_from_imu_to_origin_is_that_of_small_errors():
 
 def test_pose_is_kept_at_the_origin_where_the_state_is_lost():
     state, lever = moving_state(), SETTINGS.imu_position
-    back = starting.inertial(starting.released(state, SETTINGS), SETTINGS)
+    back = initial_state.inertial(initial_state.released(state, SETTINGS), SETTINGS)
     assert back.velocity == pytest.approx(state.velocity)
     assert back.covariance == pytest.approx(state.covariance)
     assert difference(back, state) == pytest.approx(np.zeros(SIZE), abs=1e-9)
     for found in (
-        starting.lost(ROBOT, SETTINGS, state, 1.0),
-        starting.forgotten(ROBOT, SETTINGS, state),
+        initial_state.lost(ROBOT, SETTINGS, state, 1.0),
+        initial_state.forgotten(ROBOT, SETTINGS, state),
     ):
         assert not found.inertial
         assert found.position == pytest.approx(state.position - state.rotation @ lever)
         assert found.rotation == pytest.approx(state.rotation)
-        again = starting.lost(ROBOT, SETTINGS, found, 1.1)  # there already
+        again = initial_state.lost(ROBOT, SETTINGS, found, 1.1)  # there already
         assert again.position == pytest.approx(found.position)
 
 
@@ -310,7 +310,7 @@ def test_a_robot_whose_lower_cables_hang_loose_by_least_squares_keeps_finite_swi
     settings = KsEkfSettings()
     place = np.array([[-1.16, 0.50, 1.50]])
     state = replace(
-        starting.blank(robot, settings, 0.0), position=place[0], rotation=np.eye(3),
+        initial_state.blank(robot, settings, 0.0), position=place[0], rotation=np.eye(3),
         samples=InertialSamples(
             time=np.zeros(1), rate=np.zeros((1, 3)), force=np.array([[0.0, 0.0, 9.81]])
         ),

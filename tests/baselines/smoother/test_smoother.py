@@ -12,7 +12,7 @@ import pytest
 import carosac_toolkit as ct
 from baselines.dynamic_estimator import DynamicEstimator, DynamicEstimatorSettings
 from baselines.smoother import SmootherSettings, smooth
-from baselines.smoother.measured import arrange
+from baselines.smoother.arranged_recording import arrange
 from baselines.smoother.report import sentences, warnings
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.drivers.sensors import PERFECT

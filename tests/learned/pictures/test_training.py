@@ -5,7 +5,7 @@ from matplotlib.image import imread
 
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.pictures.drawing import COLORS
-from learned.curve import COLUMNS, Episode, write_curve, write_episodes
+from learned.learning_curve import COLUMNS, Episode, write_curve, write_episodes
 from learned.pictures.training import curve_of, learning_curves, reward_terms, smoothed
 
 

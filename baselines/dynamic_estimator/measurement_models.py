@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from baselines.dynamic_estimator.filter_state import DynamicFilterState
 from baselines.dynamic_estimator.model import DynamicModel, LinearisedStep
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.state import DynamicFilterState
 from carosac_toolkit.base.arrays import Array
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from baselines.dynamic_estimator.sway import SwayBasis
+from baselines.dynamic_estimator.sway_basis import SwayBasis
 from baselines.length_readings import SLIP_DOUBT
 from carosac_toolkit.base.arrays import Array
 

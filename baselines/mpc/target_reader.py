@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from baselines.lookahead import interpolated
 from baselines.mpc.planner import PlanTarget
-from baselines.reference_ahead import interpolated
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Pose, Reference
 from carosac_toolkit.physics.rest import statics

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.dynamic_estimator.evidence import LinearisedMeasurement
-from baselines.dynamic_estimator.state import Errors
-from baselines.smoother.forward import ForwardPass
+from baselines.dynamic_estimator.filter_state import Errors
+from baselines.dynamic_estimator.measurement_models import LinearisedMeasurement
+from baselines.smoother.forward_pass import ForwardPass
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 

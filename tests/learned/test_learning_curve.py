@@ -1,6 +1,13 @@
 import numpy as np
 
-from learned.curve import COLUMNS, Episode, read_curve, read_episodes, write_curve, write_episodes
+from learned.learning_curve import (
+    COLUMNS,
+    Episode,
+    read_curve,
+    read_episodes,
+    write_curve,
+    write_episodes,
+)
 
 OLD = """steps,updates,cpu_seconds,reward,median_error_m,median_of_means_m,p95_error_m,rmse_m,inconsistency_m
 15040,0,8.22657,-185.701,1.77687,1.74374,2.66079,1.83208,0.0286639

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from baselines.dynamic_estimator.filter_state import DynamicFilterState, Errors
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.state import DynamicFilterState, Errors
-from baselines.dynamic_estimator.sway import SwayBasis, sway_at
+from baselines.dynamic_estimator.sway_basis import SwayBasis, sway_at
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics

@@ -7,10 +7,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from baselines.dynamic_estimator.evidence import ImuMean, LinearisedMeasurement, MeasurementModels
+from baselines.dynamic_estimator.filter_state import DynamicFilterState, Errors
+from baselines.dynamic_estimator.measurement_models import (
+    ImuMean,
+    LinearisedMeasurement,
+    MeasurementModels,
+)
 from baselines.dynamic_estimator.model import DynamicModel
-from baselines.dynamic_estimator.state import DynamicFilterState, Errors
-from baselines.smoother.measured import ArrangedRecording
+from baselines.smoother.arranged_recording import ArrangedRecording
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
 

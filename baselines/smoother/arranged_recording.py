@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.dynamic_estimator.evidence import ImuMean
+from baselines.dynamic_estimator.measurement_models import ImuMean
 from baselines.length_readings import SHORTEST, LengthReadings
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array

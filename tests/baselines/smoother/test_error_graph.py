@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from baselines.dynamic_estimator.evidence import LinearisedMeasurement
-from baselines.dynamic_estimator.state import Errors
-from baselines.smoother.forward import ForwardPass, KeyFrameLink
-from baselines.smoother.graph import ErrorGraph
+from baselines.dynamic_estimator.filter_state import Errors
+from baselines.dynamic_estimator.measurement_models import LinearisedMeasurement
+from baselines.smoother.error_graph import ErrorGraph
+from baselines.smoother.forward_pass import ForwardPass, KeyFrameLink
 
 COUNT = 25
 TIME = 0.1 * np.arange(COUNT)

@@ -1,7 +1,7 @@
 """When a belief may be planned from."""
 
-from baselines.mpc import agreement as module
-from baselines.mpc.agreement import BeliefGate
+from baselines.mpc import belief_gate as module
+from baselines.mpc.belief_gate import BeliefGate
 
 GATE = 0.2
 PERIOD = 0.02  # [s]

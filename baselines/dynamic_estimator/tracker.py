@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.dynamic_estimator.evidence import ImuMean
 from baselines.dynamic_estimator.filter import DynamicFilter, InnovationTally
+from baselines.dynamic_estimator.filter_state import DynamicFilterState
+from baselines.dynamic_estimator.measurement_models import ImuMean
 from baselines.dynamic_estimator.model import DynamicModel, NoMotion
+from baselines.dynamic_estimator.rest_start import RestStart
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.dynamic_estimator.start import RestStart
-from baselines.dynamic_estimator.state import DynamicFilterState
 from baselines.length_readings import SHORTEST, LengthReadings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Measurement

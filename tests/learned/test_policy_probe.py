@@ -10,9 +10,9 @@ import pytest
 from carosac_toolkit.base.errors import InvalidField
 from learned import environment, length_map, observation
 from learned.environment import EnvironmentSettings
-from learned.episodes import PathSettings
 from learned.observation import ObservationUnits
-from learned.probe import CLOSE, check_probe, make_probe
+from learned.policy_probe import CLOSE, check_probe, make_probe
+from learned.target_paths import PathSettings
 from tests.robots import eight_cable_robot, simple_robot
 
 ROBOT = simple_robot()
@@ -52,7 +52,7 @@ def test_changed_code_is_noticed(monkeypatch, settings, module, name, value, mes
     probe = make_probe(ROBOT, settings)
     if name == "make_actions":  # another lead
         monkeypatch.setattr(
-            "learned.probe.make_actions",
+            "learned.policy_probe.make_actions",
             lambda robot, *rest: environment.make_actions(
                 replace(robot, winch_lag=2.0 * robot.winch_lag), *rest
             ),

@@ -18,9 +18,9 @@ from baselines.ks_ekf.filter_state import (
     KsEkfState,
 )
 from baselines.ks_ekf.platform_motion import moved_to_imu
-from baselines.ks_ekf.readings import TimedLengths
 from baselines.ks_ekf.rest_pose import RestPose
 from baselines.ks_ekf.settings import KsEkfSettings
+from baselines.ks_ekf.timed_lengths import TimedLengths
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
