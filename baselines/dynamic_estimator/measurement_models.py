@@ -11,6 +11,8 @@ from baselines.dynamic_estimator.model import DynamicModel, LinearisedStep
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from carosac_toolkit.base.arrays import Array
 
+STRETCH_RATE_NOISE_M_PER_S = 0.06  # vibrations of the stretch, which turn the gyroscope
+
 
 class ImuMean(NamedTuple):
     """What an IMU said: the mean of some samples.
@@ -70,7 +72,7 @@ class MeasurementModels:
         by[:, : where.moving] = move.felt_by
         by[:, where.imu] = np.eye(6)
         pulled = self._tension * move.pulled
-        stretched = self._settings.stretch_rate * move.stretched
+        stretched = STRETCH_RATE_NOISE_M_PER_S * move.stretched
         noise = np.diag(self._imu / felt.samples + self._vibration)
         noise += pulled @ pulled.T + stretched @ stretched.T
         return LinearisedMeasurement(felt.values - move.felt - move.state.imu_bias, by, noise)

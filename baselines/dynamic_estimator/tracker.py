@@ -22,11 +22,12 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Measurement
 from carosac_toolkit.robot.robot import Robot
 
-SHORT = 2.0  # time steps: a stretch of lengths that may be taken as straight
-ALIKE = 0.6  # of a time step: IMU samples so close together are taken as one
-WAITING = 400  # IMU samples that wait at most
-STALE = 0.2  # [s] without a length reading, after which lengths are held and doubted
-LATEST = 0.1  # [s]: poses that are later than that against the lengths are not used
+STRAIGHT_TIME_STEPS = 2.0  # over which lengths may be taken as straight
+IMU_GROUP_TIME_STEPS = 0.6  # IMU samples so close together are taken as one
+WAITING_SAMPLES_MAX = 400  # of the IMU: a few seconds of them
+STALE_TIME_S = 0.2  # without a length reading, after which lengths are held and doubted
+POSE_DELAY_MAX_S = 0.1  # behind the lengths: older poses are not used
+RESTART_SPEED_M_PER_S = 0.5  # at which a platform may move where it is hung anew: it need not rest
 
 
 class TimedPose(NamedTuple):
@@ -82,7 +83,7 @@ class Tracker:
         self._model = DynamicModel(robot, settings)
         self._filter = DynamicFilter(self._model, settings)
         self._rest = RestStart(robot, settings)
-        self._short = SHORT * settings.time_step
+        self._short = STRAIGHT_TIME_STEPS * settings.time_step
         known = robot.length_delay or 0.0
         self._delay = known if settings.delay is None else settings.delay
 
@@ -126,7 +127,7 @@ class Tracker:
                 track, state=state.slipped(readings.slipped),
                 readings=replace(readings, slipped=None),
             )  # fmt: skip
-        if now - readings.time[-1] > STALE:
+        if now - readings.time[-1] > STALE_TIME_S:
             track = self._held(track, now)
         try:
             return self._moved(track, measurement, row)
@@ -142,7 +143,7 @@ class Tracker:
     def _hung_anew(self, track: Track, measurement: Measurement, row: int) -> Track:
         """Start again at rest; what was counted goes on, and encoders have slipped as before."""
         before = track.readings
-        fresh = self.start(measurement, row, self._settings.restart_speed, before.slid)
+        fresh = self.start(measurement, row, RESTART_SPEED_M_PER_S, before.slid)
         readings = replace(fresh.readings, rejected=before.rejected, slips=before.slips)
         return replace(
             fresh, readings=readings, stale=track.stale,
@@ -183,7 +184,9 @@ class Tracker:
         """The filter through all that was measured up to a time."""
         state, tally = track.state, track.tally
         assert state is not None
-        groups, waiting = _grouped(track.waiting, known, ALIKE * self._settings.time_step)
+        groups, waiting = _grouped(
+            track.waiting, known, IMU_GROUP_TIME_STEPS * self._settings.time_step
+        )
         due = [p for p in track.poses if not p.used and p.time <= known + SHORTEST]
         stops = sorted({*groups, *(p.time for p in due)})
         if not stops or known - stops[-1] > self._short:
@@ -203,7 +206,7 @@ class Tracker:
     ) -> tuple[DynamicFilterState, InnovationTally]:
         """Correct by a pose, unless it is too late to say anything."""
         late = max(0.0, state.time - pose.time)
-        if late > LATEST:
+        if late > POSE_DELAY_MAX_S:
             return state, InnovationTally(disturbed=1)
         return self._filter.pose(state, pose.position, pose.rotation, late)
 
@@ -232,7 +235,7 @@ def _waiting(waiting: Array, measurement: Measurement, row: int) -> Array:
     if imu is None:
         return waiting
     new = np.column_stack([imu.time[row], imu.angular_rate[row], imu.specific_force[row]])
-    return np.vstack([waiting, new])[-WAITING:]
+    return np.vstack([waiting, new])[-WAITING_SAMPLES_MAX:]
 
 
 def _grouped(samples: Array, known: float, alike: float) -> tuple[dict[float, Array], Array]:

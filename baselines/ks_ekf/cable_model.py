@@ -24,7 +24,9 @@ from carosac_toolkit.physics.cable.straight_line import StraightCables, straight
 from carosac_toolkit.physics.rest.structure import structure_matrix
 from carosac_toolkit.robot.robot import Robot
 
-TAUT = 2.0  # times its own error: a smaller tension does not say how much the cable sags
+TAUT_TENSION_DEVIATIONS = 2.0  # a smaller tension does not tell how much the cable sags
+TENSION_ERROR_RATIO = 0.05  # of the tensions behind sag and stretch: mass and inertia are so good
+SWING_FADE_TIME_S = 2.0  # in which a cable's own swing fades to 1/e: a second or two in recordings
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,19 +75,19 @@ def expected_lengths(
     cables = length_at_tension(robot, where, state.rotation[None], tension[None])
     jacobian = -matrix.T @ pose_map(state, settings.imu_position)
     jacobian[:, len(jacobian.T) - robot.n :] = np.eye(robot.n)
-    # By the sag, which goes with the inverse square of the tension, and the stretch.
+    # By the sag, which goes with the inverse square of the tension, and the stretch. A tension is
+    # not known better than to the weight of its cable, nor a length to what its swing takes.
     doubt = (
-        settings.tension_share * np.abs(tension)
+        TENSION_ERROR_RATIO * np.abs(tension)
         + settings.tension_change * np.abs(tension - still)
-        + settings.tension_weight * robot.weight_per_length * straight.length[0]
+        + robot.weight_per_length * straight.length[0]
     )
-    taut = tension > TAUT * doubt
+    taut = tension > TAUT_TENSION_DEVIATIONS * doubt
     less = np.where(taut, tension - doubt, 1.0)
     bend = _curvature(robot, state, straight, settings)
     strings = _strings(robot, straight, tension)
-    swing = swing.later(state.time, strings, settings.swing_time)
-    swinging = settings.swing_share * swing.taken(strings)
-    spread = (2.0 * cables.sag[0] + cables.stretch[0]) * doubt / less + bend + swinging
+    swing = swing.later(state.time, strings, SWING_FADE_TIME_S)
+    spread = (2.0 * cables.sag[0] + cables.stretch[0]) * doubt / less + bend + swing.taken(strings)
     return ExpectedLengths(
         length=cables.unstrained_length[0],
         jacobian=jacobian,

@@ -20,10 +20,17 @@ from baselines.ks_ekf.filter_state import (
 )
 from baselines.ks_ekf.platform_motion import origin, pose_map
 from baselines.ks_ekf.rest_detection import RestMeans
-from baselines.ks_ekf.rest_pose import RestPose
+from baselines.ks_ekf.rest_pose import (
+    REST_POSITION_ERROR_M,
+    REST_ROTATION_ERROR_RAD,
+    RestPose,
+)
 from baselines.ks_ekf.settings import KsEkfSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
+
+SWAY_POSITION_ERROR_M = 0.02  # of the mean pose beside the sway, in large motion
+SWAY_ROTATION_ERROR_RAD = 0.05
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,14 +91,14 @@ def of_rest_pose(
     )
 
 
-def rest_noise(settings: KsEkfSettings) -> Array:
-    """Covariance of a pose of rest where the platform rests."""
-    return np.diag(np.repeat([settings.rest_position**2, settings.rest_rotation**2], 3))
+def rest_noise() -> Array:
+    """Return the covariance of a pose of rest where the platform rests."""
+    return np.diag(np.repeat([REST_POSITION_ERROR_M**2, REST_ROTATION_ERROR_RAD**2], 3))
 
 
 def sway_noise(rest: RestPose, settings: KsEkfSettings) -> Array:
-    """The same where it sways about it."""
-    least = np.repeat([settings.sway_position**2, settings.sway_rotation**2], 3)
+    """Return the covariance of a pose of rest about which the platform sways."""
+    least = np.repeat([SWAY_POSITION_ERROR_M**2, SWAY_ROTATION_ERROR_RAD**2], 3)
     return rest.energy(settings.sway) * rest.softness + np.diag(least)
 
 

@@ -20,7 +20,12 @@ from baselines.ks_ekf.filter_state import CENTER, FIXED, NO_SAMPLES, POSITION, K
 from baselines.ks_ekf.inertial import InertialMotion, samples_of, slope
 from baselines.ks_ekf.platform_motion import at_rest, carried, origin
 from baselines.ks_ekf.record import KsEkfRecord
-from baselines.ks_ekf.rest_detection import RecentMeasurements, RestMeans, detect_rest
+from baselines.ks_ekf.rest_detection import (
+    REST_WINDOW_S,
+    RecentMeasurements,
+    RestMeans,
+    detect_rest,
+)
 from baselines.ks_ekf.rest_pose import RestPose, find_rest
 from baselines.ks_ekf.settings import KsEkfSettings
 from baselines.ks_ekf.timed_lengths import SHORTEST, TimedLengths, due, reading_of
@@ -29,9 +34,12 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.values import Belief, Command, Measurement
 from carosac_toolkit.robot.robot import Robot
 
-LAG = 0.2  # [s]: the filter never stands further behind, even where no lengths come
-DOUBT = 2.0  # by what standard deviations grow where nothing fits any more
-SLOPE = 0.0125  # [s] to both sides, over which the angular rate gives its derivative
+FILTER_LAG_MAX_S = 0.2  # behind now, even where no lengths come
+DOUBT_FACTOR = 2.0  # by which standard deviations grow where no lengths fit any more
+SLOPE_HALF_WIDTH_S = 0.0125  # over which the angular rate gives its derivative: a few samples
+INITIAL_SWAY_M = 0.01  # root mean square at the first measurement, which is taken at rest
+REJECT_TIME_S = 0.1  # lengths that misfit longer count as far as the gate allows: the model errs
+REST_USE_PERIOD_S = 0.5  # between two uses of a rest, whose samples overlap and say little new
 
 
 class KsEkf:
@@ -66,13 +74,13 @@ class KsEkf:
         record = KsEkfRecord(
             state=replace(state, samples=samples),
             reading=first,
-            window=nothing.extended([first], samples, self._settings.rest_window),
+            window=nothing.extended([first], samples, REST_WINDOW_S),
             encoders=LengthReadings.first(first.time, first.lengths),
             slid=np.zeros(self._robot.n),
             innovations=no_innovations(),
             updates=1,
         )
-        record = self._place(record, first, self._settings.initial_sway)
+        record = self._place(record, first, INITIAL_SWAY_M)
         if len(samples) and not record.failures:
             record = self._carry(record)
             quiet = RestMeans(rate=samples.rate.mean(axis=0), force=samples.force.mean(axis=0))
@@ -123,7 +131,7 @@ class KsEkf:
             record,
             reading=max((record.reading, *good), key=lambda reading: reading.time),
             waiting=waiting,
-            window=record.window.extended(good, samples, self._settings.rest_window),
+            window=record.window.extended(good, samples, REST_WINDOW_S),
             innovations=no_innovations(),
             resting=False,
             updates=record.updates + 1,
@@ -167,7 +175,7 @@ class KsEkf:
     def _filter(self, record: KsEkfRecord, ready: list[TimedLengths], now: float) -> KsEkfRecord:
         """Go from lengths to lengths, as far as their time has come."""
         if not ready:
-            until = max(record.state.time, now - LAG)
+            until = max(record.state.time, now - FILTER_LAG_MAX_S)
             return replace(record, state=self._motion.advance(record.state, until))
         for reading in ready:
             if record.state.inertial:
@@ -180,7 +188,7 @@ class KsEkf:
         quiet = detect_rest(record.window, record.state.rate_bias, self._settings)
         record = replace(record, resting=quiet is not None)
         record = self._use_lengths(record, reading)
-        again = reading.time - record.rest_used >= self._settings.rest_period
+        again = reading.time - record.rest_used >= REST_USE_PERIOD_S
         if quiet is not None and again and record.misfit_since is None:
             record = self._use_stillness(record, quiet)
             record = self._use_equilibrium(record, reading)
@@ -205,7 +213,7 @@ class KsEkf:
             state = record.state.injected(found.error, found.covariance)
             return replace(record, state=state, misfit_since=None)
         since = record.misfit_since
-        if since is not None and reading.time - since >= self._settings.reject_time:
+        if since is not None and reading.time - since >= REJECT_TIME_S:
             found = self._correct(record.state, evidence, bounded=True)
             state = record.state.injected(found.error, found.covariance)
             record = replace(record, state=state)
@@ -222,7 +230,7 @@ class KsEkf:
     def _doubt(self, record: KsEkfRecord, reading: TimedLengths) -> KsEkfRecord:
         """Believe less and less of the state, in the end nothing: then start anew."""
         robot, settings = self._robot, self._settings
-        state = initial_state.doubted(robot, settings, record.state, DOUBT)
+        state = initial_state.doubted(robot, settings, record.state, DOUBT_FACTOR)
         if np.trace(state.covariance[POSITION, POSITION]) < settings.sway**2:
             return replace(record, state=state, doubts=record.doubts + 1)
         lost = initial_state.forgotten(robot, settings, record.state)
@@ -234,7 +242,7 @@ class KsEkf:
         """What the lengths say; None where they have no pose of rest but need one."""
         state, settings = record.state, self._settings
         if settings.coupling == "tight":
-            turning = slope(record.window.samples, state.time, SLOPE)
+            turning = slope(record.window.samples, state.time, SLOPE_HALF_WIDTH_S)
             tight = corrections.of_lengths(
                 self._robot, state, reading.lengths, turning, record.swing, settings
             )
@@ -244,7 +252,7 @@ class KsEkf:
             return record, None
         noise = corrections.sway_noise(rest, settings)
         if record.resting:
-            noise = corrections.rest_noise(settings)
+            noise = corrections.rest_noise()
         return record, corrections.of_rest_pose(state, rest, noise, settings)
 
     def _use_stillness(self, record: KsEkfRecord, quiet: RestMeans) -> KsEkfRecord:
@@ -260,7 +268,7 @@ class KsEkf:
         record, rest = self._rest(record, reading)
         if rest is None:
             return replace(record, failures=record.failures + 1)
-        noise = corrections.rest_noise(self._settings)
+        noise = corrections.rest_noise()
         evidence = corrections.of_rest_pose(record.state, rest, noise, self._settings)
         return self._use_rest(record, evidence)
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from baselines.ks_ekf.corrections import rest_noise
 from baselines.ks_ekf.filter_state import (
     CENTER,
     FIXED,
@@ -97,7 +98,7 @@ def placed(
     effect[:, CENTER.start - 9 : CENTER.stop - 9] = rest.per_center
     effect[:, LENGTHS.start - 9 :] = -rest.per_length
     energy = rest.energy(sway)
-    least = np.diag(np.repeat([settings.rest_position**2, settings.rest_rotation**2], 3))
+    least = rest_noise()
     noise = settings.length_noise**2 * rest.per_length @ rest.per_length.T
     covariance = np.zeros((size, size))
     covariance[unknown, unknown] = known

@@ -21,7 +21,9 @@ from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
 from carosac_toolkit.robot.robot import Robot
 
-STEP = 1e-3  # [m]: difference of lengths for derivatives
+LENGTH_STEP_M = 1e-3  # for derivatives by differences
+REST_POSITION_ERROR_M = 3e-3  # model error of the equilibrium, per axis, where the platform rests
+REST_ROTATION_ERROR_RAD = 5e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,9 +64,9 @@ def find_rest(
         None where there is no stable equilibrium.
     """
     n = robot.n
-    if (lengths <= 2.0 * STEP).any() or not np.isfinite(lengths).all():
+    if (lengths <= 2.0 * LENGTH_STEP_M).any() or not np.isfinite(lengths).all():
         return None
-    rows = np.concatenate([lengths[None], lengths + STEP * np.eye(n)])
+    rows = np.concatenate([lengths[None], lengths + LENGTH_STEP_M * np.eye(n)])
     found = forward_kinematics(robot, rows, guess=guess)
     if guess is not None and not (found.converged & found.stable).all():
         found = forward_kinematics(robot, rows)
@@ -90,7 +92,7 @@ def _with_derivatives(robot: Robot, found: Equilibrium, center: Array) -> RestPo
         position=found.position[0] + lean[:3],
         rotation=pinocchio.exp3(lean[3:]) @ rotation,
         tension=found.tension[0],
-        per_length=np.concatenate([shifts, np.array(turns)], axis=1).T / STEP,
+        per_length=np.concatenate([shifts, np.array(turns)], axis=1).T / LENGTH_STEP_M,
         per_center=per_center,
         softness=0.5 * (softness + softness.T),
         lightness=np.linalg.inv(mass_matrix(robot, found.rotation[:1], at)[0]),

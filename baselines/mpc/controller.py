@@ -10,7 +10,7 @@ import numpy as np
 from baselines.mpc.belief_gate import BeliefGate
 from baselines.mpc.fallback import RestFallback
 from baselines.mpc.geometry import Geometry, excess_at, geometry_at
-from baselines.mpc.observer import Observer, PlanStart
+from baselines.mpc.observer import BELIEF_GATE_M, Observer, PlanStart
 from baselines.mpc.plan import Plan, pose_of
 from baselines.mpc.planner import Planner
 from baselines.mpc.record import MpcRecord
@@ -23,7 +23,9 @@ from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.robot.robot import Robot
 
-SOFTENED = 0.01  # share of a limit beyond which a plan counts as softened
+SOFTENED_RATIO = 0.01  # of a limit, by which a plan must exceed it to count as softened
+SHIFTED_STEPS_MAX = 5  # for which the last plan goes on after a failure: longer, it runs away
+EXCESS_TIME_S = 0.3  # in which sag and stretch of a plan reach the command: shorter shakes cables
 
 
 class NoStart(CarosacError):
@@ -54,7 +56,7 @@ class Mpc:
         self._winches = WinchReference(robot, period=self.period, jerk_max=settings.jerk_max)
         self._targets = TargetReader(robot, self._planner.grid)
         self._rest = RestFallback(robot)
-        self._agreement = BeliefGate(settings.belief_gate, settings.period)
+        self._agreement = BeliefGate(settings.period)
         self.horizon = self.period * float(np.ceil(settings.lookahead / self.period - 1e-9))
         self.record = MpcRecord()
         self._ready = False
@@ -111,7 +113,7 @@ class Mpc:
             within=self._agreement.within(self._resting), stuck=self._agreement.stuck,
         )  # fmt: skip
         self._agreement.update(start.distance, resting=self._resting, still=self._winches.at_rest)
-        if start.distance <= self._settings.belief_gate:
+        if start.distance <= BELIEF_GATE_M:
             self._place = start.position
         plan = self._solve(start, reference, now)
         if plan is None:
@@ -155,13 +157,13 @@ class Mpc:
             self._fail("late", f"{self.record.solve_time:.4f} s; allowed: {budget} s")
             return None
         plan, slack = found
-        self.record.softened += slack > SOFTENED
+        self.record.softened += slack > SOFTENED_RATIO
         return plan
 
     @property
     def _resting(self) -> bool:
         """Whether the last plan was given up, so that the platform is being brought to rest."""
-        return self._failed > self._settings.shifted_steps
+        return self._failed > SHIFTED_STEPS_MAX
 
     def _fail(self, kind: str, words: str) -> None:
         """Count a failure."""
@@ -221,7 +223,7 @@ class Mpc:
 
     def _share(self) -> float:
         """Share of a new sag that counts at once."""
-        return float(1.0 - np.exp(-self.period / self._settings.excess_time))
+        return float(1.0 - np.exp(-self.period / EXCESS_TIME_S))
 
 
 def _check_one(belief: Belief) -> None:

@@ -25,9 +25,15 @@ from carosac_toolkit.physics.rest.modes import mass_matrix
 from carosac_toolkit.physics.rest.structure import constrained_motion
 from carosac_toolkit.robot.robot import Robot
 
-STEPS = 5  # of Newton's method
-CLOSE = 1e-6  # [m]: lengths that agree
-SLACK = 0.05  # [m]: a cable that is longer than believed by more is slack
+NEWTON_STEPS_MAX = 5
+LENGTH_TOLERANCE_M = 1e-6  # of Newton's method
+SLACK_EXCESS_M = 0.05  # a cable that is longer than believed by more is slack
+BELIEF_GATE_M = (
+    0.2  # from lengths sent to believed ones: beyond it, cables hang slack by decimetres
+)
+OFFSET_TIME_S = 0.5  # time constant of offsets: short against a path, long against encoder noise
+OFFSET_MAX_M = 0.1  # what exceeds it is slack, and reeled in
+TWIST_GAIN = 0.2  # share of a position difference that becomes velocity, for beliefs without twist
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,7 +76,7 @@ class Observer:
         """Forget everything."""
         self.offset, self.slack = np.zeros((2, self._robot.n))
         self.rebased = 0
-        self._most = np.full(self._robot.n, self._settings.offset_max)
+        self._most = np.full(self._robot.n, OFFSET_MAX_M)
         self.forget()
 
     @property
@@ -114,7 +120,7 @@ class Observer:
         geometry = geometry_at(self._robot, position, rotation)
         if not _sound(geometry):
             return _nowhere(position, rotation, geometry)
-        allowed = self._settings.belief_gate if within is None else within
+        allowed = BELIEF_GATE_M if within is None else within
         missing = length - geometry.length  # of the believed pose, before offsets
         distance = float(np.abs(missing - self.kept).max())
         if stuck and distance > allowed:
@@ -170,9 +176,9 @@ class Observer:
         Returns:
             Position, rotation and geometry there.
         """
-        for _ in range(STEPS):
+        for _ in range(NEWTON_STEPS_MAX):
             step = self._motion(geometry, rotation) @ (length - geometry.length)
-            if np.abs(geometry.jacobian @ step).max() < CLOSE:
+            if np.abs(geometry.jacobian @ step).max() < LENGTH_TOLERANCE_M:
                 break
             position = position + step[:3]
             rotation = Rotation.from_rotvec(step[3:]).as_matrix() @ rotation
@@ -187,10 +193,10 @@ class Observer:
         A slack cable is longer than its chord, and says nothing about where the platform is. Were
         that an offset, it would be sent for ever, and the cable would stay slack.
         """
-        share = self._settings.period / self._settings.offset_time
-        self._most = self._most + share * (self._settings.offset_max - self._most)
+        share = self._settings.period / OFFSET_TIME_S
+        self._most = self._most + share * (OFFSET_MAX_M - self._most)
         error = missing - self.offset
-        near = np.clip(error, -SLACK, SLACK)
+        near = np.clip(error, -SLACK_EXCESS_M, SLACK_EXCESS_M)
         self.slack = (1.0 - share) * (error - near)
         self.offset = self.offset + share * near
         self.offset = self.offset + share * (self.kept - self.offset)
@@ -204,7 +210,7 @@ class Observer:
             return np.zeros(6)
         turn = Rotation.from_matrix(belief.rotation[0] @ before.rotation.T).as_rotvec()
         difference = np.concatenate([belief.position[0] - before.position, turn])
-        share = self._settings.twist_gain / self._settings.period
+        share = TWIST_GAIN / self._settings.period
         return np.asarray(before.twist + share * difference)
 
     def _learn(self, belief: Belief, twist: Array, geometry: Geometry, rotation: Array) -> None:

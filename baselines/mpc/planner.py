@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.mpc import model
-from baselines.mpc.observer import PlanStart
+from baselines.mpc.observer import OFFSET_TIME_S, PlanStart
 from baselines.mpc.plan import Plan
 from baselines.mpc.quadratic_program import FAR, QuadraticProgram
 from baselines.mpc.settings import MpcSettings
@@ -17,11 +17,12 @@ from baselines.mpc.winch_reference import WinchRange
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-COLD = 3  # iterations where there is no plan to start from
-TURN = 0.35  # of the Rodrigues parameters: beyond it (80 degrees) R_0 moves along
-STATE_MAX = 1e3  # [m, m/s, rad/s]: a plan beyond it is none
-HALF = 0.5  # of the tension of rest: the plan can go down to it at least
-LENGTH_SCALE = 1.0  # [m]: excess of a length that counts like that of a full limit
+COLD_START_ITERATIONS = 3  # where there is no plan to start from
+RODRIGUES_NORM_MAX = 0.35  # beyond it (80 degrees) R_0 moves along
+STATE_MAX = 1e3  # [m, m/s, rad/s]: a plan beyond it has diverged
+REST_TENSION_RATIO_MIN = 0.5  # the plan can always go down to this share of the tension of rest
+TAUT_TENSION_CABLE_WEIGHTS = 4.0  # below it, sag changes a length more than motion does
+LENGTH_EXCESS_SCALE_M = 1.0  # counts like exceeding a speed limit by all of it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,14 +104,14 @@ class Planner:
         """
         cold = self.plan is None
         plan = self._guess(start, target, time)
-        for _ in range(COLD if cold else 1):
+        for _ in range(COLD_START_ITERATIONS if cold else 1):
             self._linearise(plan, start, load)
             found = self._correct(plan, target, acceleration, offset)
             if found is None:
                 return None
             plan, slack = found
         if self._robot.n < 6:
-            share = self._settings.period / self._settings.offset_time
+            share = self._settings.period / OFFSET_TIME_S
             now = plan.tension[0] - target.tension[0]
             self._habit = self._habit + share * (now - self._habit)
         return plan, slack
@@ -127,7 +128,7 @@ class Planner:
             tension = np.clip(rest, self._robot.tension_min, self._robot.tension_max)
         else:
             s = model.parameters_of(start.rotation @ old.rotation.T)
-            old = old.turned(start.rotation) if s @ s > TURN**2 else old
+            old = old.turned(start.rotation) if s @ s > RODRIGUES_NORM_MAX**2 else old
             rotation = old.rotation
             state, tension = old.shifted(when)
         state[0, :3] = start.position
@@ -150,8 +151,8 @@ class Planner:
 
     def _least(self, target: PlanTarget) -> Array:
         """Tensions at which cables are still taut [N], shape (N, n)."""
-        half = HALF * target.tension
-        taut = half if target.calm else np.minimum(self._settings.taut * self._hanging, half)
+        half = REST_TENSION_RATIO_MIN * target.tension
+        taut = half if target.calm else np.minimum(TAUT_TENSION_CABLE_WEIGHTS * self._hanging, half)
         return np.maximum(self._robot.tension_min, taut)
 
     def _correct(
@@ -166,10 +167,9 @@ class Planner:
             share * np.full((settings.stages, n), settings.tension_weight),
         ])  # fmt: skip
         surplus = (plan.tension - target.tension - self._habit) / self._unit
-        end = settings.end_factor * self._weight
         step = self._program.solve(
             hessian=cost, gradient=cost * np.hstack([error[:-1], surplus]),
-            end=np.stack([end, end * error[-1]]),
+            end=np.stack([self._weight, self._weight * error[-1]]),
             dynamics=(stage.by_state, self._unit * stage.by_tension,
                       stage.after - plan.state[1:]),
             bounds=((self._least(target) - plan.tension) / self._unit,
@@ -200,7 +200,9 @@ class Planner:
         robot, stage, share = self._robot, self.stage, self._settings.limit_share
         n, stages = robot.n, self._settings.stages
         speed, most = share * robot.speed_max, share * robot.acceleration_max
-        scale = np.concatenate([np.full(n, LENGTH_SCALE), robot.speed_max, robot.acceleration_max])
+        scale = np.concatenate(
+            [np.full(n, LENGTH_EXCESS_SCALE_M), robot.speed_max, robot.acceleration_max]
+        )
         low = np.tile(np.concatenate([robot.length_min - offset, -speed, -most]), (stages, 1))
         high = np.tile(np.concatenate([robot.length_max - offset, speed, most]), (stages, 1))
         low[0, 2 * n :] = acceleration.low

@@ -23,8 +23,9 @@ from carosac_toolkit.recordings.length_path import LengthPath
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 
-GAP = 0.5  # [s] between two poses, at most, to interpolate
-BEFORE = 0.01  # [s] before an inertial sample, at most, where the step to it begins
+POSE_GAP_MAX_S = 0.5  # between two poses, to interpolate
+IMU_STEP_MAX_S = 0.01  # of the step that ends at an inertial sample
+IMU_GROUP_TIME_S = 0.01  # inertial samples within it are taken as one, at their mean time
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,7 +83,7 @@ class ArrangedRecording:
                 position=poses.position[rows], rotation=poses.rotation[rows], time=poses.time[rows]
             )
         else:
-            between = poses.at(when, gap_max=GAP)
+            between = poses.at(when, gap_max=POSE_GAP_MAX_S)
             keys = self.samples[start:stop][between.valid]
             found = Pose(
                 position=between.pose.position[between.valid],
@@ -117,7 +118,9 @@ def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> A
         stops.append(when[(when >= first) & (when <= last)])
     stops.append(np.array([when for when, _ in groups]))
     time = _apart(np.sort(np.concatenate(stops)))
-    begins = [when - BEFORE for when, _ in groups if when - _previous(time, when) > BEFORE]
+    begins = [
+        when - IMU_STEP_MAX_S for when, _ in groups if when - _previous(time, when) > IMU_STEP_MAX_S
+    ]
     time = _apart(np.sort(np.concatenate([time, np.maximum(begins, first)])))
     known = settings.dynamics.delay
     known = robot.length_delay if known is None else known
@@ -187,7 +190,7 @@ def _groups(
     groups = []
     start = 0
     for k in range(1, len(time) + 1):
-        if k == len(time) or time[k] - time[start] > settings.imu_step - SHORTEST:
+        if k == len(time) or time[k] - time[start] > IMU_GROUP_TIME_S - SHORTEST:
             felt = ImuMean(values=values[start:k].mean(axis=0), samples=k - start)
             groups.append((float(time[start:k].mean()), felt))
             start = k

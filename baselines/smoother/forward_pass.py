@@ -18,7 +18,8 @@ from baselines.smoother.arranged_recording import ArrangedRecording
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
 
-FLOOR = 1e-4  # of the scale of an error, per root of a second: noise of what is constant
+CONSTANT_NOISE_RATIO = 1e-4  # of the scale of an error, per root of a second
+LENGTH_SEGMENT_MAX_S = 0.05  # over which lengths go straight: a twentieth of a quick sway
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,7 +73,7 @@ class ForwardModel:
         self._measured = measured
         self._settings = settings
         self._sensors = MeasurementModels(model, settings.dynamics)
-        self._floor = (FLOOR * scales(model, settings)[:-1]) ** 2
+        self._floor = (CONSTANT_NOISE_RATIO * scales(model, settings)[:-1]) ** 2
 
     def run(
         self, rest: DynamicFilterState, wanted: list[DynamicFilterState] | None, delay: float
@@ -117,7 +118,7 @@ class ForwardModel:
         """Move a state to the next key frame."""
         size = self._model.errors.size
         carry, noise, said, expected = np.eye(size), np.zeros((size, size)), None, None
-        count = max(1, int(np.ceil((end - state.time) / self._settings.grid - 1e-6)))
+        count = max(1, int(np.ceil((end - state.time) / LENGTH_SEGMENT_MAX_S - 1e-6)))
         stops = np.linspace(state.time, end, count + 1)
         for start, stop in pairwise(stops.tolist()):
             reading = self._measured.reading(start, delay), self._measured.reading(stop, delay)

@@ -28,12 +28,6 @@ class SmootherSettings:
         imu: Whether inertial samples are used.
         lag: An estimate rests on what is measured up to so much later, at least [s]; None: on the
             whole recording.
-        grid: Lengths go straight over no longer time [s].
-        imu_step: Inertial samples within it are taken as one, at their mean time [s].
-        imu_damping: Where inertial samples are used, the least `stretch_damping`: vibrations of
-            the stretch, whose phase nobody knows, would be expected of the IMU otherwise [s].
-        huber: Distance of a pose from the estimate, in standard deviations of its noise, from
-            which on it pulls no more than there.
         iterations: Forward passes at most.
         tolerance: Change of the estimate from pass to pass that counts as none: of positions [m],
             and of rotations in rad per m.
@@ -46,10 +40,6 @@ class SmootherSettings:
     poses: str = "withheld"
     imu: bool = True
     lag: float | None = None
-    grid: float = 0.05
-    imu_step: float = 0.01
-    imu_damping: float = 0.04
-    huber: float = 4.0
     iterations: int = 12
     tolerance: float = 2e-4
     delay: float = 0.03
@@ -59,10 +49,7 @@ class SmootherSettings:
         """Refuse numbers that make no sense."""
         if self.poses not in POSES:
             raise InvalidField("poses", repr(self.poses), f"one of {list(POSES)}")
-        check_fields(
-            self, positive=("grid", "huber", "tolerance"),
-            not_negative=("imu_step", "imu_damping", "delay"),
-        )  # fmt: skip
+        check_fields(self, positive=("tolerance",), not_negative=("delay",))
         if self.lag is not None:
             check_positive("lag", self.lag, "s")
         check_whole("iterations", self.iterations, 1)

@@ -25,10 +25,12 @@ from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 from carosac_toolkit.validation.plausibility import find_misfits
 
-WEIGHINGS = 6  # of poses, at most, in one pass
-SAME_WEIGHT = 0.05
-SAME_CONSTANT = 0.3  # of a sigma
-SHORTEST_STEP = 0.125  # of what a pass found: how much goes into the next one, at least
+REWEIGHTINGS_MAX = 6  # of the poses, in one pass
+WEIGHT_TOLERANCE = 0.05
+CONSTANT_CHANGE_DEVIATIONS = 0.3
+STEP_RATIO_MIN = 0.125  # of the correction of a pass that goes into the next one
+HUBER_DEVIATIONS = 4.0  # from which on a pose pulls no more: beyond lie gross errors, not noise
+IMU_STRETCH_DAMPING_S = 0.04  # with an IMU, at least: the phase of cable vibrations is unknown
 
 PassReport = Callable[[int, float], None]
 
@@ -79,7 +81,7 @@ def _settled(
 ) -> _LastPass:
     """Go through the recording until nothing changes; see `smooth`."""
     rest = _rest(measured, robot, chosen)
-    damping = max(chosen.dynamics.stretch_damping, chosen.imu_damping if measured.felt else 0.0)
+    damping = max(chosen.dynamics.stretch_damping, IMU_STRETCH_DAMPING_S if measured.felt else 0.0)
     model = DynamicModel(robot, replace(chosen.dynamics, stretch_damping=damping))
     forward = ForwardModel(model, measured, chosen)
     start_covariance = np.pad(rest.covariance, (0, 1))
@@ -97,7 +99,7 @@ def _settled(
         settled = largest <= chosen.tolerance and _still(solution, graph)
         if settled or passes == chosen.iterations:
             break
-        step = min(1.0, 2.0 * step) if largest < before else max(0.5 * step, SHORTEST_STEP)
+        step = min(1.0, 2.0 * step) if largest < before else max(0.5 * step, STEP_RATIO_MIN)
         before = largest
         wanted, delay = _wanted(passed, solution, graph, step)
     return _LastPass(robot, graph, passed, solution, weight, passes, change, settled)
@@ -139,15 +141,15 @@ def _solved(
     """The errors, with poses that are far off weighing less."""
     import gtsam
 
-    huber = gtsam.noiseModel.mEstimator.Huber.Create(settings.huber)
+    huber = gtsam.noiseModel.mEstimator.Huber.Create(HUBER_DEVIATIONS)
     weight = dict.fromkeys(passed.poses, 1.0)
-    for _ in range(WEIGHINGS):
+    for _ in range(REWEIGHTINGS_MAX):
         solution = graph.solve(passed, measured.time, weight, settings.lag)
         before, weight = weight, {
             k: float(huber.weight(_distance(said, solution.error[k])))
             for k, said in passed.poses.items()
         }  # fmt: skip
-        if all(abs(weight[k] - before[k]) <= SAME_WEIGHT for k in weight):
+        if all(abs(weight[k] - before[k]) <= WEIGHT_TOLERANCE for k in weight):
             break
     return solution, weight
 
@@ -171,7 +173,7 @@ def _change(passed: ForwardPass, solution: GraphSolution) -> tuple[float, float]
 def _still(solution: GraphSolution, graph: ErrorGraph) -> bool:
     """Whether what is constant stays as it is, too, against one sigma of it."""
     moved = np.abs(solution.error[-1, graph.constant])
-    return bool((moved <= SAME_CONSTANT * np.sqrt(np.diag(solution.constant))).all())
+    return bool((moved <= CONSTANT_CHANGE_DEVIATIONS * np.sqrt(np.diag(solution.constant))).all())
 
 
 def _wanted(

@@ -45,6 +45,26 @@ def test_corners_of_the_box_are_at_one():
     np.testing.assert_allclose(scales.to_unit(robot.workspace_min), -1.0)
 
 
+@pytest.mark.parametrize(
+    ("unit", "parts"),
+    [
+        ("error", {"error", "mean_error"}), ("speed_error", {"velocity_error"}),
+        ("ahead", {"preview"}), ("speed", {"velocity", "target_velocity"}),
+        ("acceleration", {"target_acceleration"}), ("tilt", {"tilt"}), ("turn", {"turn"}),
+    ],
+)  # fmt: skip
+def test_each_unit_is_what_counts_as_one_in_its_parts(unit, parts):
+    robot, rng = simple_robot(), np.random.default_rng(2)
+    look = empty_look(robot, 2, 4)
+    look = replace(look, **{name: rng.normal(size=np.shape(x)) for name, x in vars(look).items()})
+    usual = ObservationScales.of(robot)
+    double = replace(usual.units, **{unit: 2.0 * getattr(usual.units, unit)})
+    scales = ObservationScales.of(robot, double)
+    for name, part in PARTS.items():
+        factor = 0.5 if name in parts else 1.0
+        np.testing.assert_allclose(part(look, scales), factor * part(look, usual), rtol=1e-12)
+
+
 def test_each_part_says_what_its_name_says():
     robot = simple_robot()
     scales = ObservationScales.of(robot)

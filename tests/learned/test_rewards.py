@@ -29,6 +29,14 @@ def test_the_goal_is_worth_one_inside_its_radius_and_nothing_on_it():
     np.testing.assert_array_equal(rewards.goal_reward(distance, 0.01), [1.0, 0.0, 0.0, 0.0])
 
 
+def test_the_goal_is_as_large_as_is_set():
+    settings = RewardSettings(terms=("goal",), goal_radius=0.2)
+    step = dict(position=[[0.1, 0.0, 0.0], [0.3, 0.0, 0.0]], target=np.zeros((2, 3)))
+    np.testing.assert_array_equal(terms((), settings=settings, **step)["goal"], [1.0, 0.0])
+    usual = RewardSettings(terms=("goal",))
+    np.testing.assert_array_equal(terms((), settings=usual, **step)["goal"], [0.0, 0.0])
+
+
 def test_the_distance_term_is_that_of_the_paper():
     found = rewards.distance_reward(np.array([0.0, 0.06, 1.0]))
     expected = [tanh(0.12) + 0.002, 0.002, -tanh(1.88) + 0.002]

@@ -10,7 +10,7 @@ import pytest
 
 import carosac_toolkit as ct
 from baselines.ks_ekf import KsEkfSettings, initial_state
-from baselines.ks_ekf.cable_model import ExpectedLengths, expected_lengths
+from baselines.ks_ekf.cable_model import SWING_FADE_TIME_S, ExpectedLengths, expected_lengths
 from baselines.ks_ekf.cable_swing import CableSwing
 from baselines.ks_ekf.error_filter import ErrorFilter
 from baselines.ks_ekf.filter_state import FIXED, LENGTHS, POSE, InertialSamples, KsEkfState
@@ -254,10 +254,11 @@ def test_rest_is_quiet_encoders_and_quiet_imu():
     bias, still = np.array([0.01, -0.02, 0.0]), np.zeros((len(time), 3))
     window = RecentMeasurements(time=np.zeros(0), lengths=np.zeros((0, 4)))
 
-    def seen(sway: float, wind: float) -> RecentMeasurements:
+    def seen(sway: float, wind: float, shake: float = 0.0) -> RecentMeasurements:
         rate = still + bias
         rate[:, 0] += sway * np.sin(2.8 * time)
-        samples = InertialSamples(time=time, rate=rate, force=still + np.array([0.0, 0.0, 9.81]))
+        force = still + np.array([0.0, 0.0, 9.81]) + shake * np.sin(40.0 * time)[:, None]
+        samples = InertialSamples(time=time, rate=rate, force=force)
         found = window
         for k in range(0, len(time), 4):
             part = samples.keep(slice(k, k + 4))
@@ -270,6 +271,9 @@ def test_rest_is_quiet_encoders_and_quiet_imu():
     assert quiet is not None
     assert quiet.rate == pytest.approx(bias)
     assert detect_rest(seen(0.1, 0.0), bias, settings) is None
+    assert detect_rest(seen(0.1, 0.0), bias, replace(settings, rest_rate=0.2)) is not None
+    assert detect_rest(seen(0.0, 0.0, 0.3), bias, settings) is None
+    assert detect_rest(seen(0.0, 0.0, 0.3), bias, replace(settings, rest_force=0.5)) is not None
     assert detect_rest(seen(0.0, 0.1), bias, settings) is None
     assert (
         detect_rest(RecentMeasurements(time=time, lengths=np.zeros((len(time), 4))), bias, settings)
@@ -301,7 +305,7 @@ def test_lengths_of_a_swinging_cable_count_less_until_it_has_calmed_down():
         assert taut.valid.all()
         assert (taut.spread > calm.spread + least).all()
         assert taut.length == pytest.approx(calm.length, abs=1e-9)
-    late = found(taut.swing, 20.0 * SETTINGS.swing_time, state.samples)
+    late = found(taut.swing, 20.0 * SWING_FADE_TIME_S, state.samples)
     assert late.spread == pytest.approx(calm.spread, rel=1e-6)
 
 
