@@ -32,7 +32,7 @@ import numpy as np
 from baselines.kinematic_solver_controller import UnreachableReference
 from baselines.lookahead import LookaheadSettings, delay_of, interpolated
 from baselines.shaped_signal import ShapedSignal, SignalHistory
-from baselines.shapers import SHAPERS, Shaper, impulses, mean_delay
+from baselines.shapers import SHAPER_NAMES, Shaper, impulses, mean_delay
 from baselines.sway_modes import SwayModes, sway_modes
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
@@ -42,8 +42,12 @@ from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.robot.robot import Robot
 
 ShapingDirections = Literal["modal", "all"]
-FADE = 2e-3  # epsilon: share of the platform's mass below which a mode counts as not excited
-GRID = 5  # poses along each side of the workspace box in which the slowest sway is looked for
+UNEXCITED_MASS_RATIO = (
+    2e-3  # epsilon: share of the platform's mass below which a mode counts as not excited
+)
+WORKSPACE_GRID_POSES = (
+    5  # poses along each side of the workspace box in which the slowest sway is looked for
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +73,10 @@ class InputShapingSettings(LookaheadSettings):
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
         super().__post_init__()
-        for name, allowed in (("shaper", SHAPERS), ("directions", get_args(ShapingDirections))):
+        for name, allowed in (
+            ("shaper", SHAPER_NAMES),
+            ("directions", get_args(ShapingDirections)),
+        ):
             if getattr(self, name) not in allowed:
                 raise InvalidField(name, repr(getattr(self, name)), f"one of {list(allowed)}")
         if not isinstance(self.preview, bool):
@@ -202,7 +209,7 @@ class InputShaping:
         """
         along = np.einsum("bki,bki->bk", excitation, shaped - aim[:, None])
         gram = excitation @ excitation.swapaxes(1, 2)
-        small = FADE * self._robot.mass * np.eye(self.modes)
+        small = UNEXCITED_MASS_RATIO * self._robot.mass * np.eye(self.modes)
         weights = np.linalg.solve(gram + small, along[..., None])
         return aim + np.asarray((excitation.swapaxes(1, 2) @ weights)[..., 0])
 
@@ -230,7 +237,7 @@ class InputShaping:
         if self.modes == 0:
             return np.zeros(0)
         box = zip(self._robot.workspace_min, self._robot.workspace_max, strict=True)
-        sides = [np.linspace(low, high, GRID) for low, high in box]
+        sides = [np.linspace(low, high, WORKSPACE_GRID_POSES) for low, high in box]
         poses = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
         rest = statics.inverse_kinematics(self._robot, poses)
         usable = rest.converged & rest.stable

@@ -9,15 +9,17 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-SHORTEST = 1e-6  # [s] between two readings
-AHEAD = 0.1  # [s] for which the last rate goes on
-PATIENCE = 5  # readings in a row that agree with each other cannot all be outliers
-STAYS = 0.5  # of a jump: a reading that is off by less is no part of it
-BACK = 0.25  # of a jump: off by less after one back, soon, encoders are where they were
-SOON = 2.0  # [s]: a fault that ends has ended by then
-JITTER = 5e-3  # [m] by which a reading may miss what the last ones led to expect
-SLIP_DOUBT = 5e-3  # [m]: one sigma of how far an encoder slipped
-FROZEN = 3  # equal readings in a row: the encoder is stuck, or the winch rests
+READING_INTERVAL_MIN_S = 1e-6  # [s] between two readings
+EXTRAPOLATION_TIME_S = 0.1  # [s] for which the last rate goes on
+AGREEING_READINGS_MIN = 5  # readings in a row that agree with each other cannot all be outliers
+JUMP_KEPT_RATIO = 0.5  # of a jump: a reading that is off by less is no part of it
+JUMP_RETURN_RATIO = (
+    0.25  # of a jump: off by less after one back, soon, encoders are where they were
+)
+JUMP_RETURN_TIME_S = 2.0  # [s]: a fault that ends has ended by then
+READING_JITTER_M = 5e-3  # [m] by which a reading may miss what the last ones led to expect
+SLIP_DEVIATION_M = 5e-3  # [m]: one sigma of how far an encoder slipped
+FROZEN_READINGS_MIN = 3  # equal readings in a row: the encoder is stuck, or the winch rests
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,20 +104,22 @@ class LengthReadings:
             keep: Time from which on earlier readings are needed [s].
         """
         last = self.time[-1] if self.outliers is None else self.outliers.time
-        if time - last < SHORTEST:
+        if time - last < READING_INTERVAL_MIN_S:
             return self
         found = self._outliers(time, length, robot, jump)
         nothing = np.zeros(len(length))
         if found is None:
             sound = self.sound + 1 if self.outliers is None else 1
             return self._believed(time, length, nothing, sound, keep)
-        if found.agree < PATIENCE:
+        if found.agree < AGREEING_READINGS_MIN:
             return replace(self, outliers=found, rejected=self.rejected + 1, slipped=None)
-        if self.sound < PATIENCE or not found.prompt:
-            new = self._believed(time, length, nothing, PATIENCE, keep)
+        if self.sound < AGREEING_READINGS_MIN or not found.prompt:
+            new = self._believed(time, length, nothing, AGREEING_READINGS_MIN, keep)
             return replace(new, corrected=self.corrected + 1)
-        stuck = (self.frozen >= FROZEN) & (self.frozen < FROZEN).any()
-        return self._believed(time, length, np.where(stuck, 0.0, found.offset), PATIENCE, keep)
+        stuck = (self.frozen >= FROZEN_READINGS_MIN) & (self.frozen < FROZEN_READINGS_MIN).any()
+        return self._believed(
+            time, length, np.where(stuck, 0.0, found.offset), AGREEING_READINGS_MIN, keep
+        )
 
     def _outliers(
         self, time: float, length: Array, robot: Robot, jump: float
@@ -124,20 +128,23 @@ class LengthReadings:
         before = self.outliers
         if before is not None:
             wound = robot.speed_max * (time - before.time)
-            if (np.abs(length - before.length) <= wound + JITTER).all():
+            if (np.abs(length - before.length) <= wound + READING_JITTER_M).all():
                 return replace(before, time=time, length=length, agree=before.agree + 1)
         step = time - self.time[-1]
         far = np.abs(length - self.length[-1]) > robot.speed_max * step + jump
         off = length - self.at(time)
         if before is not None:
-            wound = robot.speed_max * max(step - AHEAD, 0.0)
-            far |= np.abs(off) > np.maximum(STAYS * np.abs(before.offset), wound + jump)
+            wound = robot.speed_max * max(step - EXTRAPOLATION_TIME_S, 0.0)
+            far |= np.abs(off) > np.maximum(JUMP_KEPT_RATIO * np.abs(before.offset), wound + jump)
         if not far.any():
             return None
-        jumped = far | (np.abs(off) > JITTER + robot.acceleration_max * step**2)
+        jumped = far | (np.abs(off) > READING_JITTER_M + robot.acceleration_max * step**2)
         offset = np.where(jumped, off, 0.0)
         return LengthOutliers(
-            time=time, length=length, offset=offset, prompt=step <= AHEAD + SHORTEST
+            time=time,
+            length=length,
+            offset=offset,
+            prompt=step <= EXTRAPOLATION_TIME_S + READING_INTERVAL_MIN_S,
         )
 
     def _believed(
@@ -146,8 +153,8 @@ class LengthReadings:
         """With a reading that is believed, before which encoders slipped (n,) [m]."""
         slid, had_slid, slid_at = self.slid + slipped, self.had_slid, self.slid_at
         if slipped.any():
-            left, soon = np.linalg.norm(slid - had_slid), time - slid_at < SOON
-            if soon and left < BACK * np.linalg.norm(slipped):
+            left, soon = np.linalg.norm(slid - had_slid), time - slid_at < JUMP_RETURN_TIME_S
+            if soon and left < JUMP_RETURN_RATIO * np.linalg.norm(slipped):
                 slid, slipped = had_slid, had_slid - self.slid
             had_slid, slid_at = self.slid, time
         first = max(0, int(np.searchsorted(self.time, keep, side="right")) - 2)
@@ -178,7 +185,7 @@ class LengthReadings:
         last = self.time[-1]
         if time > last and len(self.time) > 1:
             rate = (self.length[-1] - self.length[-2]) / (last - self.time[-2])
-            return np.asarray(self.length[-1] + min(time - last, AHEAD) * rate)
+            return np.asarray(self.length[-1] + min(time - last, EXTRAPOLATION_TIME_S) * rate)
         k = int(np.clip(np.searchsorted(self.time, time), 1, max(1, len(self.time) - 1)))
         if len(self.time) == 1 or time <= self.time[0]:
             return np.asarray(self.length[0])
@@ -192,5 +199,8 @@ class LengthReadings:
         """
         if end - start <= short:
             return [end]
-        inside = self.time[(self.time > start + SHORTEST) & (self.time < end - SHORTEST)]
+        inside = self.time[
+            (self.time > start + READING_INTERVAL_MIN_S)
+            & (self.time < end - READING_INTERVAL_MIN_S)
+        ]
         return [*inside.tolist(), end]

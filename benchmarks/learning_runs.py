@@ -17,12 +17,12 @@ from learned.evaluation import (
     rmse_ratio,
     slack_at_rest,
 )
-from learned.learning_curve import CURVE, read_curve
+from learned.learning_curve import CURVE_FILE, read_curve
 from learned.pictures.training import curve_of, learning_curves
 from learned.policy_file import Policy
 from learned.scores import PolicyScores
-from learned.training import POLICY
-from learned.training_record import SETTINGS
+from learned.training import POLICY_FILE
+from learned.training_record import SETTINGS_FILE
 
 FOLDER = Path(__file__).parent
 MM = 1e3
@@ -65,7 +65,7 @@ class Training:
     @property
     def finished(self) -> bool:
         """Whether there is a policy."""
-        return (self.folder / POLICY).is_file()
+        return (self.folder / POLICY_FILE).is_file()
 
     @property
     def minutes(self) -> float:
@@ -76,10 +76,10 @@ class Training:
 def find_trainings(runs: Sequence[Path]) -> list[Training]:
     """All stages in folders of trainings, by robot, preset, stage and seed."""
     found = []
-    for path in (path for folder in runs for path in sorted(folder.glob(f"*/*/{CURVE}"))):
+    for path in (path for folder in runs for path in sorted(folder.glob(f"*/*/{CURVE_FILE}"))):
         rows = read_curve(path)
         if rows:
-            settings = json.loads((path.parent / SETTINGS).read_text(encoding="utf-8"))
+            settings = json.loads((path.parent / SETTINGS_FILE).read_text(encoding="utf-8"))
             found.append(Training(name=path.parent.parent.name, folder=path.parent,
                                   settings=settings, rows=rows))  # fmt: skip
     return sorted(found, key=lambda t: (*t.key, t.settings["seed"], t.name))
@@ -169,7 +169,7 @@ def distinct(scores: PolicyScores) -> int:
 
 def scored(training: Training, protocol: Any) -> tuple[dict[str, Any], PolicyScores]:
     """The numbers of one policy, and what is behind them."""
-    policy = Policy.load(training.folder / POLICY)
+    policy = Policy.load(training.folder / POLICY_FILE)
     scores = evaluate(policy, protocol, paths=PATHS[protocol], seed=SEED)
     print(training.name, protocol, flush=True)
     return scores.data(policy.description.robot), scores
@@ -249,7 +249,7 @@ def real_time(mine: Sequence[Training], _: Sequence[Training]) -> str:
     resting: dict[str, float] = {}
     for training in mine:
         data, scores = scored(training, "realtime")
-        policy = Policy.load(training.folder / POLICY)
+        policy = Policy.load(training.folder / POLICY_FILE)
         key = json.dumps([training.key, training.settings["environment"]], sort_keys=True)
         if key not in known:  # it does not depend on the seed of the training
             plain, fed = (

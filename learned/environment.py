@@ -31,7 +31,7 @@ from learned.transition import Transition
 from learned.worlds import NoSagWorlds, SettledWorlds, TrainingWorlds, WorldStates
 
 WorldName = Literal["no_sag", "settle", "realtime"]
-FAILURE = -1.0  # reward of a step without a solution; what came later is still valued
+FAILURE_REWARD = -1.0  # reward of a step without a solution; what came later is still valued
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class EnvironmentSettings:
     Attributes:
         world: ``no_sag``: straight cables; ``settle``: sagging ones, each set-point settles;
             ``realtime``: sagging ones on a platform that sways, with winches.
-        observation: Parts, of `learned.observation.PARTS`.
+        observation: Parts, of `learned.observation.OBSERVATION_PARTS`.
         preview: How many steps ahead the later targets of the observation are.
         action: ``absolute``: lengths; ``push``: an acceleration that the cables give the platform
             beyond those of catenary inverse kinematics; see `learned.actions.Push`.
@@ -231,7 +231,7 @@ class CableEnvironment:
         asked = self.actions.lengths(applied, look)
         reached = self.worlds.advance(asked)
         transition = self._transition(before, reached, look, asked, applied)
-        reward = np.where(reached.failed, FAILURE, self.reward(transition))
+        reward = np.where(reached.failed, FAILURE_REWARD, self.reward(transition))
         self._step += 1
         self._last_action = np.array(applied)
         self._asked = np.array(asked)

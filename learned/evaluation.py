@@ -16,21 +16,25 @@ from carosac_toolkit.trajectories import Trajectory, random_minimum_snap
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.moving_worlds import MovingSettings, MovingWorlds
 from learned.policy_file import Policy
-from learned.scores import AT_LIMIT, Act, PolicyScores, score
+from learned.scores import TENSION_TOLERANCE_N, Act, PolicyScores, score
 from learned.settings_data import environment_settings
-from learned.target_paths import ATTEMPTS, PathSettings, TargetPath, sampled
+from learned.target_paths import PATH_ATTEMPTS_MAX, PathSettings, TargetPath, sampled
 from sim_warp import Simulator
 
 Protocol = Literal["no-sag", "settle", "realtime"]
-PATHS = {"no-sag": 1000, "settle": 20, "realtime": 20}
-POINTS = 100  # set-points along a path
-BATCH = 100  # paths of set-points at once
-UNSEEN = 1_000_003  # added to seeds, so that no path of a training comes again
-REST = 1.0  # [s] that particles get to come to their own rest, and platforms at the end of a path
-SPEED = (0.5, 2.08)  # [m/s] least and largest peak speed in real time
-ACCELERATION_MAX = 2.0  # [m/s^2] in real time
-CHECKED = 0.05  # [s] between two points of a path at which the robot must be able to rest
-MOVING = MovingSettings(cables="particles", perturbation="nominal-1", start_speed=0.0)
+PROTOCOL_PATHS = {"no-sag": 1000, "settle": 20, "realtime": 20}
+SET_POINTS_PER_PATH = 100  # set-points along a path
+SET_POINT_BATCH = 100  # paths of set-points at once
+EVALUATION_SEED_OFFSET = 1_000_003  # added to seeds, so that no path of a training comes again
+SETTLING_TIME_S = (
+    1.0  # [s] that particles get to come to their own rest, and platforms at the end of a path
+)
+PEAK_SPEED_RANGE_M_PER_S = (0.5, 2.08)  # [m/s] least and largest peak speed in real time
+ACCELERATION_MAX_M_PER_S2 = 2.0  # [m/s^2] in real time
+FEASIBILITY_STEP_S = (
+    0.05  # [s] between two points of a path at which the robot must be able to rest
+)
+EVALUATION_WORLDS = MovingSettings(cables="particles", perturbation="nominal-1", start_speed=0.0)
 
 
 def evaluate(policy: Policy, protocol: Protocol, *, paths: int, seed: int) -> PolicyScores:
@@ -105,7 +109,7 @@ def slack_at_rest(policy: Policy, *, paths: int, seed: int) -> float:
     trial = _trial(policy, "realtime", paths, seed)
     robot, moving, period = trial.robot, trial.settings.moving, trial.settings.path.period
     assert period is not None
-    worlds = MovingWorlds(robot, moving, period, paths, UNSEEN + seed)
+    worlds = MovingWorlds(robot, moving, period, paths, EVALUATION_SEED_OFFSET + seed)
     points = [path.position for path in trial.paths]
     worlds.reset(np.arange(paths), np.stack([one[0] for one in points]))
     found = []
@@ -114,7 +118,7 @@ def slack_at_rest(policy: Policy, *, paths: int, seed: int) -> float:
         target = np.stack([one[min(step, len(one) - 1)] for one in points])
         asked = statics.inverse_kinematics(robot, target).unstrained_length
         rest = worlds.hung(asked)
-        slack = rest.tension < robot.tension_min - AT_LIMIT
+        slack = rest.tension < robot.tension_min - TENSION_TOLERANCE_N
         found.append(slack[there & rest.converged & rest.stable].any(axis=1))
     return float(np.concatenate(found).mean())
 
@@ -133,8 +137,10 @@ class _PolicyTrial:
         count = len(self.paths)
         size = count  # in real time all have a plant of their own
         if settings.world != "realtime":
-            size = next(k for k in range(min(BATCH, count), 0, -1) if count % k == 0)
-        environment = CableEnvironment(self.robot, settings, size=size, seed=UNSEEN + self.seed)
+            size = next(k for k in range(min(SET_POINT_BATCH, count), 0, -1) if count % k == 0)
+        environment = CableEnvironment(
+            self.robot, settings, size=size, seed=EVALUATION_SEED_OFFSET + self.seed
+        )
         return score(environment, act, self.paths)
 
 
@@ -150,25 +156,27 @@ def _trial(policy: Policy, protocol: Protocol, paths: int, seed: int) -> _Policy
         steps = max(len(path.position) for path in found)  # one more: no row begins anew
         settings = replace(settings, path=replace(settings.path, steps=steps))
     else:
-        found = CableEnvironment(robot, settings, seed=UNSEEN + seed).first_paths(paths)
+        found = CableEnvironment(robot, settings, seed=EVALUATION_SEED_OFFSET + seed).first_paths(
+            paths
+        )
     return _PolicyTrial(robot=robot, settings=settings, paths=found, seed=seed)
 
 
 def settings_of(trained: EnvironmentSettings, protocol: Protocol) -> EnvironmentSettings:
     """The environment of a protocol, for a policy that was trained in another one."""
-    if protocol not in PATHS:
-        raise InvalidField("protocol", repr(protocol), f"one of {list(PATHS)}")
+    if protocol not in PROTOCOL_PATHS:
+        raise InvalidField("protocol", repr(protocol), f"one of {list(PROTOCOL_PATHS)}")
     if (trained.world == "realtime") != (protocol == "realtime"):
         allowed = "'realtime'" if trained.world == "realtime" else "'no-sag' or 'settle'"
         raise InvalidField("protocol", repr(protocol), f"{allowed}, as the policy was trained")
     if protocol == "realtime":
         path = PathSettings(
-            kind="minimum_snap", speed=SPEED, acceleration_max=ACCELERATION_MAX,
-            period=trained.path.period,
+            kind="minimum_snap", speed=PEAK_SPEED_RANGE_M_PER_S,
+            acceleration_max=ACCELERATION_MAX_M_PER_S2, period=trained.path.period,
         )  # fmt: skip
-        return replace(trained, lost=None, moving=MOVING, path=path)
+        return replace(trained, lost=None, moving=EVALUATION_WORLDS, path=path)
     world: Literal["no_sag", "settle"] = "no_sag" if protocol == "no-sag" else "settle"
-    return replace(trained, world=world, lost=None, path=PathSettings(steps=POINTS))
+    return replace(trained, world=world, lost=None, path=PathSettings(steps=SET_POINTS_PER_PATH))
 
 
 def random_trajectories(robot: Robot, count: int, seed: int) -> list[Trajectory]:
@@ -179,30 +187,34 @@ def random_trajectories(robot: Robot, count: int, seed: int) -> list[Trajectory]
     """
     found = []
     for index in range(count):
-        rng = np.random.default_rng([UNSEEN + seed, 7, index])
-        drawn = (_drawn(robot, rng) for _ in range(ATTEMPTS))
+        rng = np.random.default_rng([EVALUATION_SEED_OFFSET + seed, 7, index])
+        drawn = (_drawn(robot, rng) for _ in range(PATH_ATTEMPTS_MAX))
         one = next((trajectory for trajectory in drawn if trajectory is not None), None)
         if one is None:
-            raise CarosacError(f"{robot.name}: none of {ATTEMPTS} random paths is feasible")
+            raise CarosacError(
+                f"{robot.name}: none of {PATH_ATTEMPTS_MAX} random paths is feasible"
+            )
         found.append(one)
     return found
 
 
 def _drawn(robot: Robot, rng: np.random.Generator) -> Trajectory | None:
     """A random path, or None if it leaves the box or the robot cannot rest along it."""
-    speed = float(rng.uniform(*SPEED))
+    speed = float(rng.uniform(*PEAK_SPEED_RANGE_M_PER_S))
     try:
-        path = random_minimum_snap(robot, rng, speed_max=speed, acceleration_max=ACCELERATION_MAX)
+        path = random_minimum_snap(
+            robot, rng, speed_max=speed, acceleration_max=ACCELERATION_MAX_M_PER_S2
+        )
     except InvalidField:
         return None
-    times = np.linspace(0.0, path.duration, int(np.ceil(path.duration / CHECKED)) + 1)
+    times = np.linspace(0.0, path.duration, int(np.ceil(path.duration / FEASIBILITY_STEP_S)) + 1)
     rest = statics.inverse_kinematics(robot, path.sample(times).position)
     return path if (rest.converged & rest.stable).all() else None
 
 
 def timed(trajectory: Trajectory, period: float) -> TargetPath:
     """A whole path and a second of rest, one target each period."""
-    steps = int(np.ceil((trajectory.duration + REST) / period - 1e-9))
+    steps = int(np.ceil((trajectory.duration + SETTLING_TIME_S) / period - 1e-9))
     return sampled(trajectory, PathSettings(steps=steps, period=period))
 
 
@@ -237,7 +249,7 @@ def settled_particles(robot: Robot, scores: PolicyScores) -> PolicyScores:
     failed = np.array(scores.failed)
     for k in range(points):
         simulator.reset(unstrained_length=scores.length[:, k])
-        simulator.step(scores.length[:, k], REST)
+        simulator.step(scores.length[:, k], SETTLING_TIME_S)
         state = simulator.state.numpy()
         position[:, k], tension[:, k] = state.position, state.tension
         failed[:, k] |= state.failed

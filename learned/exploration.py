@@ -10,7 +10,7 @@ from stable_baselines3.common.noise import VectorizedActionNoise
 
 from learned.exploration_settings import ExplorationSettings
 
-REVERSION = 0.15  # share by which the noise returns to zero in a step
+NOISE_REVERSION = 0.15  # share by which the noise returns to zero in a step
 
 
 class DecayingNoise(VectorizedActionNoise):
@@ -39,8 +39,8 @@ class DecayingNoise(VectorizedActionNoise):
         """The next values, shape (B, a)."""
         done = min(max(self.progress, 0.0), 1.0)
         sigma = self.settings.start + done * (self.settings.end - self.settings.start)
-        drawn = sigma * np.sqrt(REVERSION * (2.0 - REVERSION))
-        self._value = (1.0 - REVERSION) * self._value
+        drawn = sigma * np.sqrt(NOISE_REVERSION * (2.0 - NOISE_REVERSION))
+        self._value = (1.0 - NOISE_REVERSION) * self._value
         self._value += drawn * self._rng.standard_normal(self._value.shape)
         return self._value.astype(np.float32)
 

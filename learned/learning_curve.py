@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 from carosac_toolkit.output_files import replacing
 
-CURVE, EPISODES = "curve.csv", "episodes.csv"
-COLUMNS = (
+CURVE_FILE, EPISODES_FILE = "curve.csv", "episodes.csv"
+CURVE_COLUMNS = (
     "steps", "updates", "cpu_seconds", "reward", "median_error_m", "median_of_means_m",
     "p95_error_m", "rmse_m", "inconsistency_m", "failed_paths",
 )  # fmt: skip
-COUNTS = ("steps", "updates", "failed_paths")  # of the columns, those that are whole numbers
-LATER = ("failed_paths",)  # older curves lack it
+COUNT_COLUMNS = ("steps", "updates", "failed_paths")  # of the columns, those that are whole numbers
+LATER_COLUMNS = ("failed_paths",)  # older curves lack it
 
 
 class Episode(NamedTuple):
@@ -49,12 +49,14 @@ def write_curve(path: Path, rows: Sequence[dict[str, float]]) -> None:
 
     Args:
         path: The file.
-        rows: A number for each of `COLUMNS`: environment steps and updates so far, CPU time of the
-            stage [s], mean reward of the episodes that ended since the row before [-]; then, of
-            the policy without noise on the test paths, errors and inconsistency [m] up to where a
-            path fails, and how many paths fail.
+        rows: A number for each of `CURVE_COLUMNS`: environment steps and updates so far, CPU time
+            of the stage [s], mean reward of the episodes that ended since the row before [-]; then,
+            of the policy without noise on the test paths, errors and inconsistency [m] up to where
+            a path fails, and how many paths fail.
     """
-    _write(path, COLUMNS, ([_text(name, row[name]) for name in COLUMNS] for row in rows))
+    _write(
+        path, CURVE_COLUMNS, ([_text(name, row[name]) for name in CURVE_COLUMNS] for row in rows)
+    )
 
 
 def read_curve(path: Path) -> list[dict[str, float]]:
@@ -62,8 +64,8 @@ def read_curve(path: Path) -> list[dict[str, float]]:
     rows = []
     with path.open(newline="", encoding="utf-8") as stream:
         for read in csv.DictReader(stream):
-            found = dict.fromkeys(LATER, "nan") | read
-            rows.append({name: float(found[name]) for name in COLUMNS})
+            found = dict.fromkeys(LATER_COLUMNS, "nan") | read
+            rows.append({name: float(found[name]) for name in CURVE_COLUMNS})
     return rows
 
 
@@ -92,4 +94,4 @@ def _write(path: Path, header: Sequence[str], lines: Iterable[Sequence[str]]) ->
 
 def _text(name: str, value: float) -> str:
     """A number of the curve; six digits are too few for some numbers of steps."""
-    return f"{value:.0f}" if name in COUNTS else f"{value:.6g}"
+    return f"{value:.0f}" if name in COUNT_COLUMNS else f"{value:.6g}"

@@ -30,10 +30,10 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 from learned import length_map_kernels
 
-DEGREE = 6
-NODES = 10  # along each axis
-GEOMETRY = ("exit_points", "anchor_points", "pulley_radius", "swivel_axis")
-REST = np.zeros(3)
+POLYNOMIAL_DEGREE = 6
+CHEBYSHEV_NODES = 10  # along each axis
+GEOMETRY_FIELDS = ("exit_points", "anchor_points", "pulley_radius", "swivel_axis")
+ZERO_VECTOR = np.zeros(3)
 
 
 class LengthMap:
@@ -58,7 +58,7 @@ class LengthMap:
         self._device = device
         center = (robot.workspace_max + robot.workspace_min) / 2
         half = (robot.workspace_max - robot.workspace_min) / 2
-        axis = np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
+        axis = np.cos(np.pi * (np.arange(CHEBYSHEV_NODES) + 0.5) / CHEBYSHEV_NODES)
         unit = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
         points = center + half * unit
         rest = statics.inverse_kinematics(robot, points)
@@ -75,8 +75,9 @@ class LengthMap:
         self._softness, self._extra = both[:, :9].reshape(-1, 3, 3), both[:, 9:]
         self.largest_error = float(np.abs(basis @ self._extra - extra[sound]).max())
         self._arguments = (
-            "target", "offset", "push", DEGREE, wp.vec3d(center), wp.vec3d(half),
-            "softness", "extra", wp.mat33d(robot.home_rotation), *GEOMETRY, "place", "length",
+            "target", "offset", "push", POLYNOMIAL_DEGREE, wp.vec3d(center), wp.vec3d(half),
+            "softness", "extra", wp.mat33d(robot.home_rotation), *GEOMETRY_FIELDS, "place",
+            "length",
         )  # fmt: skip
         self._kept: tuple[int, Buffers] | None = None  # of the last batch, with its size
 
@@ -120,8 +121,8 @@ class LengthMap:
         buffers = kept[1]
         with buffers.lock:
             buffers.put("target", position)
-            buffers.put("push", REST if push is None else push)
-            buffers.put("offset", REST if offset is None else offset)
+            buffers.put("push", ZERO_VECTOR if push is None else push)
+            buffers.put("offset", ZERO_VECTOR if offset is None else offset)
             kernel = length_map_kernels.lengths_of_rest
             buffers.launch("lengths_of_rest", kernel, size, *self._arguments)
             found: Array = buffers.get(wanted)
@@ -137,7 +138,7 @@ class LengthMap:
             "pulley_radius": (n, wp.float64), "length": ((size, n), wp.float64),
             "softness": (terms, wp.mat33d), "extra": ((terms, n), wp.float64),
         })  # fmt: skip
-        for name in GEOMETRY:
+        for name in GEOMETRY_FIELDS:
             buffers.put(name, getattr(self._robot, name))
         buffers.put("softness", self._softness)
         buffers.put("extra", self._extra)
@@ -150,9 +151,9 @@ def products(unit: Array) -> Array:
     Args:
         unit: Positions as shares of the box from its middle, shape (B, 3).
     """
-    values = np.cos(np.arange(DEGREE + 1.0)[:, None, None] * np.arccos(unit))
-    powers = np.stack(np.meshgrid(*[np.arange(DEGREE + 1)] * 3, indexing="ij"), -1)
-    x, y, z = powers[powers.sum(axis=-1) <= DEGREE].T
+    values = np.cos(np.arange(POLYNOMIAL_DEGREE + 1.0)[:, None, None] * np.arccos(unit))
+    powers = np.stack(np.meshgrid(*[np.arange(POLYNOMIAL_DEGREE + 1)] * 3, indexing="ij"), -1)
+    x, y, z = powers[powers.sum(axis=-1) <= POLYNOMIAL_DEGREE].T
     found: Array = (values[x, :, 0] * values[y, :, 1] * values[z, :, 2]).T
     return found
 

@@ -23,8 +23,10 @@ from stable_baselines3.common.preprocessing import get_action_dim
 from stable_baselines3.common.torch_layers import create_mlp
 from stable_baselines3.td3.policies import TD3Policy
 
-FEATURES = 16  # of the embeddings
-TINY = 1e-8  # [m^2] under the root, where its slope would be infinite: a floor of 0.1 mm
+EMBEDDING_SIZE = 16  # of the embeddings
+DISTANCE_FLOOR_M2 = (
+    1e-8  # [m^2] under the root, where its slope would be infinite: a floor of 0.1 mm
+)
 
 
 class MetricCritic(ContinuousCritic):
@@ -69,7 +71,7 @@ class MetricCritic(ContinuousCritic):
         self.wanted = torch.nn.ModuleList()
         for _ in range(n_critics):
             for networks, size in ((self.reached, acted), (self.wanted, wanted)):
-                layers = create_mlp(size, FEATURES, net_arch, activation_fn)
+                layers = create_mlp(size, EMBEDDING_SIZE, net_arch, activation_fn)
                 networks.append(torch.nn.Sequential(*layers))
 
     def forward(self, obs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
@@ -83,7 +85,7 @@ class MetricCritic(ContinuousCritic):
     def _value(self, k: int, obs: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
         reached = self.reached[k](torch.cat([obs[:, self._state], actions], dim=1))
         apart = reached - self.wanted[k](obs[:, self._target])
-        distance = torch.sqrt((apart**2).sum(dim=1, keepdim=True) + TINY)
+        distance = torch.sqrt((apart**2).sum(dim=1, keepdim=True) + DISTANCE_FLOOR_M2)
         return -torch.log1p(distance / self._scale) * self._factor
 
 

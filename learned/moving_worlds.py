@@ -19,9 +19,9 @@ from learned.sensing import Sensing
 from learned.worlds import WorldStates
 from sim_warp import Simulator
 
-ATTEMPTS = 10  # to find a start near a position at which a plant can rest
-OF_ESTIMATOR = ("estimated", "suite")  # settings that mean nothing without one
-RETREAT = 0.1  # share of the way home that each attempt goes
+START_ATTEMPTS_MAX = 10  # to find a start near a position at which a plant can rest
+ESTIMATOR_FIELDS = ("estimated", "suite")  # settings that mean nothing without one
+RETREAT_RATIO = 0.1  # share of the way home that each attempt goes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +61,7 @@ class MovingSettings:
         if not 0.0 < self.estimated <= 1.0:
             raise InvalidField("estimated", self.estimated, "0 < estimated <= 1")
         check_suite(self.suite, inertial=True)
-        for name in OF_ESTIMATOR:
+        for name in ESTIMATOR_FIELDS:
             usual = getattr(MovingSettings, name)
             if self.estimator is None and getattr(self, name) != usual:
                 allowed = f"{usual!r}, or an estimator"
@@ -69,7 +69,7 @@ class MovingSettings:
 
     def without_estimator(self) -> MovingSettings:
         """The same with beliefs that err by a constant."""
-        usual = {name: getattr(MovingSettings, name) for name in OF_ESTIMATOR}
+        usual = {name: getattr(MovingSettings, name) for name in ESTIMATOR_FIELDS}
         return replace(self, estimator=None, **usual)
 
 
@@ -160,14 +160,14 @@ class MovingWorlds:
         """True lengths on which the plants of some worlds can rest, near the given positions."""
         fleet = self._simulator.fleet.rows(np.asarray(rows, dtype=np.int32))
         where = np.array(position)
-        for _ in range(ATTEMPTS):
+        for _ in range(START_ATTEMPTS_MAX):
             asked = statics.inverse_kinematics(self.robot, where, device=self._device)
             length: Array = asked.unstrained_length + self._length_bias[rows]
             rest = statics.forward_kinematics(fleet, length, device=self._device)
             bad = ~(asked.converged & rest.converged & rest.stable)
             if not bad.any():
                 return length
-            where[bad] += RETREAT * (self.robot.home_position - where[bad])
+            where[bad] += RETREAT_RATIO * (self.robot.home_position - where[bad])
         raise CarosacError(f"{self.robot.name}: a plant that was drawn cannot rest near its home")
 
     def _reached(self) -> WorldStates:

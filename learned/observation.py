@@ -18,8 +18,10 @@ from carosac_toolkit.base.numbers import check_fields
 from carosac_toolkit.physics.cable.straight_line import inverse_kinematics
 from carosac_toolkit.robot.robot import Robot
 
-MARGIN = 0.02  # share of its range by which lengths may go beyond those of the workspace box
-GRID = 9  # points along each edge of the box at which lengths are looked at
+LENGTH_MARGIN_RATIO = (
+    0.02  # share of its range by which lengths may go beyond those of the workspace box
+)
+LENGTH_GRID_POINTS = 9  # points along each edge of the box at which lengths are looked at
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,11 +113,11 @@ class ObservationScales:
     def of(cls, robot: Robot, units: ObservationUnits | None = None) -> ObservationScales:
         """Those of a robot; without units the default ones."""
         low, high = robot.workspace_min, robot.workspace_max
-        axes = [np.linspace(a, b, GRID) for a, b in zip(low, high, strict=True)]
+        axes = [np.linspace(a, b, LENGTH_GRID_POINTS) for a, b in zip(low, high, strict=True)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         lengths = inverse_kinematics(robot, points)
         least, most = lengths.min(axis=0), lengths.max(axis=0)
-        room = MARGIN * (most - least)
+        room = LENGTH_MARGIN_RATIO * (most - least)
         return cls(
             center=(low + high) / 2, half=(high - low) / 2,
             length_low=least - room, length_high=most + room,
@@ -140,7 +142,7 @@ def _tilt(look: ObservationInputs, scales: ObservationScales) -> Array:
     return look.rotation[:, :2, 2] / scales.units.tilt
 
 
-PARTS: dict[str, Callable[[ObservationInputs, ObservationScales], Array]] = {
+OBSERVATION_PARTS: dict[str, Callable[[ObservationInputs, ObservationScales], Array]] = {
     "length": lambda look, scales: scales.to_action(look.length),
     "position": lambda look, scales: scales.to_unit(look.position),
     "target": lambda look, scales: scales.to_unit(look.target),
@@ -163,10 +165,10 @@ PARTS: dict[str, Callable[[ObservationInputs, ObservationScales], Array]] = {
 }
 
 
-OF_TWIST = {"velocity", "velocity_error", "turn"}  # parts that need a twist
+TWIST_PARTS = {"velocity", "velocity_error", "turn"}  # parts that need a twist
 # Parts that `ObservationUnits` scale.
-IN_UNITS = {
-    *OF_TWIST,
+SCALED_PARTS = {
+    *TWIST_PARTS,
     "error",
     "mean_error",
     "tilt",
@@ -179,16 +181,16 @@ IN_UNITS = {
 def check_parts(parts: Sequence[str]) -> None:
     """Refuse an observation of nothing, or of unknown or repeated parts."""
     if not parts:
-        raise InvalidField("observation", "no parts", f"some of {sorted(PARTS)}")
+        raise InvalidField("observation", "no parts", f"some of {sorted(OBSERVATION_PARTS)}")
     for k, name in enumerate(parts):
-        if name not in PARTS or name in parts[:k]:
-            allowed = f"one of {sorted(PARTS)}, each once"
+        if name not in OBSERVATION_PARTS or name in parts[:k]:
+            allowed = f"one of {sorted(OBSERVATION_PARTS)}, each once"
             raise InvalidField(f"observation[{k}]", repr(name), allowed)
 
 
 def observe(parts: Sequence[str], look: ObservationInputs, scales: ObservationScales) -> Array:
     """The parts side by side, shape (B, d)."""
-    return np.concatenate([PARTS[name](look, scales) for name in parts], axis=1)
+    return np.concatenate([OBSERVATION_PARTS[name](look, scales) for name in parts], axis=1)
 
 
 def fading(mean: Array, error: Array, period: float, memory: float) -> Array:

@@ -18,24 +18,27 @@ from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.robot.differences import same
 from carosac_toolkit.robot.robot import Robot
 from learned.environment import EnvironmentSettings, empty_look, lead_of, make_actions
-from learned.observation import OF_TWIST, ObservationInputs, ObservationScales, fading, observe
+from learned.observation import TWIST_PARTS, ObservationInputs, ObservationScales, fading, observe
 from learned.policy_file import Policy
 from learned.settings_data import environment_settings
 
-SUFFIX = ".onnx"
-ROUNDING = 1e-9  # [rows] that are none
-OUTSIDE = 0.02  # by how much of half an edge of the box a target may lie outside it
+POLICY_SUFFIX = ".onnx"
+ROW_TOLERANCE = 1e-9  # [rows] that are none
+BOX_EXCESS_MAX = 0.02  # by how much of half an edge of the box a target may lie outside it
 # What a policy learns depends on; names, calibration and sensors are free.
-TRAINED_FOR = (
+TRAINED_FIELDS = (
     "exit_points", "anchor_points", "pulley_radius", "swivel_axis", "run_length",
     "linear_density", "axial_stiffness", "tension_min", "tension_max", "mass", "center_of_mass",
     "inertia", "gravity", "workspace_min", "workspace_max", "home_rotation",
 )  # fmt: skip
 # And one that moves in real time on these, too.
-TRAINED_IN_MOTION = (
+TRAINED_MOTION_FIELDS = (
     "winch_lag", "speed_max", "acceleration_max", "axial_damping", "drag", "angular_drag"
 )  # fmt: skip
-DEFAULTS = {"carosac": "carosac-residual", "scampi": "scampi-residual"}  # bundled policies by robot
+DEFAULT_POLICIES = {
+    "carosac": "carosac-residual",
+    "scampi": "scampi-residual",
+}  # bundled policies by robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +147,7 @@ class PolicyController:
 
     def _look(self, belief: Belief, reference: Reference) -> ObservationInputs:
         """What there is to see."""
-        wanted = OF_TWIST & set(self._environment.observation)
+        wanted = TWIST_PARTS & set(self._environment.observation)
         if belief.twist is None and wanted:
             allowed = (
                 "that of an estimator that gives velocities, such as dynamic_estimator; the policy "
@@ -209,11 +212,11 @@ class _LookaheadRows:
     @classmethod
     def of(cls, ahead: Sequence[float]) -> _LookaheadRows:
         """Times in periods."""
-        row = np.floor(np.array(ahead) + ROUNDING).astype(np.intp)
+        row = np.floor(np.array(ahead) + ROW_TOLERANCE).astype(np.intp)
         share: Array = np.array(ahead, dtype=np.float64)[:, None] - row[:, None]
         return cls(
             row=_in_turn(row), next_row=_in_turn(row + 1), share=share,
-            last_row=int(row.max(initial=0)) + 1, between=bool((share > ROUNDING).any()),
+            last_row=int(row.max(initial=0)) + 1, between=bool((share > ROW_TOLERANCE).any()),
         )  # fmt: skip
 
     def rows(self, values: Array, size: int) -> Array:
@@ -243,7 +246,7 @@ def check_robot(robot: Robot, policy: Policy) -> None:
     if trained.n != robot.n:
         raise InvalidField("robot", f"{robot.n} cables", f"{trained.n}, as the policy's robot")
     moving = policy.description.period is not None
-    needed = TRAINED_FOR + TRAINED_IN_MOTION if moving else TRAINED_FOR
+    needed = TRAINED_FIELDS + TRAINED_MOTION_FIELDS if moving else TRAINED_FIELDS
     names = [x for x in needed if not same(getattr(trained, x), getattr(robot, x))]
     if names:
         allowed = f"{trained.name!r}, which the policy was trained for; {', '.join(names)} differ"
@@ -261,7 +264,7 @@ def check_targets(scales: ObservationScales, target: Array) -> None:
         InvalidField: Names the row that is furthest outside, and the box.
     """
     unit = np.abs(scales.to_unit(target))
-    if not unit.max() <= 1.0 + OUTSIDE:
+    if not unit.max() <= 1.0 + BOX_EXCESS_MAX:
         row = int(np.argmax(unit.max(axis=1)))
         low, high = scales.center - scales.half, scales.center + scales.half
         allowed = f"in the workspace box of the policy, {low} m to {high} m"
@@ -291,7 +294,9 @@ def check_near(look: ObservationInputs, lost: float) -> None:
 def list_policies() -> tuple[str, ...]:
     """Names of the policies that come with the toolkit, sorted."""
     names = [entry.name for entry in _folder().iterdir()]
-    return tuple(sorted(name.removesuffix(SUFFIX) for name in names if name.endswith(SUFFIX)))
+    return tuple(
+        sorted(name.removesuffix(POLICY_SUFFIX) for name in names if name.endswith(POLICY_SUFFIX))
+    )
 
 
 def policy_of(robot: Robot) -> str:
@@ -300,10 +305,12 @@ def policy_of(robot: Robot) -> str:
     Raises:
         InvalidField: There is none.
     """
-    if robot.name not in DEFAULTS:
-        allowed = f"a robot with a bundled policy, of {sorted(DEFAULTS)}, or a policy of its own"
+    if robot.name not in DEFAULT_POLICIES:
+        allowed = (
+            f"a robot with a bundled policy, of {sorted(DEFAULT_POLICIES)}, or a policy of its own"
+        )
         raise InvalidField("robot", repr(robot.name), f"{allowed}: `carosac train`")
-    return DEFAULTS[robot.name]
+    return DEFAULT_POLICIES[robot.name]
 
 
 def find_policy(name_or_path: str) -> Path:
@@ -317,9 +324,9 @@ def find_policy(name_or_path: str) -> Path:
     """
     names = list_policies()
     if name_or_path in names:
-        return _folder() / f"{name_or_path}{SUFFIX}"
+        return _folder() / f"{name_or_path}{POLICY_SUFFIX}"
     path = Path(name_or_path)
-    if path.suffix != SUFFIX and not path.exists():
+    if path.suffix != POLICY_SUFFIX and not path.exists():
         allowed = f"one of {list(names)}, or an .onnx file{did_you_mean(name_or_path, names)}"
         raise InvalidField("policy", repr(name_or_path), allowed)
     return path

@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 Layers = Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
-SCHEMA = "carosac-policy/1"
-PREFIX = "carosac."  # of the names of our metadata
+POLICY_SCHEMA = "carosac-policy/1"
+METADATA_PREFIX = "carosac."  # of the names of our metadata
 ACTIVATIONS = ("relu", "silu")
-OPSET = 17
-LARGEST = 1e15  # of an observation: float32 networks are far from overflowing there
-IR_VERSION = 8  # goes with the opset
-INSTALL = "pip install 'carosac-toolkit[learn]'"
-WRITTEN = "an ONNX file that `carosac train` wrote"
+ONNX_OPSET = 17
+OBSERVATION_MAX = 1e15  # of an observation: float32 networks are far from overflowing there
+ONNX_IR_VERSION = 8  # goes with the opset
+INSTALL_COMMAND = "pip install 'carosac-toolkit[learn]'"
+POLICY_FILE_NAME = "an ONNX file that `carosac train` wrote"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,7 +108,7 @@ class Policy:
             CarosacError: onnxruntime is not installed.
         """
         if Path(path).is_dir():
-            allowed = f"{WRITTEN}: policy.onnx in the folder of a stage"
+            allowed = f"{POLICY_FILE_NAME}: policy.onnx in the folder of a stage"
             raise InvalidField("path", f"the folder {path}", allowed)
         if not Path(path).is_file():
             raise MissingFile(path)
@@ -118,7 +118,9 @@ class Policy:
         for name, found in sides:
             shapes = {one.name: one.shape for one in found}
             if set(shapes) != {name} or not _is_batch(shapes[name]):
-                raise InvalidField("path", f"{path} with {shapes}", f"{WRITTEN}: {name} (batch, d)")
+                raise InvalidField(
+                    "path", f"{path} with {shapes}", f"{POLICY_FILE_NAME}: {name} (batch, d)"
+                )
         settings = environment_settings(description.settings)
         check_probe(description.probe, description.robot, settings)
         return cls(session, description)
@@ -138,9 +140,9 @@ class Policy:
         values = np.asarray(observation)
         if values.ndim != 2 or values.shape[1] != self.observation_size or len(values) == 0:
             batch("observation", observation, (self.observation_size,))  # says what is wrong
-        if not np.abs(values).max() <= LARGEST:
+        if not np.abs(values).max() <= OBSERVATION_MAX:
             checked = batch("observation", observation, (self.observation_size,))
-            allowed = f"-{LARGEST:g} to {LARGEST:g}, in units of the observation"
+            allowed = f"-{OBSERVATION_MAX:g} to {OBSERVATION_MAX:g}, in units of the observation"
             raise InvalidField("observation", f"{np.abs(checked).max():g}", allowed)
         seen = {"observation": values.astype(np.float32)}
         action: Array = self._session.run(["action"], seen)[0].astype(np.float64)
@@ -198,7 +200,7 @@ def _model(layers: Layers, activation: str) -> ModelProto:
     try:
         from onnx import TensorProto, helper, numpy_helper
     except ImportError as error:
-        raise CarosacError(f"writing a policy needs onnx: {INSTALL}") from error
+        raise CarosacError(f"writing a policy needs onnx: {INSTALL_COMMAND}") from error
     nodes: list[NodeProto] = []
     tensors = []
     value = "observation"
@@ -220,9 +222,9 @@ def _model(layers: Layers, activation: str) -> ModelProto:
         for name, size in (("observation", layers[0][0].shape[1]), ("action", len(layers[-1][1])))
     ]
     graph = helper.make_graph(nodes, "policy", sides[:1], sides[1:], tensors)
-    opset = [helper.make_opsetid("", OPSET)]
+    opset = [helper.make_opsetid("", ONNX_OPSET)]
     return helper.make_model(
-        graph, opset_imports=opset, ir_version=IR_VERSION, producer_name="carosac-toolkit"
+        graph, opset_imports=opset, ir_version=ONNX_IR_VERSION, producer_name="carosac-toolkit"
     )
 
 
@@ -235,8 +237,8 @@ def _with_metadata(model: ModelProto, description: PolicyDescription) -> bytes:
         name: value.tolist() if isinstance(value, np.ndarray) else value
         for name, value in asdict(description.robot).items()
     }
-    texts = {PREFIX + name: json.dumps(value) for name, value in record.items()}
-    helper.set_model_props(model, {PREFIX + "schema": SCHEMA} | texts)
+    texts = {METADATA_PREFIX + name: json.dumps(value) for name, value in record.items()}
+    helper.set_model_props(model, {METADATA_PREFIX + "schema": POLICY_SCHEMA} | texts)
     checker.check_model(model, full_check=True)
     return bytes(model.SerializeToString(deterministic=True))
 
@@ -247,7 +249,7 @@ def _session(path: str | Path) -> Any:
         import onnxruntime
         from onnxruntime.capi import onnxruntime_pybind11_state as failures
     except ImportError as error:
-        raise CarosacError(f"a policy needs onnxruntime: {INSTALL}") from error
+        raise CarosacError(f"a policy needs onnxruntime: {INSTALL_COMMAND}") from error
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
@@ -257,24 +259,24 @@ def _session(path: str | Path) -> Any:
     try:
         return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except tuple(getattr(failures, name) for name in names) as error:
-        raise InvalidField("path", path, f"{WRITTEN}; this is no ONNX file") from error
+        raise InvalidField("path", path, f"{POLICY_FILE_NAME}; this is no ONNX file") from error
 
 
 def _description(path: str | Path, metadata: Mapping[str, str]) -> PolicyDescription:
     """The description in the metadata of a file."""
-    schema = metadata.get(PREFIX + "schema")
-    if schema != SCHEMA:
+    schema = metadata.get(METADATA_PREFIX + "schema")
+    if schema != POLICY_SCHEMA:
         got = f"{path} with schema {schema}" if schema else f"{path} without our metadata"
-        raise InvalidField("path", got, f"{WRITTEN}, schema {SCHEMA}")
+        raise InvalidField("path", got, f"{POLICY_FILE_NAME}, schema {POLICY_SCHEMA}")
     names = [f.name for f in fields(PolicyDescription)]
-    missing = [name for name in names if PREFIX + name not in metadata]
+    missing = [name for name in names if METADATA_PREFIX + name not in metadata]
     if missing:
-        allowed = f"{WRITTEN} of this version: train it again with `carosac train`"
+        allowed = f"{POLICY_FILE_NAME} of this version: train it again with `carosac train`"
         raise InvalidField("path", f"{path} without {', '.join(missing)}", allowed)
     try:
-        record = {name: json.loads(metadata[PREFIX + name]) for name in names}
+        record = {name: json.loads(metadata[METADATA_PREFIX + name]) for name in names}
     except ValueError as error:
-        raise InvalidField("path", f"{path} with damaged metadata", WRITTEN) from error
+        raise InvalidField("path", f"{path} with damaged metadata", POLICY_FILE_NAME) from error
     return PolicyDescription(**record | {"robot": _robot(path, record["robot"])})
 
 

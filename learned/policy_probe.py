@@ -20,11 +20,11 @@ from carosac_toolkit.robot.robot import Robot
 from learned.environment import EnvironmentSettings, empty_look, make_actions
 from learned.observation import ObservationInputs, ObservationScales, observe
 
-SEED = 5
-LOOKS = 6  # the first one rests at home
-INNER = 0.5  # share of the workspace box in which they lie
-CLOSE = {"observation": 1e-3, "length": 1e-4}  # [-] and [m]: what counts as the same
-KEPT = 7  # digits behind the point
+PROBE_SEED = 5
+PROBE_ROWS = 6  # the first one rests at home
+INNER_BOX_RATIO = 0.5  # share of the workspace box in which they lie
+PROBE_TOLERANCES = {"observation": 1e-3, "length": 1e-4}  # [-] and [m]: what counts as the same
+PROBE_DECIMALS = 7  # digits behind the point
 
 
 def make_probe(robot: Robot, settings: EnvironmentSettings) -> dict[str, list[list[float]]]:
@@ -36,16 +36,16 @@ def make_probe(robot: Robot, settings: EnvironmentSettings) -> dict[str, list[li
     """
     scales = ObservationScales.of(robot, settings.units)
     actions = make_actions(robot, settings, scales)
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(PROBE_SEED)
     look = _looks(robot, len(settings.preview), actions.size, rng)
     if settings.path.period is None:  # of set-points the target is due
         look = replace(look, due=look.target, due_velocity=look.target_velocity)
-    action = rng.uniform(-1.0, 1.0, (LOOKS, actions.size))
+    action = rng.uniform(-1.0, 1.0, (PROBE_ROWS, actions.size))
     found = {
         "observation": observe(settings.observation, look, scales),
         "length": actions.lengths(actions.applied(action, look), look),
     }
-    return {name: values.round(KEPT).tolist() for name, values in found.items()}
+    return {name: values.round(PROBE_DECIMALS).tolist() for name, values in found.items()}
 
 
 def check_probe(kept: Any, robot: Robot, settings: EnvironmentSettings) -> None:
@@ -69,7 +69,7 @@ def check_probe(kept: Any, robot: Robot, settings: EnvironmentSettings) -> None:
         if theirs[name].shape != np.shape(values):
             raise InvalidField("policy", f"{name}s of another size", allowed)
         apart = float(np.abs(theirs[name] - values).max())
-        if not apart <= CLOSE[name]:
+        if not apart <= PROBE_TOLERANCES[name]:
             said = f"{1e3 * apart:.2g} mm" if name == "length" else f"{apart:.2g}"
             got = f"trained with another version: {name}s differ by up to {said}"
             raise InvalidField("policy", got, allowed)
@@ -80,9 +80,11 @@ def _looks(
 ) -> ObservationInputs:
     """One at rest at home, the others anyhow in the inner part of the workspace box."""
     center = (robot.workspace_min + robot.workspace_max) / 2
-    half = INNER * (robot.workspace_max - robot.workspace_min) / 2
-    count = LOOKS - 1
-    later = np.random.default_rng([SEED, 1])  # of parts that came later; older probes stay as is
+    half = INNER_BOX_RATIO * (robot.workspace_max - robot.workspace_min) / 2
+    count = PROBE_ROWS - 1
+    later = np.random.default_rng(
+        [PROBE_SEED, 1]
+    )  # of parts that came later; older probes stay as is
 
     def inside(*shape: int) -> Array:
         return center + half * rng.uniform(-1.0, 1.0, (count, *shape, 3))

@@ -11,8 +11,8 @@ from carosac_toolkit.npz import read_npz, write_npz
 from carosac_toolkit.robot.robot import Robot
 from learned.scores import PolicyScores
 
-SCORES, ROBOT = "scores.npz", "robot.npz"
-KEY = "evaluation"
+SCORES_FILE, ROBOT_FILE = "scores.npz", "robot.npz"
+SCORES_KEY = "evaluation"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,8 +40,8 @@ class SavedScores:
             if (value := getattr(scores, field.name)) is not None
         }
         rest = {"policy": self.policy, "protocol": self.protocol, "names": list(self.scores)}
-        self.robot.to_npz(folder / ROBOT)
-        write_npz(folder / SCORES, KEY, rest, arrays)
+        self.robot.to_npz(folder / ROBOT_FILE)
+        write_npz(folder / SCORES_FILE, SCORES_KEY, rest, arrays)
 
     @classmethod
     def read(cls, folder: Path) -> SavedScores:
@@ -51,12 +51,12 @@ class SavedScores:
             MissingFile: There is nothing.
             InvalidField: ``carosac evaluate`` did not write it.
         """
-        rest, arrays = read_npz(folder / SCORES, KEY, "carosac evaluate")
+        rest, arrays = read_npz(folder / SCORES_FILE, SCORES_KEY, "carosac evaluate")
         scores: dict[str, PolicyScores] = {}
         for number, name in enumerate(rest["names"]):
             known: dict[str, Any] = {
                 x.name: arrays.get(f"{number}.{x.name}") for x in fields(PolicyScores)
             }
             scores[name] = PolicyScores(**known)
-        robot = Robot.from_npz(folder / ROBOT)
+        robot = Robot.from_npz(folder / ROBOT_FILE)
         return cls(policy=rest["policy"], protocol=rest["protocol"], robot=robot, scores=scores)

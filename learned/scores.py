@@ -17,7 +17,7 @@ from carosac_toolkit.robot.robot import Robot
 from learned.environment import CableEnvironment
 from learned.target_paths import TargetPath
 
-AT_LIMIT = 1e-3  # [N] inverse kinematics may choose a tension that is just at its limit
+TENSION_TOLERANCE_N = 1e-3  # [N] inverse kinematics may choose a tension that is just at its limit
 
 Act = Callable[[Array], Array]  # observations (B, d) to actions (B, a) in [-1, 1]
 
@@ -81,8 +81,8 @@ class PolicyScores:
         }
         if self.tension is not None:
             seen = self.tension[valid]
-            slack = seen < robot.tension_min - AT_LIMIT
-            overload = seen > robot.tension_max + AT_LIMIT
+            slack = seen < robot.tension_min - TENSION_TOLERANCE_N
+            overload = seen > robot.tension_max + TENSION_TOLERANCE_N
             data["slack_share"] = _mean(np.any(slack, axis=1))
             data["overload_share"] = _mean(np.any(overload, axis=1))
             data["tension_range_N"] = [_percentile(seen, 0), _percentile(seen, 100)]

@@ -20,7 +20,7 @@ from carosac_toolkit.robot.robot import Robot
 from sim_warp import Simulator
 from sim_warp.driver import SimPlant
 
-LATER = 0.01  # [s] after which an estimator is tried
+TRIAL_STEP_S = 0.01  # [s] after which an estimator is tried
 
 
 class Sensing:
@@ -84,7 +84,7 @@ class Sensing:
         first = self._estimator.reset(measured)
         self._estimator.reset(measured)
         sent = Command(time=measured.time, unstrained_length=measured.unstrained_length)
-        later = replace(measured, time=measured.time + LATER, imu=None)
+        later = replace(measured, time=measured.time + TRIAL_STEP_S, imu=None)
         try:
             belief = self._estimator.update(first, sent, later)
         except CarosacError as error:

@@ -17,8 +17,8 @@ from learned.relabelling import RelabellingBuffer
 from learned.vector_environment import CableVecEnv
 
 ACTIVATIONS = {"relu": torch.nn.ReLU, "silu": torch.nn.SiLU}
-QUIET = 0.01  # by which the last layer of a quiet start is smaller
-NOISE_CLIP = 2.5  # of the noise on target actions, over its standard deviation
+QUIET_START_RATIO = 0.01  # by which the last layer of a quiet start is smaller
+NOISE_CLIP_RATIO = 2.5  # of the noise on target actions, over its standard deviation
 BUFFER_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 BUFFER_EXTRAS = ("positions", "lengths_misfits", "failed")
 
@@ -69,7 +69,7 @@ def build_model(stage: Stage, environment: CableVecEnv, seed: int) -> StagedTd3:
         gamma=settings.discount, tau=settings.target_rate, train_freq=1,
         gradient_steps=settings.gradient_steps,
         target_policy_noise=settings.target_noise,
-        target_noise_clip=NOISE_CLIP * settings.target_noise,
+        target_noise_clip=NOISE_CLIP_RATIO * settings.target_noise,
         action_noise=noise, policy_kwargs=_networks(stage, target, span), seed=seed, device="cpu",
         stats_window_size=max(100, settings.environments),  # all episodes that end in one step
         replay_buffer_class=RelabellingBuffer if buffer else None,
@@ -85,7 +85,7 @@ def _quieten(model: StagedTd3) -> None:
     """Let the actor start with actions near zero."""
     last = [module for module in model.actor.mu if isinstance(module, torch.nn.Linear)][-1]
     with torch.no_grad():
-        last.weight.mul_(QUIET)
+        last.weight.mul_(QUIET_START_RATIO)
         last.bias.zero_()
     model.actor_target.load_state_dict(model.actor.state_dict())
 

@@ -14,11 +14,15 @@ import numpy as np
 from carosac_toolkit.base.errors import InvalidField, MissingFile
 from carosac_toolkit.output_files import replacing
 
-SETTINGS = "settings.json"
-UNKNOWN = "unknown"  # commit of code that is not under git
-HISTORY = ("commit", "commits", "started_from")  # beside the settings; the first in older files
+SETTINGS_FILE = "settings.json"
+UNKNOWN_COMMIT = "unknown"  # commit of code that is not under git
+HISTORY_FIELDS = (
+    "commit",
+    "commits",
+    "started_from",
+)  # beside the settings; the first in older files
 # Fields that came later, with what trainings did before.
-LATER: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
+LATER_FIELDS: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
     ((), {"changes": "", "device": "cpu"}),
     (("environment",), {"memory": 1.0, "correction": 0.0, "correction_memory": 4.0}),
     (("environment", "reward"), {"tracking_scale": 0.1, "slack": 0.0, "reserve": 0.0, "jerk": 3.0}),
@@ -29,8 +33,8 @@ LATER: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = (
     ),
     (("td3",), {"target_rate": 0.005}),
 )
-SAID = 3  # of the settings that differ, in an error
-SHARED = (  # with the stage that a later one starts from
+DIFFERENCES_SHOWN = 3  # of the settings that differ, in an error
+SHARED_FIELDS = (  # with the stage that a later one starts from
     ("preset",), ("robot_digest",), ("seed",),
     ("environment", "observation"), ("environment", "preview"), ("environment", "units"),
     ("environment", "action"), ("environment", "memory"), ("environment", "correction"),
@@ -88,7 +92,7 @@ class TrainingRecord:
 
     def write(self, folder: Path) -> None:
         """Write it to a folder, as a whole or not at all."""
-        with replacing(folder / SETTINGS) as temporary:
+        with replacing(folder / SETTINGS_FILE) as temporary:
             temporary.write_text(json.dumps(self.data(), indent=1) + "\n", encoding="utf-8")
 
 
@@ -97,12 +101,12 @@ def read_record(folder: Path) -> TrainingRecord | None:
 
     Settings that came later than the training change nothing in it, and are there by default.
     """
-    path = folder / SETTINGS
+    path = folder / SETTINGS_FILE
     if not path.is_file():
         return None
     found = json.loads(path.read_text(encoding="utf-8"))
-    history = {name: found.pop(name, None) for name in HISTORY}
-    commits = history["commits"] or [history["commit"] or UNKNOWN]
+    history = {name: found.pop(name, None) for name in HISTORY_FIELDS}
+    commits = history["commits"] or [history["commit"] or UNKNOWN_COMMIT]
     return TrainingRecord(
         settings=with_later_fields(found),
         commits=tuple(commits),
@@ -124,8 +128,14 @@ def check_settings(settings: dict[str, Any], folder: Path) -> TrainingRecord | N
         return None
     if known.settings != settings:
         found = _differences(known.settings, settings)
-        more = f", and {len(found) - SAID} more differ" if len(found) > SAID else ""
-        allowed = f"a folder of the same settings; there {', '.join(found[:SAID])}{more}"
+        more = (
+            f", and {len(found) - DIFFERENCES_SHOWN} more differ"
+            if len(found) > DIFFERENCES_SHOWN
+            else ""
+        )
+        allowed = (
+            f"a folder of the same settings; there {', '.join(found[:DIFFERENCES_SHOWN])}{more}"
+        )
         raise InvalidField("output", f"'{folder}'", allowed)
     return known
 
@@ -153,8 +163,10 @@ def check_start(
     earlier = read_record(checkpoint.parent)
     if earlier is None:
         reason = "the settings of the earlier stage must be beside its checkpoint"
-        raise MissingFile(checkpoint.parent / SETTINGS, reason)
-    names = [keys[-1] for keys in SHARED if _at(settings, keys) != _at(earlier.settings, keys)]
+        raise MissingFile(checkpoint.parent / SETTINGS_FILE, reason)
+    names = [
+        keys[-1] for keys in SHARED_FIELDS if _at(settings, keys) != _at(earlier.settings, keys)
+    ]
     if names:
         allowed = f"a checkpoint of the same robot, preset, seed and networks; {', '.join(names)} "
         raise InvalidField("start", f"'{checkpoint}'", allowed + "differ")
@@ -168,7 +180,7 @@ def check_start(
 def with_later_fields(settings: dict[str, Any]) -> dict[str, Any]:
     """Settings of a training with the fields that they lack because these came later."""
     filled: dict[str, Any] = json.loads(json.dumps(settings))
-    for keys, fields in LATER:
+    for keys, fields in LATER_FIELDS:
         part = _at(filled, keys)
         if isinstance(part, dict):
             part |= fields | part

@@ -21,17 +21,17 @@ from carosac_toolkit.studies.run.cluster import usable_cores
 from carosac_toolkit.studies.run.folder import free_folder
 from carosac_toolkit.studies.run.rows import STATUSES
 from carosac_toolkit.studies.run.run_case import digest_of, robot_digest, robot_of
-from learned.learning_curve import COLUMNS, CURVE, read_curve
+from learned.learning_curve import CURVE_COLUMNS, CURVE_FILE, read_curve
 from learned.presets import Stage, find_preset
 from learned.setting_changes import changed, concerned, label_of
-from learned.training import CHECKPOINT, POLICY, TrainingJob, train
+from learned.training import CHECKPOINT_FILE, POLICY_FILE, TrainingJob, train
 
-FUNCTION = "learned.training_study:train_case"
-CPU = "cpu"  # of studies that do not say where
-NONE = "none"  # of what a case of a study has and a training has not
-TIME_LIMIT = 30 * 24 * 3600.0  # [s] of one training
-AGAIN = tuple(name for name in STATUSES if name != "ok")
-RANDOM_SHARE = 0.2  # of shortened trainings, at most, is random
+CASE_FUNCTION = "learned.training_study:train_case"
+CPU_DEVICE = "cpu"  # of studies that do not say where
+NO_PART = "none"  # of what a case of a study has and a training has not
+TIME_LIMIT_S = 30 * 24 * 3600.0  # [s] of one training
+RETRIED_STATUSES = tuple(name for name in STATUSES if name != "ok")
+RANDOM_STEPS_SHARE_MAX = 0.2  # of shortened trainings, at most, is random
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +56,7 @@ class TrainingRun:
     steps: int | None = None
     fixed: Mapping[str, Any] = field(default_factory=dict)
     varied: Mapping[str, Any] = field(default_factory=dict)
-    device: str = CPU
+    device: str = CPU_DEVICE
 
     @property
     def name(self) -> str:
@@ -101,7 +101,7 @@ class TrainingRun:
                     stage_name=name,
                     stage=stage,
                     seed=self.seed,
-                    start=folder / before[-1] / CHECKPOINT if before else None,
+                    start=folder / before[-1] / CHECKPOINT_FILE if before else None,
                     start_changes=label_of(concerned(before[-1], order, changes)) if before else "",
                     device=self.device,
                 )
@@ -131,11 +131,11 @@ class TrainingRun:
             "fixed": dict(self.fixed), "varied": dict(self.varied),
             "robot_digest": robot_digest(self.robot),
         }  # fmt: skip
-        if self.device != CPU:
+        if self.device != CPU_DEVICE:
             settings["device"] = self.device
         return Case(
-            robot=self.robot, controller=self.name, estimator=NONE, suite=NONE, trajectory=NONE,
-            perturbation=NONE, seed=self.seed, settings=settings,
+            robot=self.robot, controller=self.name, estimator=NO_PART, suite=NO_PART,
+            trajectory=NO_PART, perturbation=NO_PART, seed=self.seed, settings=settings,
         )  # fmt: skip
 
     @classmethod
@@ -169,7 +169,7 @@ class TrainingStudy:
             progress: Whether to tell on standard error how far it is.
 
         Returns:
-            A row per training: ``STAGE_NAME`` for each name of `learned.learning_curve.COLUMNS`,
+            A row per training: ``STAGE_NAME`` for each name of `CURVE_COLUMNS`,
             from the last point of the learning curve; None for what is not finite.
 
         Raises:
@@ -179,15 +179,15 @@ class TrainingStudy:
             workers = usable_cores()
         gone = {x.case().identity for x in self.trainings if not self._has_policies(x)}
         return run_cases(
-            [training.case() for training in self.trainings], FUNCTION, folder=self.folder,
-            scheduler=scheduler, workers=workers, timeout=TIME_LIMIT, retry=AGAIN, again=gone,
-            own_files=True, share=self.share, progress=progress,
+            [training.case() for training in self.trainings], CASE_FUNCTION, folder=self.folder,
+            scheduler=scheduler, workers=workers, timeout=TIME_LIMIT_S, retry=RETRIED_STATUSES,
+            again=gone, own_files=True, share=self.share, progress=progress,
         )  # fmt: skip
 
     def _has_policies(self, training: TrainingRun) -> bool:
         """Whether all policies of a training are there; who removes one wants it trained again."""
         place = self.folder / training.place
-        return all((place / stage / POLICY).is_file() for stage in training.stages)
+        return all((place / stage / POLICY_FILE).is_file() for stage in training.stages)
 
     def share(self) -> float:
         """How much of all environment steps is done, 0 to 1."""
@@ -195,7 +195,7 @@ class TrainingStudy:
         for training in self.trainings:
             for name, stage in training.settings().items():
                 steps = stage.td3.steps
-                curve = self.folder / training.place / name / CURVE
+                curve = self.folder / training.place / name / CURVE_FILE
                 rows = read_curve(curve) if curve.is_file() else []
                 done += min(rows[-1]["steps"], steps) if rows else 0
                 whole += steps
@@ -223,9 +223,9 @@ def train_case(case: Case, folder: Path) -> dict[str, Any]:
     row: dict[str, Any] = {}
     for job in training.jobs(robot_of(case.robot, digest_of(case)), place):
         train(job, place / job.stage_name)
-        last = read_curve(place / job.stage_name / CURVE)[-1]
+        last = read_curve(place / job.stage_name / CURVE_FILE)[-1]
         found = {name: x if np.isfinite(x) else None for name, x in last.items()}
-        row |= {f"{job.stage_name}_{name}": found[name] for name in COLUMNS}
+        row |= {f"{job.stage_name}_{name}": found[name] for name in CURVE_COLUMNS}
     return row
 
 
@@ -236,7 +236,7 @@ def shortened(stage: Stage, steps: int) -> Stage:
         InvalidField: No whole number of steps, or none.
     """
     check_whole("--steps", steps, 1)
-    random = min(stage.td3.random_steps, int(RANDOM_SHARE * steps))
+    random = min(stage.td3.random_steps, int(RANDOM_STEPS_SHARE_MAX * steps))
     return replace(stage, td3=replace(stage.td3, steps=steps, random_steps=random))
 
 

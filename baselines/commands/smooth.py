@@ -21,7 +21,7 @@ from typing import Annotated, Literal
 import tyro
 
 from baselines.smoother import Smoothed, SmootherSettings, smooth
-from baselines.smoother.output import FILES, recording_of, write
+from baselines.smoother.output import REPORT_FILES, recording_of, write
 from baselines.smoother.report import sentences, warnings
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.cli.common import CommandResult, CommonOptions, OutputFile
@@ -34,9 +34,9 @@ from carosac_toolkit.reports.page import check_folder
 from carosac_toolkit.robot.file import list_robots
 from carosac_toolkit.text_tables import terminal_width, wrapped
 
-SUFFIXES = (".parquet", ".csv")
-RECORDING = "smoothed.parquet"
-KNOWN = (  # as options
+RECORDING_SUFFIXES = (".parquet", ".csv")
+SMOOTHED_FILE = "smoothed.parquet"
+DYNAMICS_OPTIONS = (  # as options
     "mass", "center_of_mass", "length_bias", "length_bias_walk", "delay", "wind_force",
 )  # fmt: skip
 
@@ -87,12 +87,12 @@ def run(options: Options) -> CommandResult:
     """Smooth one recording."""
     settings = _settings(options)
     path = find_recording(options.recording)
-    check_writable("--output", options.output, SUFFIXES)
+    check_writable("--output", options.output, RECORDING_SUFFIXES)
     recording = load_recording(path)
     found = find_robot(recording, path, options.robot)
     folder = options.report or _default_folder(path, found, options.poses)
     check_folder("--report", folder)
-    output = options.output or folder / RECORDING
+    output = options.output or folder / SMOOTHED_FILE
     _check_targets(options, folder, {"RECORDING": path, "--robot": Path(found.name)})
     result = smooth(
         recording, found.robot, settings,
@@ -137,7 +137,7 @@ def _check_targets(options: Options, folder: Path, inputs: dict[str, Path]) -> N
     Raises:
         InvalidField: A target is an input or another target, maybe through a link.
     """
-    in_folder = [*FILES, *([RECORDING] if options.output is None else [])]
+    in_folder = [*REPORT_FILES, *([SMOOTHED_FILE] if options.output is None else [])]
     targets = [("--report", folder / name) for name in in_folder]
     given = (("--output", options.output), ("--json", options.json))
     targets += [(option, path) for option, path in given if path is not None]
@@ -155,7 +155,7 @@ def _check_targets(options: Options, folder: Path, inputs: dict[str, Path]) -> N
 def _settings(options: Options) -> SmootherSettings:
     """Defaults, and what was asked for."""
     usual = SmootherSettings()
-    asked = {name: getattr(options, name) for name in KNOWN}
+    asked = {name: getattr(options, name) for name in DYNAMICS_OPTIONS}
     dynamics = replace(
         usual.dynamics, **{name: value for name, value in asked.items() if value is not None}
     )

@@ -12,7 +12,7 @@ from baselines.dynamic_estimator.model import DynamicModel, NoMotion
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from carosac_toolkit.base.arrays import Array
 
-SWEPT = (2.0, 5.0)  # [m/s^2, rad/s^2] by which twists change while a pose is late
+LATE_POSE_ACCELERATIONS = (2.0, 5.0)  # [m/s^2, rad/s^2] by which twists change while a pose is late
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,7 +97,7 @@ class DynamicFilter:
 
         position = position + late * state.twist[:3]
         rotation = pinocchio.exp3(late * state.twist[3:]) @ rotation
-        swept = 0.5 * late**2 * np.repeat(SWEPT, 3)
+        swept = 0.5 * late**2 * np.repeat(LATE_POSE_ACCELERATIONS, 3)
         said = self._sensors.pose(state, position, rotation)
         cross = state.covariance @ said.by.T
         own = said.by @ cross + said.noise + np.diag(swept**2)

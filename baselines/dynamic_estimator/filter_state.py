@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from baselines.dynamic_estimator.sway_basis import SwayBasis
-from baselines.length_readings import SLIP_DOUBT
+from baselines.length_readings import SLIP_DEVIATION_M
 from carosac_toolkit.base.arrays import Array
 
 
@@ -121,7 +121,7 @@ class DynamicFilterState:
 
     def slipped(self, slip: Array) -> DynamicFilterState:
         """The state after encoders slipped, by (n,) [m]: the platform is where it was."""
-        doubt = np.where(slip == 0.0, 0.0, SLIP_DOUBT)
+        doubt = np.where(slip == 0.0, 0.0, SLIP_DEVIATION_M)
         return replace(self, length_bias=self.length_bias + slip).loosened(doubt)
 
     def platform_covariance(self, reading: float, speed: float) -> Array:

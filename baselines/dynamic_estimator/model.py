@@ -14,10 +14,10 @@ from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.physics.motion.propagation import Arrived, Motions, Propagation
 from carosac_toolkit.robot.robot import Robot
 
-STEP = 1e-4  # [m] and [m/s] of the centre of mass, for differences
-WIND_STEP = 1e-2  # [N]
-MASS_STEP = 1e-4
-LENGTH_STEP = 1e-5  # [m], also of the centre of mass in P
+DIFFERENCE_STEP_M = 1e-4  # [m] and [m/s] of the centre of mass, for differences
+WIND_STEP_N = 1e-2  # [N]
+LOG_MASS_STEP = 1e-4
+LENGTH_STEP_M = 1e-5  # [m], also of the centre of mass in P
 
 
 class NoMotion(CarosacError):
@@ -60,9 +60,9 @@ class DynamicModel:
         self.robot = robot
         self.errors = Errors(robot.n)
         where = self.errors
-        steps = np.full(where.moving, STEP * np.sqrt(robot.mass))
-        steps[where.wind], steps[where.mass] = WIND_STEP, MASS_STEP
-        steps[where.center] = steps[where.bias] = LENGTH_STEP
+        steps = np.full(where.moving, DIFFERENCE_STEP_M * np.sqrt(robot.mass))
+        steps[where.wind], steps[where.mass] = WIND_STEP_N, LOG_MASS_STEP
+        steps[where.center] = steps[where.bias] = LENGTH_STEP_M
         self._steps = steps
         damping = robot.axial_damping + robot.axial_stiffness * settings.stretch_damping
         self._propagation = Propagation(

@@ -14,8 +14,13 @@ from carosac_toolkit.physics.fleet import Fleet
 from carosac_toolkit.physics.rest.statics import Equilibrium, forward_kinematics
 from carosac_toolkit.robot.robot import Robot
 
-STEPS = (1e-3, 1e-4, 1e-4, 1e-4)  # of the differences: logarithm of the mass, centre of mass [m]
-LENGTH_STEP = 1e-4  # [m]
+LOAD_STEPS = (
+    1e-3,
+    1e-4,
+    1e-4,
+    1e-4,
+)  # of the differences: logarithm of the mass, centre of mass [m]
+LENGTH_STEP_M = 1e-4  # [m]
 
 
 class RestStart:
@@ -25,9 +30,9 @@ class RestStart:
         """Take the robot of n cables."""
         self._robot = robot
         self._settings = settings
-        loads = [replace(robot, mass=robot.mass * np.exp(STEPS[0]))]
+        loads = [replace(robot, mass=robot.mass * np.exp(LOAD_STEPS[0]))]
         for axis in range(3):
-            center = robot.center_of_mass + STEPS[1 + axis] * np.eye(3)[axis]
+            center = robot.center_of_mass + LOAD_STEPS[1 + axis] * np.eye(3)[axis]
             loads.append(replace(robot, center_of_mass=center))
         self._fleet = Fleet([robot, *loads, *[robot] * robot.n])
 
@@ -43,7 +48,7 @@ class RestStart:
         """
         robot, n = self._robot, self._robot.n
         lengths = np.tile(reading, (5 + n, 1))
-        lengths[5:] -= LENGTH_STEP * np.eye(n)
+        lengths[5:] -= LENGTH_STEP_M * np.eye(n)
         if not (lengths > 0.0).all():
             return None
         alone = forward_kinematics(robot, reading[None])
@@ -75,7 +80,7 @@ class RestStart:
 
         turn = Rotation.from_matrix(found.rotation[1:] @ found.rotation[0].T).as_rotvec()
         moved = np.hstack([found.position[1:] - found.position[0], turn])
-        steps = np.array([*STEPS, *[LENGTH_STEP] * self._robot.n])
+        steps = np.array([*LOAD_STEPS, *[LENGTH_STEP_M] * self._robot.n])
         return np.asarray((moved / steps[:, None]).T)
 
     def _covariance(

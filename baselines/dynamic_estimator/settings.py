@@ -90,17 +90,17 @@ class DynamicEstimatorSettings:
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
-        for name in _MOUNTS:
+        for name in _MOUNT_FIELDS:
             frozen_array(name, getattr(self, name), (3,))
         if self.delay is not None:
             check_not_negative("delay", self.delay, "s")
-        apart = (*_POSITIVE, *_MOUNTS, "delay")
+        apart = (*_POSITIVE_FIELDS, *_MOUNT_FIELDS, "delay")
         others = [item.name for item in fields(self) if item.name not in apart]
-        check_fields(self, positive=_POSITIVE, not_negative=others)
+        check_fields(self, positive=_POSITIVE_FIELDS, not_negative=others)
 
 
-_MOUNTS = ("imu_position", "imu_rotation")
-_POSITIVE = (
+_MOUNT_FIELDS = ("imu_position", "imu_rotation")
+_POSITIVE_FIELDS = (
     "stretch_noise", "wind_time", "start_speed", "angular_rate_noise",
     "specific_force_noise", "position_noise", "rotation_noise", "rate_noise", "gate",
     "reading_jump", "time_step", "gap_max",

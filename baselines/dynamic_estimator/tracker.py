@@ -17,7 +17,7 @@ from baselines.dynamic_estimator.measurement_models import ImuMean
 from baselines.dynamic_estimator.model import DynamicModel, NoMotion
 from baselines.dynamic_estimator.rest_start import RestStart
 from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
-from baselines.length_readings import SHORTEST, LengthReadings
+from baselines.length_readings import READING_INTERVAL_MIN_S, LengthReadings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Measurement
 from carosac_toolkit.robot.robot import Robot
@@ -166,7 +166,7 @@ class Tracker:
         track = self._fused(track, known, measurement, row)
         state = track.state
         assert state is not None
-        if now - state.time > SHORTEST:
+        if now - state.time > READING_INTERVAL_MIN_S:
             state = self._predicted(state, track.readings, now)
         return replace(track, now=state)
 
@@ -187,7 +187,7 @@ class Tracker:
         groups, waiting = _grouped(
             track.waiting, known, IMU_GROUP_TIME_STEPS * self._settings.time_step
         )
-        due = [p for p in track.poses if not p.used and p.time <= known + SHORTEST]
+        due = [p for p in track.poses if not p.used and p.time <= known + READING_INTERVAL_MIN_S]
         stops = sorted({*groups, *(p.time for p in due)})
         if not stops or known - stops[-1] > self._short:
             stops.append(known)
@@ -198,7 +198,9 @@ class Tracker:
                 if pose.time == stop:
                     state, found = self._posed(state, pose)
                     tally = tally + found
-        poses = tuple(p._replace(used=p.used or p.time <= known + SHORTEST) for p in track.poses)
+        poses = tuple(
+            p._replace(used=p.used or p.time <= known + READING_INTERVAL_MIN_S) for p in track.poses
+        )
         return replace(track, state=state, waiting=waiting, tally=tally, poses=poses)
 
     def _posed(
@@ -215,7 +217,7 @@ class Tracker:
     ) -> tuple[DynamicFilterState, InnovationTally]:
         """The filter to a time, with the IMU samples (K, 7) there."""
         tally = InnovationTally()
-        if stop - state.time < SHORTEST:
+        if stop - state.time < READING_INTERVAL_MIN_S:
             return state, tally
         for end in readings.knots(state.time, stop, self._short):
             start = state.time
@@ -244,7 +246,7 @@ def _grouped(samples: Array, known: float, alike: float) -> tuple[dict[float, Ar
     Returns:
         The groups, and the samples that are later.
     """
-    ready = samples[samples[:, 0] <= known + SHORTEST]
+    ready = samples[samples[:, 0] <= known + READING_INTERVAL_MIN_S]
     groups: dict[float, Array] = {}
     first = 0
     for k in range(1, len(ready) + 1):
@@ -264,6 +266,6 @@ def _known_poses(
     if pose is None:
         return kept
     when = float(measurement.time[row] if pose.time is None else pose.time[row])
-    if kept and when <= kept[-1].time + SHORTEST:
+    if kept and when <= kept[-1].time + READING_INTERVAL_MIN_S:
         return kept
     return (*kept, TimedPose(when, pose.position[row], pose.rotation[row]))

@@ -16,7 +16,7 @@ from baselines.center_of_mass import learned_center_of_mass
 from baselines.ks_ekf import corrections, initial_state
 from baselines.ks_ekf.corrections import MeasurementResidual
 from baselines.ks_ekf.error_filter import ErrorFilter, FilterCorrection, added, no_innovations
-from baselines.ks_ekf.filter_state import CENTER, FIXED, NO_SAMPLES, POSITION, KsEkfState
+from baselines.ks_ekf.filter_state import CENTER, FIXED_ERRORS, NO_SAMPLES, POSITION, KsEkfState
 from baselines.ks_ekf.inertial import InertialMotion, samples_of, slope
 from baselines.ks_ekf.platform_motion import at_rest, carried, origin
 from baselines.ks_ekf.record import KsEkfRecord
@@ -28,7 +28,7 @@ from baselines.ks_ekf.rest_detection import (
 )
 from baselines.ks_ekf.rest_pose import RestPose, find_rest
 from baselines.ks_ekf.settings import KsEkfSettings
-from baselines.ks_ekf.timed_lengths import SHORTEST, TimedLengths, due, reading_of
+from baselines.ks_ekf.timed_lengths import TIME_TOLERANCE_S, TimedLengths, due, reading_of
 from baselines.length_readings import LengthReadings
 from carosac_toolkit.base.errors import CarosacError, InvalidField
 from carosac_toolkit.loop.values import Belief, Command, Measurement
@@ -51,8 +51,8 @@ class KsEkf:
         self._robot = robot
         self._settings = settings
         self._lead = robot.length_delay or 0.0
-        self._kalman = ErrorFilter(FIXED + robot.n, settings.gate)
-        self._motion = InertialMotion(robot.gravity, settings, FIXED + robot.n, self._kalman)
+        self._kalman = ErrorFilter(FIXED_ERRORS + robot.n, settings.gate)
+        self._motion = InertialMotion(robot.gravity, settings, FIXED_ERRORS + robot.n, self._kalman)
 
     @classmethod
     def build(cls, robot: Robot, settings: KsEkfSettings | None = None, *, seed: int = 0) -> KsEkf:
@@ -118,7 +118,7 @@ class KsEkf:
         new, now = reading_of(measurement, self._lead), float(measurement.time[0])
         ready, waiting = due(record.waiting, new, now)
         state, samples = record.state, samples_of(measurement, self._settings)
-        late = sum(reading.time < state.time - SHORTEST for reading in ready)
+        late = sum(reading.time < state.time - TIME_TOLERANCE_S for reading in ready)
         known = state.samples.joined(samples)
         gaps = np.flatnonzero(np.diff(known.time) > self._settings.imu_gap)
         if len(gaps):
@@ -126,7 +126,7 @@ class KsEkf:
             state = initial_state.released(state, self._settings)
         record = replace(record, state=replace(state, samples=known))
         record, good = self._believed(record, ready, now)
-        later = [reading for reading in good if reading.time > state.time + SHORTEST]
+        later = [reading for reading in good if reading.time > state.time + TIME_TOLERANCE_S]
         record = replace(
             record,
             reading=max((record.reading, *good), key=lambda reading: reading.time),

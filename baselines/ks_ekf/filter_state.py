@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.length_readings import SLIP_DOUBT
+from baselines.length_readings import SLIP_DEVIATION_M
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.rest.statics import Equilibrium
 
@@ -19,7 +19,7 @@ RATE_BIAS = slice(9, 12)  # in P [rad/s]
 FORCE_BIAS = slice(12, 15)  # in P [m/s^2]
 CENTER = slice(15, 18)  # of mass, in P [m]
 LENGTHS = slice(18, None)  # errors of the n lengths [m]
-FIXED = 18  # entries before those of the lengths
+FIXED_ERRORS = 18  # entries before those of the lengths
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,7 +137,7 @@ class KsEkfState:
     def slipped(self, which: NDArray[np.bool_]) -> KsEkfState:
         """With more doubt of the lengths of cables (n,) whose encoders have slipped."""
         covariance = self.covariance.copy()
-        covariance[LENGTHS, LENGTHS] += np.diag(np.where(which, SLIP_DOUBT**2, 0.0))
+        covariance[LENGTHS, LENGTHS] += np.diag(np.where(which, SLIP_DEVIATION_M**2, 0.0))
         return replace(self, covariance=covariance)
 
 

@@ -31,11 +31,11 @@ from baselines.ks_ekf.filter_state import (
     cross,
 )
 from baselines.ks_ekf.settings import KsEkfSettings
-from baselines.ks_ekf.timed_lengths import SHORTEST
+from baselines.ks_ekf.timed_lengths import TIME_TOLERANCE_S
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Measurement
 
-MINUTE = 60.0  # [s]
+MINUTE_S = 60.0  # [s]
 
 
 def samples_of(measurement: Measurement, settings: KsEkfSettings) -> InertialSamples:
@@ -68,13 +68,13 @@ class InertialMotion:
         """
         self._kalman = kalman
         self._gravity = np.array([0.0, 0.0, -gravity])
-        walk = settings.bias_walk**2 / MINUTE
+        walk = settings.bias_walk**2 / MINUTE_S
         steady, growing = np.zeros(size), np.zeros(size)
         steady[ROTATION] = settings.angular_rate_noise**2
         steady[VELOCITY] = settings.specific_force_noise**2
         growing[RATE_BIAS] = walk * settings.angular_rate_bias**2
         growing[FORCE_BIAS] = walk * settings.specific_force_bias**2
-        growing[LENGTHS] = settings.length_walk**2 / MINUTE
+        growing[LENGTHS] = settings.length_walk**2 / MINUTE_S
         self._noise = np.diag(steady), np.diag(growing)
         drift = np.zeros(size)
         drift[ROTATION] = settings.rate_change**2
@@ -87,10 +87,10 @@ class InertialMotion:
         self._kalman.begin(state.covariance)
         start = samples.at(state.time)
         for time, rate, force in zip(samples.time, samples.rate, samples.force, strict=True):
-            if state.time + SHORTEST < time <= until + SHORTEST:
+            if state.time + TIME_TOLERANCE_S < time <= until + TIME_TOLERANCE_S:
                 state = self._step(state, time - state.time, start, (rate, force))
                 start = (rate, force)
-        if until - state.time > SHORTEST:
+        if until - state.time > TIME_TOLERANCE_S:
             end, held = samples.at(until), until - float(samples.time[-1])
             state = self._step(state, until - state.time, start, end, max(held, 0.0))
         return replace(state, covariance=self._kalman.covariance, samples=samples.after(state.time))

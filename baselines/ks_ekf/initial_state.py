@@ -9,7 +9,7 @@ import numpy as np
 from baselines.ks_ekf.corrections import rest_noise
 from baselines.ks_ekf.filter_state import (
     CENTER,
-    FIXED,
+    FIXED_ERRORS,
     FORCE_BIAS,
     LENGTHS,
     NO_SAMPLES,
@@ -25,14 +25,18 @@ from baselines.ks_ekf.timed_lengths import TimedLengths
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-LOST = (1.0, 0.5, 1.0)  # position [m], rotation [rad], velocity [m/s] where no pose was found
+LOST_DEVIATIONS = (
+    1.0,
+    0.5,
+    1.0,
+)  # position [m], rotation [rad], velocity [m/s] where no pose was found
 
 
 def prior(robot: Robot, settings: KsEkfSettings) -> Array:
     """Variances of the errors before anything is measured; pose and velocity unknown."""
     n = robot.n
-    spread = np.zeros(FIXED + n)
-    spread[:9] = np.repeat(LOST, 3)
+    spread = np.zeros(FIXED_ERRORS + n)
+    spread[:9] = np.repeat(LOST_DEVIATIONS, 3)
     spread[RATE_BIAS] = settings.angular_rate_bias
     spread[FORCE_BIAS] = settings.specific_force_bias
     spread[CENTER] = settings.center_of_mass_prior
@@ -42,7 +46,7 @@ def prior(robot: Robot, settings: KsEkfSettings) -> Array:
 
 def blank(robot: Robot, settings: KsEkfSettings, time: float) -> KsEkfState:
     """A state at home of which nothing is known but the priors."""
-    lost = np.repeat((LOST[2], LOST[1]), 3)
+    lost = np.repeat((LOST_DEVIATIONS[2], LOST_DEVIATIONS[1]), 3)
     return KsEkfState(
         time=time,
         position=robot.home_position,

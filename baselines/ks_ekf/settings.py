@@ -12,8 +12,8 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields, check_fraction
 
 Coupling = Literal["loose", "tight"]
-CHECKED_APART = ("coupling", "imu_position", "imu_rotation", "gate")
-MAY_BE_ZERO = ("tension_change", "center_of_mass_prior", "bias_walk", "length_walk")
+FIELDS_CHECKED_APART = ("coupling", "imu_position", "imu_rotation", "gate")
+FIELDS_MAY_BE_ZERO = ("tension_change", "center_of_mass_prior", "bias_walk", "length_walk")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,8 +85,8 @@ class KsEkfSettings:
             object.__setattr__(self, name, frozen_array(name, getattr(self, name), shape))
         check_rotations("imu_rotation", self.imu_rotation[None])
         check_fraction("gate", self.gate)
-        numbers = [entry.name for entry in fields(self) if entry.name not in CHECKED_APART]
+        numbers = [entry.name for entry in fields(self) if entry.name not in FIELDS_CHECKED_APART]
         check_fields(
-            self, not_negative=MAY_BE_ZERO,
-            positive=[name for name in numbers if name not in MAY_BE_ZERO],
+            self, not_negative=FIELDS_MAY_BE_ZERO,
+            positive=[name for name in numbers if name not in FIELDS_MAY_BE_ZERO],
         )  # fmt: skip

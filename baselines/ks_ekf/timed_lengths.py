@@ -9,7 +9,7 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Measurement
 
-SHORTEST = 1e-9  # [s]: less is rounding
+TIME_TOLERANCE_S = 1e-9  # [s]: less is rounding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,7 +51,7 @@ def due(
     Returns:
         Those whose time has come, and those that wait on.
     """
-    if all(abs(new.time - reading.time) > SHORTEST for reading in waiting):
+    if all(abs(new.time - reading.time) > TIME_TOLERANCE_S for reading in waiting):
         waiting = tuple(sorted((*waiting, new), key=lambda reading: reading.time))
-    count = sum(reading.time <= now + SHORTEST for reading in waiting)
+    count = sum(reading.time <= now + TIME_TOLERANCE_S for reading in waiting)
     return waiting[:count], waiting[count:]

@@ -28,8 +28,8 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import RigidBody, Robot, combine_bodies
 
-STATES = 12
-PATH = 3  # kinds of quantities that limits are on: length, its rate, its acceleration
+STATE_SIZE = 12
+PATH_QUANTITIES = 3  # kinds of quantities that limits are on: length, its rate, its acceleration
 
 
 def parameter_names(n: int) -> dict[str, int]:
@@ -98,7 +98,7 @@ def continuous(n: int) -> Any:
     """
     import casadi as ca
 
-    x, u = ca.SX.sym("x", STATES), ca.SX.sym("u", n)
+    x, u = ca.SX.sym("x", STATE_SIZE), ca.SX.sym("u", n)
     sizes = parameter_names(n)
     p = ca.SX.sym("p", sum(sizes.values()))
     block = dict(zip(sizes, ca.vertsplit(p, np.cumsum([0, *sizes.values()]).tolist()), strict=True))
@@ -170,7 +170,7 @@ def stage(n: int) -> Any:
     import casadi as ca
 
     f = continuous(n)
-    x, u = ca.MX.sym("x", STATES), ca.MX.sym("u", n)
+    x, u = ca.MX.sym("x", STATE_SIZE), ca.MX.sym("u", n)
     p, h = ca.MX.sym("p", f.size1_in(2)), ca.MX.sym("h")
     rate, a, b, *path = f(x, u, p)[:6]
     total, total_x, total_u = rate, a, b
@@ -182,7 +182,7 @@ def stage(n: int) -> Any:
             total + weight * rate, total_x + weight * a, total_u + weight * b,
         )  # fmt: skip
     after = x + h / 6.0 * total
-    outputs = [after, ca.MX.eye(STATES) + h / 6.0 * total_x, h / 6.0 * total_u, *path]
+    outputs = [after, ca.MX.eye(STATE_SIZE) + h / 6.0 * total_x, h / 6.0 * total_u, *path]
     names = ["after", "A", "B", "path", "path_x", "path_u"]
     dense = [ca.densify(value) for value in outputs]
     return ca.Function(f"stage{n}", [x, u, p, h], dense, ["x", "u", "p", "h"], names)

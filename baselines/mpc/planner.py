@@ -9,7 +9,7 @@ import numpy as np
 from baselines.mpc import model
 from baselines.mpc.observer import OFFSET_TIME_S, PlanStart
 from baselines.mpc.plan import Plan
-from baselines.mpc.quadratic_program import FAR, QuadraticProgram
+from baselines.mpc.quadratic_program import NO_LIMIT, QuadraticProgram
 from baselines.mpc.settings import MpcSettings
 from baselines.mpc.stage_function import StageFunction
 from baselines.mpc.unknown_load import UnknownLoad
@@ -72,7 +72,7 @@ class Planner:
         self._duration = np.array([settings.period, *[rest] * (stages - 1)])
         self.grid = np.concatenate([[0.0], np.cumsum(self._duration)])
         self.stage = StageFunction(n, stages, settings.compiled)
-        self._program = QuadraticProgram(stages, model.STATES, n, model.PATH * n)
+        self._program = QuadraticProgram(stages, model.STATE_SIZE, n, model.PATH_QUANTITIES * n)
         self._unit = 0.5 * robot.weight / min(n, 4)  # [N], scale of the tensions
         held = settings.attitude_weight if n >= 6 else 0.0
         weights = settings.position_weight, held, settings.velocity_weight, settings.spin_weight
@@ -122,7 +122,7 @@ class Planner:
         old = self.plan
         if old is None:
             rotation = start.rotation
-            state = np.zeros((len(when), model.STATES))
+            state = np.zeros((len(when), model.STATE_SIZE))
             state[:, :3] = start.position
             rest = np.broadcast_to(target.tension[0], target.tension.shape)
             tension = np.clip(rest, self._robot.tension_min, self._robot.tension_max)
@@ -175,7 +175,7 @@ class Planner:
             bounds=((self._least(target) - plan.tension) / self._unit,
                     (self._robot.tension_max - plan.tension) / self._unit),
             rows=self._rows(acceleration, offset), price=settings.limit_weight,
-            start=np.zeros(model.STATES),
+            start=np.zeros(model.STATE_SIZE),
         )  # fmt: skip
         if not step.solved:
             return None
@@ -208,6 +208,6 @@ class Planner:
         low[0, 2 * n :] = acceleration.low
         high[0, 2 * n :] = acceleration.high
         low, high = (low - stage.path) / scale, (high - stage.path) / scale
-        low[0, : 2 * n], high[0, : 2 * n] = -FAR, FAR  # now: nothing can change them
+        low[0, : 2 * n], high[0, : 2 * n] = -NO_LIMIT, NO_LIMIT  # now: nothing can change them
         matrix = np.concatenate([stage.path_by_state, self._unit * stage.path_by_tension], axis=2)
         return matrix / scale[:, None], low, high

@@ -22,9 +22,9 @@ from scipy import sparse
 
 from carosac_toolkit.base.arrays import Array
 
-FAR = 1e4  # stands for no limit on a scaled row
-GAP = 1e-5  # of the dynamics in a solution: more is none
-OPTIONS = {
+NO_LIMIT = 1e4  # stands for no limit on a scaled row
+DYNAMICS_GAP_MAX = 1e-5  # of the dynamics in a solution: more is none
+HPIPM_OPTIONS = {
     "iter_max": 50, "mode": "balance",
     "res_g_max": 1e-4, "res_b_max": 1e-7, "res_d_max": 1e-6, "res_m_max": 1e-5,
 }  # fmt: skip
@@ -61,7 +61,7 @@ class QuadraticProgram:
         options: dict[str, Any] = {
             "error_on_fail": False, "print_time": False, "N": stages,
             "nx": [states] * (stages + 1), "nu": [n + 1] * stages + [0],
-            "ng": [2 * rows] * stages + [0], "hpipm": OPTIONS,
+            "ng": [2 * rows] * stages + [0], "hpipm": HPIPM_OPTIONS,
         }  # fmt: skip
         self._solver: Any = ca.conic("step", "hpipm", {"h": _sparsity(ca, h_map),
                                                   "a": _sparsity(ca, a_map)}, options)  # fmt: skip
@@ -110,7 +110,7 @@ class QuadraticProgram:
         solved = bool(np.isfinite(self._out).all()) and bool(self._buffer.stats()["success"])
         if solved:
             follow = np.einsum("kij,kj->ki", a, x[:-1]) + np.einsum("kij,kj->ki", b, u) + c
-            solved = bool(np.abs(follow - x[1:]).max() < GAP)
+            solved = bool(np.abs(follow - x[1:]).max() < DYNAMICS_GAP_MAX)
         return GaussNewtonStep(solved=solved, state=x, tension=u, slack=slack)
 
     def _fill_cost(self, hessian: Array, gradient: Array, end: Array, price: float) -> None:
@@ -138,10 +138,10 @@ class QuadraticProgram:
         self._in["a"][:] = values[self._a_order]
         lower, upper = (self._in[k].reshape(stages, -1) for k in ("lba", "uba"))
         lower[:, :states] = upper[:, :states] = -c
-        lower[:, states : states + count] = -FAR
-        upper[:, states : states + count] = np.clip(high, -FAR, FAR)
-        lower[:, states + count :] = np.clip(low, -FAR, FAR)
-        upper[:, states + count :] = FAR
+        lower[:, states : states + count] = -NO_LIMIT
+        upper[:, states : states + count] = np.clip(high, -NO_LIMIT, NO_LIMIT)
+        lower[:, states + count :] = np.clip(low, -NO_LIMIT, NO_LIMIT)
+        upper[:, states + count :] = NO_LIMIT
 
     def _buffers(self) -> None:
         """Give the solver arrays for all that goes in and comes out."""

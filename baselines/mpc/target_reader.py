@@ -13,8 +13,8 @@ from carosac_toolkit.loop.values import Pose, Reference
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 
-REACH = 0.3  # [m]: from farther away the reference is not chased, but approached
-APPROACH = 0.7  # [m/s]
+CHASE_DISTANCE_MAX_M = 0.3  # [m]: from farther away the reference is not chased, but approached
+APPROACH_SPEED_M_PER_S = 0.7  # [m/s]
 
 
 class TargetReader:
@@ -67,12 +67,14 @@ class TargetReader:
             target: As read.
             position: Of the platform now in W [m], shape (3,).
         """
-        if float(np.linalg.norm(position - target.position[0])) <= REACH:
+        if float(np.linalg.norm(position - target.position[0])) <= CHASE_DISTANCE_MAX_M:
             return target
         way, here = [position], position
         for goal, step in zip(target.position[1:], np.diff(self._grid), strict=True):
             left = goal - here
-            here = here + left * min(1.0, APPROACH * step / max(float(np.linalg.norm(left)), 1e-9))
+            here = here + left * min(
+                1.0, APPROACH_SPEED_M_PER_S * step / max(float(np.linalg.norm(left)), 1e-9)
+            )
             way.append(here)
         places = np.array(way)
         velocity = np.diff(places, axis=0) / np.diff(self._grid)[:, None]

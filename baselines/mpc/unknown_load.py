@@ -28,14 +28,24 @@ from baselines.mpc.model import moving_body
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-NOISE = 0.012  # [m/s], of the speed gained in a command, for all of the platform alike
-MOST = 0.25  # [m/s^2], of the acceleration: at the start, and in ways that are not seen for long
-WALK = 1e-3  # [m/sqrt(s)], of the centre of mass: what else is wrong changes from place to place
-ACCELERATION_MAX = 2.0  # [m/s^2], or a rotation of the same energy: more is no disturbance
-CAREFUL = 4.0  # times slower the acceleration is followed where nobody tells the centre of mass
-PUSH = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # what a wind can do
-FARTHEST = 3.0  # of the standard deviations of the centre of mass: farther out it is not
-MOVED = 1e-4  # [m] by which the centre of mass moves before the robot is made anew
+SPEED_NOISE_M_PER_S = (
+    0.012  # [m/s], of the speed gained in a command, for all of the platform alike
+)
+ACCELERATION_DEVIATION_M_PER_S2 = (
+    0.25  # [m/s^2], of the acceleration: at the start, and in ways that are not seen for long
+)
+CENTER_WALK_M_PER_SQRT_S = (
+    1e-3  # [m/sqrt(s)], of the centre of mass: what else is wrong changes from place to place
+)
+DISTURBANCE_MAX_M_PER_S2 = 2.0  # [m/s^2], or a rotation of the same energy: more is no disturbance
+UNTOLD_TIME_RATIO = (
+    4.0  # times slower the acceleration is followed where nobody tells the centre of mass
+)
+WIND_DIRECTIONS = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # what a wind can do
+CENTER_DEVIATIONS_MAX = (
+    3.0  # of the standard deviations of the centre of mass: farther out it is not
+)
+CENTER_STEP_MIN_M = 1e-4  # [m] by which the centre of mass moves before the robot is made anew
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,21 +102,28 @@ class UnknownLoad:
         self._spread = center_of_mass
         gyration = np.sqrt(np.trace(robot.inertia) / (3.0 * robot.mass))
         self._unit = np.repeat([1.0, 1.0 / gyration], 3)  # of accelerations of equal energy
-        self._follow = NOISE / disturbance_time * self._unit  # a walk that has that gain
+        self._follow = (
+            SPEED_NOISE_M_PER_S / disturbance_time * self._unit
+        )  # a walk that has that gain
         self.reset()
 
     def reset(self) -> None:
         """Forget everything."""
         self.robot, self._told = self._nominal, False
         self._found = np.zeros(9)  # in P [m], shape (3,); in W [m/s^2, rad/s^2], shape (6,)
-        walk = WALK * np.sqrt(self._period)
-        self._begin(np.repeat(self._spread, 3), np.repeat(walk, 3), PUSH, PUSH / CAREFUL)
+        walk = CENTER_WALK_M_PER_SQRT_S * np.sqrt(self._period)
+        self._begin(
+            np.repeat(self._spread, 3),
+            np.repeat(walk, 3),
+            WIND_DIRECTIONS,
+            WIND_DIRECTIONS / UNTOLD_TIME_RATIO,
+        )
         if self._spread == 0.0:
             self.tell(self._nominal.center_of_mass)
 
     def _begin(self, shift: Array, walk: Array, seen: Array, quick: Array) -> None:
         """Begin with standard deviations of the shift, and shares of those of the acceleration."""
-        self._most = np.concatenate([shift, MOST * self._unit * seen])
+        self._most = np.concatenate([shift, ACCELERATION_DEVIATION_M_PER_S2 * self._unit * seen])
         self._covariance = np.diag(self._most**2)
         self._walk = np.diag(np.concatenate([walk, self._follow * quick]) ** 2)
 
@@ -145,7 +162,7 @@ class UnknownLoad:
         root = np.linalg.cholesky(mass).T
         by = self._period * root @ free @ self._by(motion)
         covariance = self._bounded(self._covariance + self._walk)
-        noise = NOISE**2 * self._nominal.mass * np.eye(6)
+        noise = SPEED_NOISE_M_PER_S**2 * self._nominal.mass * np.eye(6)
         gain = np.linalg.solve(by @ covariance @ by.T + noise, by @ covariance).T
         if not turning:
             gain[:3] = 0.0
@@ -153,8 +170,8 @@ class UnknownLoad:
         keep = np.eye(9) - change
         covariance = keep @ covariance @ keep.T + gain @ noise @ gain.T
         self._covariance = 0.5 * (covariance + covariance.T)
-        shift = FARTHEST * self._spread
-        farthest = np.concatenate([np.repeat(shift, 3), ACCELERATION_MAX * self._unit])
+        shift = CENTER_DEVIATIONS_MAX * self._spread
+        farthest = np.concatenate([np.repeat(shift, 3), DISTURBANCE_MAX_M_PER_S2 * self._unit])
         found = self._found + gain @ (root @ gained)
         learned = np.clip(found, -farthest, farthest)
         self._found = np.where(self._most > 0.0, learned, self._found)
@@ -191,7 +208,7 @@ class UnknownLoad:
 
     def _place(self, center_of_mass: Array) -> None:
         """Put the centre of mass of the robot there [m], unless it is there already."""
-        if np.abs(center_of_mass - self.robot.center_of_mass).max() > MOVED:
+        if np.abs(center_of_mass - self.robot.center_of_mass).max() > CENTER_STEP_MIN_M:
             self.robot = replace(self._nominal, center_of_mass=center_of_mass)
 
     def _by(self, motion: PlannedMotion) -> Array:

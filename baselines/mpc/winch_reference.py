@@ -19,9 +19,9 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-STOPPED = 5e-3  # [m/s]
-MARGIN = 1e-3  # of the limits, kept clear of rounding
-JERK_MARGIN = 0.02  # of the jerk limit: at the start, lengths are known to some micrometres
+REST_SPEED_MAX_M_PER_S = 5e-3  # [m/s]
+LIMIT_MARGIN = 1e-3  # of the limits, kept clear of rounding
+JERK_LIMIT_MARGIN = 0.02  # of the jerk limit: at the start, lengths are known to some micrometres
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,12 +62,12 @@ class WinchReference:
     @property
     def at_rest(self) -> bool:
         """Whether they have all but stopped."""
-        return bool(np.abs(self.rate).max() < STOPPED)
+        return bool(np.abs(self.rate).max() < REST_SPEED_MAX_M_PER_S)
 
     def command_range(self) -> WinchRange:
         """Commands within speed, acceleration, jerk and length limits; acceleration goes first."""
-        robot, h, keep = self._robot, self._period, 1.0 - MARGIN
-        change = self._jerk_max * h * (1.0 - JERK_MARGIN)
+        robot, h, keep = self._robot, self._period, 1.0 - LIMIT_MARGIN
+        change = self._jerk_max * h * (1.0 - JERK_LIMIT_MARGIN)
         most = robot.acceleration_max * keep
         low = np.maximum(-most, np.minimum(self._acceleration - change, most))
         high = np.minimum(most, np.maximum(self._acceleration + change, -most))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.dynamic_estimator.measurement_models import ImuMean
-from baselines.length_readings import SHORTEST, LengthReadings
+from baselines.length_readings import READING_INTERVAL_MIN_S, LengthReadings
 from baselines.smoother.settings import SmootherSettings
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
@@ -76,7 +76,9 @@ class ArrangedRecording:
             return None
         when = self.recording.time[start:stop]
         if self.used.any():
-            inside = (poses.time >= when[0] - SHORTEST) & (poses.time <= when[-1] + SHORTEST)
+            inside = (poses.time >= when[0] - READING_INTERVAL_MIN_S) & (
+                poses.time <= when[-1] + READING_INTERVAL_MIN_S
+            )
             rows = np.flatnonzero(~self.used & inside)
             keys = nearest(self.time, poses.time[rows])
             found = Pose(
@@ -184,13 +186,13 @@ def _groups(
     """Inertial samples in groups, each with its mean time [s]."""
     if run.imu is None or not settings.imu:
         return []
-    inside = (run.imu.time > first + SHORTEST) & (run.imu.time <= last)
+    inside = (run.imu.time > first + READING_INTERVAL_MIN_S) & (run.imu.time <= last)
     time = run.imu.time[inside]
     values = np.hstack([run.imu.angular_rate[inside], run.imu.specific_force[inside]])
     groups = []
     start = 0
     for k in range(1, len(time) + 1):
-        if k == len(time) or time[k] - time[start] > IMU_GROUP_TIME_S - SHORTEST:
+        if k == len(time) or time[k] - time[start] > IMU_GROUP_TIME_S - READING_INTERVAL_MIN_S:
             felt = ImuMean(values=values[start:k].mean(axis=0), samples=k - start)
             groups.append((float(time[start:k].mean()), felt))
             start = k
@@ -202,7 +204,11 @@ def _poses(run: Recording, used: NDArray[np.bool_], time: Array) -> dict[int, tu
     if run.poses is None:
         return {}
     when = run.poses.time
-    rows = np.flatnonzero(used & (when >= time[0] - SHORTEST) & (when <= time[-1] + SHORTEST))
+    rows = np.flatnonzero(
+        used
+        & (when >= time[0] - READING_INTERVAL_MIN_S)
+        & (when <= time[-1] + READING_INTERVAL_MIN_S)
+    )
     keys = nearest(time, when[rows])
     return {
         int(key): (run.poses.position[row], run.poses.rotation[row])
@@ -212,12 +218,12 @@ def _poses(run: Recording, used: NDArray[np.bool_], time: Array) -> dict[int, tu
 
 def _apart(time: Array) -> Array:
     """Sorted times without those that follow another at once."""
-    return np.asarray(time[np.concatenate([[True], np.diff(time) > SHORTEST])])
+    return np.asarray(time[np.concatenate([[True], np.diff(time) > READING_INTERVAL_MIN_S])])
 
 
 def _previous(time: Array, end: float) -> float:
     """The last of sorted times before another."""
-    return float(time[max(0, int(np.searchsorted(time, end - SHORTEST)) - 1)])
+    return float(time[max(0, int(np.searchsorted(time, end - READING_INTERVAL_MIN_S)) - 1)])
 
 
 def nearest(time: Array, when: Array) -> NDArray[np.int64]:

@@ -21,8 +21,8 @@ from baselines.smoother.forward_pass import ForwardPass
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 
-FOREVER = 1e12  # [s]
-FLOOR = 1e-4  # of the scale of an error: what counts as known
+WHOLE_RECORDING_S = 1e12  # [s]
+KNOWN_DEVIATION_RATIO = 1e-4  # of the scale of an error: what counts as known
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,7 +56,7 @@ class ErrorGraph:
         fixed[errors.mass] = fixed[errors.center] = True
         self.changing, self.constant = every[~fixed], every[fixed]
         self._scale = scale
-        self._start = start + np.diag((FLOOR * scale) ** 2)
+        self._start = start + np.diag((KNOWN_DEVIATION_RATIO * scale) ** 2)
 
     def solve(
         self, passed: ForwardPass, time: Array, weight: Mapping[int, float], lag: float | None
@@ -78,7 +78,7 @@ class ErrorGraph:
         params.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(0.0))
         params.setFactorization("QR")
         longest = float(np.diff(time).max())
-        window = FOREVER if lag is None else 2.0 * lag + longest
+        window = WHOLE_RECORDING_S if lag is None else 2.0 * lag + longest
         smoother = gtsam.IncrementalFixedLagSmoother(window, params)
         found = _SolutionReader(self, len(time))
         ends = [len(time)] if lag is None else _ends(time, lag)
@@ -109,10 +109,10 @@ class ErrorGraph:
         import gtsam
 
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        stamps = {CONSTANT: float(time[new[-1]])}
+        stamps = {CONSTANT_KEY: float(time[new[-1]])}
         for k in new:
             if k == 0:
-                values.insert(CONSTANT, np.zeros(len(self.constant)))
+                values.insert(CONSTANT_KEY, np.zeros(len(self.constant)))
                 graph.push_back(self._first(passed.corrections[0]))
             else:
                 link = passed.links[k - 1]
@@ -137,7 +137,7 @@ class ErrorGraph:
         blocks = [
             (_key(k - 1), -root @ carry[np.ix_(changing, changing)] * self._scale[changing]),
             (_key(k), root * self._scale[changing]),
-            (CONSTANT, -root @ carry[np.ix_(changing, constant)] * self._scale[constant]),
+            (CONSTANT_KEY, -root @ carry[np.ix_(changing, constant)] * self._scale[constant]),
         ]
         return _linear(blocks, -root @ correction[changing])
 
@@ -150,7 +150,7 @@ class ErrorGraph:
         """The errors of key frame k times `by` are `value`, with unit noise."""
         blocks = [
             (_key(k), by[:, self.changing] * self._scale[self.changing]),
-            (CONSTANT, by[:, self.constant] * self._scale[self.constant]),
+            (CONSTANT_KEY, by[:, self.constant] * self._scale[self.constant]),
         ]
         return _linear(blocks, value)
 
@@ -176,13 +176,13 @@ class _SolutionReader:
         values = smoother.calculateEstimate()
         changing, constant = self._graph.changing, self._graph.constant
         here, there = self._graph.scaled(changing), self._graph.scaled(constant)
-        known = there * values.atVector(CONSTANT)
+        known = there * values.atVector(CONSTANT_KEY)
         for k in keys:
             self._error[k, changing] = here * values.atVector(_key(k))
             self._error[k, constant] = known
             self._covariance[k] = smoother.marginalCovariance(_key(k)) * np.outer(here, here)
         if whole:
-            self._constant = smoother.marginalCovariance(CONSTANT) * np.outer(there, there)
+            self._constant = smoother.marginalCovariance(CONSTANT_KEY) * np.outer(there, there)
 
     def solution(self) -> GraphSolution:
         """What was found."""
@@ -191,7 +191,7 @@ class _SolutionReader:
         )
 
 
-CONSTANT = 0  # key; those of key frames follow
+CONSTANT_KEY = 0  # key; those of key frames follow
 
 
 def _key(k: int) -> int:

@@ -17,9 +17,9 @@ from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.reports.page import png, write_files
 from carosac_toolkit.robot.robot import Robot
 
-TABLE = "estimate.parquet"
-PICTURES = ("estimate.png", "unknowns.png")
-FILES = (TABLE, *PICTURES)
+TABLE_FILE = "estimate.parquet"
+PICTURE_FILES = ("estimate.png", "unknowns.png")
+REPORT_FILES = (TABLE_FILE, *PICTURE_FILES)
 
 
 def recording_of(
@@ -55,7 +55,7 @@ def table_of(result: Smoothed) -> dict[str, Array]:
     """All that was found at each sample, by columns with units."""
     columns = {"time_s": result.time}
     columns |= _columns("position_{}_m", result.position)
-    columns |= dict(zip(_QUATERNION, _quaternion(result).T, strict=True))
+    columns |= dict(zip(_QUATERNION_COLUMNS, _quaternion(result).T, strict=True))
     columns |= _columns("velocity_{}_m_per_s", result.twist[:, :3])
     columns |= _columns("angular_velocity_{}_rad_per_s", result.twist[:, 3:])
     sigma = result.sigma
@@ -74,7 +74,7 @@ def table_of(result: Smoothed) -> dict[str, Array]:
     return columns
 
 
-_QUATERNION = tuple(f"quaternion_{axis}" for axis in "wxyz")
+_QUATERNION_COLUMNS = tuple(f"quaternion_{axis}" for axis in "wxyz")
 
 
 def _columns(name: str, values: Array) -> dict[str, Array]:
@@ -96,9 +96,9 @@ def write(folder: Path, result: Smoothed, robot: str) -> list[Path]:
         robot: Its name.
     """
     files = {
-        TABLE: _parquet(table_of(result)),
-        PICTURES[0]: png(draw_estimate(result, robot)),
-        PICTURES[1]: png(draw_unknowns(result, robot)),
+        TABLE_FILE: _parquet(table_of(result)),
+        PICTURE_FILES[0]: png(draw_estimate(result, robot)),
+        PICTURE_FILES[1]: png(draw_unknowns(result, robot)),
     }
     return write_files(folder, files)
 

@@ -9,8 +9,8 @@ from baselines.smoother.scores import SmoothingScores
 from carosac_toolkit.text_tables import counted
 from carosac_toolkit.validation.plausibility import doubt_exit_points, exit_point_distance
 
-DOUBTFUL = 3.0  # sigma
-WORDS = {"all": "in all", "moving": "winches in motion", "resting": "winches at rest"}
+IMPLAUSIBLE_DEVIATIONS = 3.0  # sigma
+PHASE_NAMES = {"all": "in all", "moving": "winches in motion", "resting": "winches at rest"}
 
 
 def sentences(result: Smoothed) -> list[str]:
@@ -52,19 +52,19 @@ def _implausible(result: Smoothed) -> list[str]:
     dynamics, robot, found = result.settings.dynamics, result.robot, []
     why = "the model is wrong" + ("" if result.converged else ", or it did not settle")
     away = abs(float(np.log(result.mass / robot.mass)))
-    if away > DOUBTFUL * dynamics.mass > 0.0:
+    if away > IMPLAUSIBLE_DEVIATIONS * dynamics.mass > 0.0:
         found.append(
             f"the mass found, {result.mass:.3f} kg for {robot.mass:.3f} kg, is "
             f"{away / dynamics.mass:.1f} sigma away: {why}"
         )
     moved = float(np.abs(result.center_of_mass - robot.center_of_mass).max())
-    if moved > DOUBTFUL * dynamics.center_of_mass > 0.0:
+    if moved > IMPLAUSIBLE_DEVIATIONS * dynamics.center_of_mass > 0.0:
         found.append(
             f"the centre of mass found is {moved * 1e3:.1f} mm, "
             f"{moved / dynamics.center_of_mass:.1f} sigma, away from that of the robot: {why}"
         )
     wind = float(np.sqrt((result.wind**2).mean()))
-    if wind > DOUBTFUL * dynamics.wind_force > 0.0:
+    if wind > IMPLAUSIBLE_DEVIATIONS * dynamics.wind_force > 0.0:
         found.append(
             f"the wind found is {wind:.1f} N per axis, {wind / dynamics.wind_force:.1f} times what "
             "was taken for granted: the model does not sway as the platform did, and mass and "
@@ -99,7 +99,7 @@ def _scored(result: Smoothed, scores: SmoothingScores) -> list[str]:
     for name, part in scores.parts.items():
         axes = " / ".join(f"{value * 1e3:.1f}" for value in part.rmse[:3])
         found.append(
-            f"RMSE on {part.samples} poses that were not used, {WORDS[name]}: {axes} mm in "
+            f"RMSE on {part.samples} poses that were not used, {PHASE_NAMES[name]}: {axes} mm in "
             f"x / y / z, {part.rmse[3] * 1e3:.1f} mm in norm, "
             f"{np.degrees(part.orientation_rmse):.2f} degrees; NEES {scores.nees[name]:.2f} "
             "(1: as large as the covariance says)."

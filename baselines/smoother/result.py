@@ -14,8 +14,10 @@ from carosac_toolkit.loop.values import Pose
 from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 
-AXES = ("x", "y", "z")
-CLEARLY = 0.7  # of a sigma that was taken for granted: what is less was told by the data
+AXIS_NAMES = ("x", "y", "z")
+TOLD_DEVIATION_RATIO = (
+    0.7  # of a sigma that was taken for granted: what is less was told by the data
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,7 +107,10 @@ class Smoothed:
             "wind": (self.wind_sigma.max(), known.wind_force),
             "delay": (self.delay_sigma, self.settings.delay),
         }
-        return {name: bool(0.0 < sigma < CLEARLY * prior) for name, (sigma, prior) in pairs.items()}
+        return {
+            name: bool(0.0 < sigma < TOLD_DEVIATION_RATIO * prior)
+            for name, (sigma, prior) in pairs.items()
+        }
 
     def data(self) -> dict[str, Any]:
         """The numbers in short, under names with units, ready for JSON."""
@@ -123,8 +128,8 @@ class Smoothed:
             "found": self.told,
             "lag_s": self.settings.lag,
             "dynamics": asdict(self.settings.dynamics),
-            "position_sigma_m": dict(zip(AXES, mean[:3], strict=True)),
-            "orientation_sigma_rad": dict(zip(AXES, mean[3:6], strict=True)),
+            "position_sigma_m": dict(zip(AXIS_NAMES, mean[:3], strict=True)),
+            "orientation_sigma_rad": dict(zip(AXIS_NAMES, mean[3:6], strict=True)),
             "wind_N": {"rms": float(np.sqrt((self.wind**2).sum(axis=1).mean())),
                        "max": float(np.linalg.norm(self.wind, axis=1).max())},
             "length_bias_m": self.length_bias.mean(axis=0),

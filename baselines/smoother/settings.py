@@ -8,7 +8,7 @@ from baselines.dynamic_estimator.settings import DynamicEstimatorSettings
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields, check_positive, check_whole
 
-POSES = ("withheld", "half", "used")
+POSE_TREATMENTS = ("withheld", "half", "used")
 
 
 def _dynamics() -> DynamicEstimatorSettings:
@@ -47,8 +47,8 @@ class SmootherSettings:
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
-        if self.poses not in POSES:
-            raise InvalidField("poses", repr(self.poses), f"one of {list(POSES)}")
+        if self.poses not in POSE_TREATMENTS:
+            raise InvalidField("poses", repr(self.poses), f"one of {list(POSE_TREATMENTS)}")
         check_fields(self, positive=("tolerance",), not_negative=("delay",))
         if self.lag is not None:
             check_positive("lag", self.lag, "s")

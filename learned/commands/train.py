@@ -29,14 +29,14 @@ from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies.run.cluster import remote_client
 from carosac_toolkit.studies.run.folder import MANIFEST
 from carosac_toolkit.text_tables import counted, terminal_width, wrapped
-from learned.learning_curve import CURVE, read_curve
+from learned.learning_curve import CURVE_FILE, read_curve
 from learned.presets import Preset, Stage, find_preset
 from learned.setting_changes import check_changes, read_changes, read_variations
-from learned.training import CHECKPOINT, TrainingJob, train
-from learned.training_record import SETTINGS
-from learned.training_study import CPU, TrainingRun, TrainingStudy, check_stages, free_study
+from learned.training import CHECKPOINT_FILE, TrainingJob, train
+from learned.training_record import SETTINGS_FILE
+from learned.training_study import CPU_DEVICE, TrainingRun, TrainingStudy, check_stages, free_study
 
-FOLDER = Path("carosac-results") / "train"
+RESULTS_FOLDER = Path("carosac-results") / "train"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +70,7 @@ class Options(CommonOptions):
     workers: int | None = None
     """With --seeds or --vary: worker processes on this machine; 0 is none but this one; by default
     one per core."""
-    device: str = CPU
+    device: str = CPU_DEVICE
     """Warp device of the worlds, such as cuda: a GPU pays from hundreds of them on, with --set
     td3.environments=NUMBER. Networks are trained on the CPU."""
     output: OutputFolder = None
@@ -123,7 +123,7 @@ def _train_once(options: Options, preset: Preset, training: TrainingRun) -> Comm
             raise InvalidField(f"--{name}", getattr(options, name), allowed)
     robot = load_robot(options.robot)
     place = _name(options, training, robot.name, f"seed{options.seed}")
-    folder = options.output or FOLDER / place
+    folder = options.output or RESULTS_FOLDER / place
     if (folder / MANIFEST).exists():
         raise InvalidField("--output", f"'{folder}'", "a folder without a study in it")
     jobs = training.jobs(robot, folder)
@@ -141,7 +141,7 @@ def _train_all(options: Options, preset: Preset, trainings: list[TrainingRun]) -
     check_stages(trainings[0].stages, preset.name)
     robot = load_robot(options.robot)
     if options.output is None:
-        base = FOLDER / _name(options, trainings[0], robot.name, "study")
+        base = RESULTS_FOLDER / _name(options, trainings[0], robot.name, "study")
         study = free_study(base, trainings)
         if study.folder != base:
             print(wrapped(f"{base} holds other trainings, so these go elsewhere", terminal_width()))
@@ -149,7 +149,7 @@ def _train_all(options: Options, preset: Preset, trainings: list[TrainingRun]) -
         study = TrainingStudy(trainings=tuple(trainings), folder=options.output)
     check_folder("--output", study.folder)
     for name in trainings[0].stages:
-        if (study.folder / name / SETTINGS).exists():
+        if (study.folder / name / SETTINGS_FILE).exists():
             allowed = "a folder without a single training in it"
             raise InvalidField("--output", f"'{study.folder}'", allowed)
     if options.scheduler is not None:
@@ -181,11 +181,11 @@ def _train(job: TrainingJob, folder: Path) -> dict[str, Any]:
     try:
         policy = train(job, folder, report=_report)
     except KeyboardInterrupt:
-        if (folder / CHECKPOINT).exists():
+        if (folder / CHECKPOINT_FILE).exists():
             print("stopped; the same command goes on from the last checkpoint", flush=True)
         raise
     assert policy is not None
-    rows = read_curve(folder / CURVE)
+    rows = read_curve(folder / CURVE_FILE)
     curve = curve_of(folder, f"seed {job.seed}")
     if curve is not None:
         learning_curves([curve], folder / "curve.png")
@@ -221,7 +221,7 @@ def _report(row: dict[str, float], left: float) -> None:
 def _name(options: Options, training: TrainingRun, robot: str, last: str) -> str:
     """Folder of what was not sent anywhere; short trainings, and devices, apart."""
     parts = [training.fixed_name, robot, last]
-    if options.device != CPU:
+    if options.device != CPU_DEVICE:
         parts.append(options.device.replace(":", ""))
     if options.steps is not None:
         parts.append(f"{options.steps}steps")

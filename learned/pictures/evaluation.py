@@ -15,7 +15,7 @@ from learned.scores import PolicyScores, sound_paths
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SAMPLES = 4  # paths that are drawn
+PATHS_DRAWN = 4  # paths that are drawn
 
 
 def draw_histograms(scores: PolicyScores, path: Path) -> Figure:
@@ -33,7 +33,7 @@ def draw_violins(scores: PolicyScores, path: Path) -> Figure:
 
 def draw_paths(scores: PolicyScores, robot: Robot, path: Path) -> Figure:
     """The first paths in space."""
-    shown = np.flatnonzero(sound_paths(scores))[:SAMPLES, None]
+    shown = np.flatnonzero(sound_paths(scores))[:PATHS_DRAWN, None]
     last = scores.counted.sum(axis=1)[shown] - 1
     steps = np.minimum(np.arange(scores.counted.shape[1]), last)  # what does not count is not drawn
     return sample_paths(scores.target[shown, steps], scores.position[shown, steps], robot, path)

@@ -17,10 +17,10 @@ from learned.scores import sound_paths
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-POLICY = "policy"
-TRAIN = "carosac train --preset paper --output DIR"
-NO_SAG = "carosac evaluate POLICY --protocol no-sag --output DIR"
-SETTLE = "carosac evaluate POLICY --protocol settle --output DIR"
+POLICY_SCORES = "policy"
+TRAIN_COMMAND = "carosac train --preset paper --output DIR"
+NO_SAG_COMMAND = "carosac evaluate POLICY --protocol no-sag --output DIR"
+SETTLE_COMMAND = "carosac evaluate POLICY --protocol settle --output DIR"
 
 
 def _made(draw: Callable[[Path], Figure]) -> Figure:
@@ -36,7 +36,9 @@ def _evaluated(
 
     def drawn(sources: Sequence[Source]) -> list[Drawn]:
         there = {folder: SavedScores.read(folder) for folder in of_kind(sources, "evaluation")}
-        sound = {k: saved for k, saved in there.items() if sound_paths(saved.scores[POLICY]).any()}
+        sound = {
+            k: saved for k, saved in there.items() if sound_paths(saved.scores[POLICY_SCORES]).any()
+        }
         for protocol in protocols:
             for folder, saved in sound.items():
                 if saved.protocol == protocol:
@@ -74,7 +76,7 @@ def _rewards(sources: Sequence[Source]) -> list[Drawn]:
 
 FIGURES = (
     PaperFigure(
-        place=5, name="reward", command=TRAIN, draw=_trained,
+        place=5, name="reward", command=TRAIN_COMMAND, draw=_trained,
         what="reward of each episode, raw and smoothed, of each stage",
     ),
     PaperFigure(
@@ -82,20 +84,22 @@ FIGURES = (
         what="terms of the reward against their variables",
     ),
     PaperFigure(
-        place=7, name="error_histograms", command=NO_SAG,
-        draw=_evaluated(lambda saved, path: draw_histograms(saved.scores[POLICY], path),
+        place=7, name="error_histograms", command=NO_SAG_COMMAND,
+        draw=_evaluated(lambda saved, path: draw_histograms(saved.scores[POLICY_SCORES], path),
                         ("no-sag", "settle", "realtime")),
         what="mean position and length error over trajectories",
     ),
     PaperFigure(
-        place=8, name="sample_paths", command=NO_SAG,
-        draw=_evaluated(lambda saved, path: draw_paths(saved.scores[POLICY], saved.robot, path),
-                        ("no-sag", "settle", "realtime")),
+        place=8, name="sample_paths", command=NO_SAG_COMMAND,
+        draw=_evaluated(
+            lambda saved, path: draw_paths(saved.scores[POLICY_SCORES], saved.robot, path),
+            ("no-sag", "settle", "realtime"),
+        ),
         what="sample paths in space",
     ),
     PaperFigure(
-        place=9, name="trajectory_violins", command=SETTLE,
-        draw=_evaluated(lambda saved, path: draw_violins(saved.scores[POLICY], path),
+        place=9, name="trajectory_violins", command=SETTLE_COMMAND,
+        draw=_evaluated(lambda saved, path: draw_violins(saved.scores[POLICY_SCORES], path),
                         ("settle", "realtime", "no-sag")),
         what="absolute error per axis over trajectories",
     ),

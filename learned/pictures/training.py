@@ -12,16 +12,16 @@ from numpy.typing import ArrayLike
 from carosac_toolkit.base.arrays import Array, batch
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.pictures.drawing import COLORS, MEASURED, new_figure, put_legend
-from learned.learning_curve import CURVE, EPISODES, read_curve, read_episodes
+from learned.learning_curve import CURVE_FILE, EPISODES_FILE, read_curve, read_episodes
 from learned.pictures.files import save
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MM = 1e3
-SMOOTHED = 0.04  # of the points: the window of the smoothed line
-COLUMNS = 3
-WIDE = 8.0  # ratio of errors from which their axis is logarithmic
+MM_PER_M = 1e3
+SMOOTHING_RATIO = 0.04  # of the points: the window of the smoothed line
+PANEL_COLUMNS = 3
+LOG_AXIS_RATIO = 8.0  # ratio of errors from which their axis is logarithmic
 
 
 class LearningCurve(TypedDict):
@@ -55,7 +55,7 @@ def curve_of(folder: Path, name: str) -> LearningCurve | None:
     Returns:
         The curve; None before the second episode or mean.
     """
-    rows, ended = read_curve(folder / CURVE), folder / EPISODES
+    rows, ended = read_curve(folder / CURVE_FILE), folder / EPISODES_FILE
     if ended.is_file():
         points = [(float(one.steps), one.reward) for one in read_episodes(ended)]
     else:
@@ -81,7 +81,7 @@ def reward_terms(terms: Mapping[str, tuple[str, ArrayLike, ArrayLike]], path: st
     """
     if not terms:
         raise InvalidField("terms", "none", "at least one term")
-    columns = 2 if len(terms) == 4 else min(COLUMNS, len(terms))
+    columns = 2 if len(terms) == 4 else min(PANEL_COLUMNS, len(terms))
     rows = -(-len(terms) // columns)
     figure = new_figure(4.0 * columns, 0.5 + 2.8 * rows)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -136,7 +136,7 @@ def learning_curves(
     return save(figure, path)
 
 
-def smoothed(steps: Array, values: Array, share: float = SMOOTHED) -> tuple[Array, Array]:
+def smoothed(steps: Array, values: Array, share: float = SMOOTHING_RATIO) -> tuple[Array, Array]:
     """Moving mean over a centred window; at the ends over what of the window there is.
 
     Args:
@@ -176,7 +176,7 @@ def _legend(curves: Sequence[LearningCurve]) -> list[str]:
     averaged = {curve.get("averaged", False) for curve in curves}
     said = []
     if False in averaged:
-        share = f"{100 * SMOOTHED:.0f} %"
+        share = f"{100 * SMOOTHING_RATIO:.0f} %"
         said.append(
             f"pale: each episode; line: moving mean of {share}, or of all that end together"
         )
@@ -191,7 +191,7 @@ def _draw_errors(axes: Any, curve: LearningCurve, color: str) -> None:
         raise InvalidField("evaluated_steps", "none", "the steps of each median_error")
     when, what = curve["evaluated_steps"], curve["median_error"]
     steps, error = _pair("evaluated_steps", when, "median_error", what)
-    axes.plot(steps, MM * error, color=color, lw=1.5, marker="o", ms=3.5)
+    axes.plot(steps, MM_PER_M * error, color=color, lw=1.5, marker="o", ms=3.5)
 
 
 def _finish_errors(axes: Any, marks: Mapping[str, float]) -> None:
@@ -200,12 +200,13 @@ def _finish_errors(axes: Any, marks: Mapping[str, float]) -> None:
 
     drawn = np.concatenate([line.get_ydata() for line in axes.lines])
     for name, mark in marks.items():
-        axes.axhline(MM * mark, color=MEASURED, lw=1.0, ls="--")
+        axes.axhline(MM_PER_M * mark, color=MEASURED, lw=1.0, ls="--")
         axes.annotate(
-            f"{name}: {MM * mark:g} mm", (0.0, MM * mark), xycoords=axes.get_yaxis_transform(),
+            f"{name}: {MM_PER_M * mark:g} mm", (0.0, MM_PER_M * mark),
+            xycoords=axes.get_yaxis_transform(),
             xytext=(5, 3), textcoords="offset points", fontsize=8,
         )  # fmt: skip
-    if len(drawn) and drawn.min() > 0.0 and drawn.max() > WIDE * drawn.min():
+    if len(drawn) and drawn.min() > 0.0 and drawn.max() > LOG_AXIS_RATIO * drawn.min():
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter("{x:g}")

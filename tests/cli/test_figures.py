@@ -14,7 +14,7 @@ from carosac_toolkit.robot.file import load_robot
 from carosac_toolkit.studies.run.folder import opened
 from carosac_toolkit.validation import validate
 from carosac_toolkit.validation.saved import SAMPLES, read_samples, samples_bytes
-from learned.learning_curve import CURVE, EPISODES, Episode, write_curve, write_episodes
+from learned.learning_curve import CURVE_FILE, EPISODES_FILE, Episode, write_curve, write_episodes
 from learned.saved_scores import SavedScores
 from learned.scores import PolicyScores
 from tests.studies.tables import case, good, series, study
@@ -69,8 +69,8 @@ def training_in(folder):
         ("steps", "updates", "cpu_seconds", "reward", "median_error_m", "median_of_means_m",
          "p95_error_m", "rmse_m", "inconsistency_m", "failed_paths"), 0.1,
     )  # fmt: skip
-    write_curve(folder / CURVE, [row | {"steps": 100.0 * k} for k in (1, 2, 3)])
-    write_episodes(folder / EPISODES, [Episode(20 * k, float(k), 20) for k in range(1, 16)])
+    write_curve(folder / CURVE_FILE, [row | {"steps": 100.0 * k} for k in (1, 2, 3)])
+    write_episodes(folder / EPISODES_FILE, [Episode(20 * k, float(k), 20) for k in range(1, 16)])
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,7 @@
 import numpy as np
 
 from learned.learning_curve import (
-    COLUMNS,
+    CURVE_COLUMNS,
     Episode,
     read_curve,
     read_episodes,
@@ -15,7 +15,7 @@ OLD = """steps,updates,cpu_seconds,reward,median_error_m,median_of_means_m,p95_e
 
 
 def row(**changes):
-    return dict.fromkeys(COLUMNS, 0.123456789) | {"failed_paths": 3.0} | changes
+    return dict.fromkeys(CURVE_COLUMNS, 0.123456789) | {"failed_paths": 3.0} | changes
 
 
 def test_a_curve_is_read_as_it_was_written_to_six_digits_and_counts_to_the_last_one(tmp_path):

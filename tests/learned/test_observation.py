@@ -9,7 +9,7 @@ from carosac_toolkit.physics.cable import straight_line
 from carosac_toolkit.robot.file import load_robot
 from learned.environment import empty_look
 from learned.observation import (
-    PARTS,
+    OBSERVATION_PARTS,
     ObservationScales,
     ObservationUnits,
     check_parts,
@@ -60,7 +60,7 @@ def test_each_unit_is_what_counts_as_one_in_its_parts(unit, parts):
     usual = ObservationScales.of(robot)
     double = replace(usual.units, **{unit: 2.0 * getattr(usual.units, unit)})
     scales = ObservationScales.of(robot, double)
-    for name, part in PARTS.items():
+    for name, part in OBSERVATION_PARTS.items():
         factor = 0.5 if name in parts else 1.0
         np.testing.assert_allclose(part(look, scales), factor * part(look, usual), rtol=1e-12)
 
@@ -76,7 +76,7 @@ def test_each_part_says_what_its_name_says():
         target_acceleration=np.array([[1.0, -2.0, 3.0]]),
         last_action=np.array([[0.1, -0.2, 0.3, -0.4]]), mean_error=np.array([[0.02, 0.0, -0.1]]),
     )  # fmt: skip
-    found = {name: part(look, scales)[0] for name, part in PARTS.items()}
+    found = {name: part(look, scales)[0] for name, part in OBSERVATION_PARTS.items()}
     np.testing.assert_allclose(found["error"], [-2.0, 0.0, 1.0], atol=1e-12)
     np.testing.assert_allclose(found["velocity"], [0.1, 0.2, 0.3])
     against = (np.array([0.1, 0.2, 0.3]) - 0.5) / 0.3
@@ -98,8 +98,8 @@ def test_units_say_what_counts_as_one():
     robot = simple_robot()
     look = replace(empty_look(robot, 0, 4), twist=np.full((1, 6), 2.0))
     coarse = ObservationScales.of(robot, ObservationUnits(speed=4.0, turn=0.5))
-    np.testing.assert_allclose(PARTS["velocity"](look, coarse), 0.5)
-    np.testing.assert_allclose(PARTS["turn"](look, coarse), 4.0)
+    np.testing.assert_allclose(OBSERVATION_PARTS["velocity"](look, coarse), 0.5)
+    np.testing.assert_allclose(OBSERVATION_PARTS["turn"](look, coarse), 4.0)
     with pytest.raises(InvalidField, match="tilt: got 0"):
         ObservationUnits(tilt=0.0)
 
@@ -108,11 +108,11 @@ def test_units_say_what_counts_as_one():
 def test_slices_find_each_part_in_the_observation(robot):
     scales = ObservationScales.of(robot)
     look = empty_look(robot, 3, 5)
-    names = tuple(reversed(PARTS))
+    names = tuple(reversed(OBSERVATION_PARTS))
     seen = observe(names, look, scales)
     where = slices(names, robot.n, 3, 5)
     for name in names:
-        np.testing.assert_array_equal(seen[:, where[name]], PARTS[name](look, scales))
+        np.testing.assert_array_equal(seen[:, where[name]], OBSERVATION_PARTS[name](look, scales))
     assert sum(part.stop - part.start for part in where.values()) == seen.shape[1]
 
 

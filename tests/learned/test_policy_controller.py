@@ -15,7 +15,7 @@ from carosac_toolkit.loop.values import Belief
 from learned.environment import CableEnvironment, EnvironmentSettings
 from learned.learning_curve import read_curve
 from learned.policy_controller import (
-    DEFAULTS,
+    DEFAULT_POLICIES,
     PolicyController,
     PolicySettings,
     find_policy,
@@ -242,8 +242,8 @@ def test_bundled_policies_are_those_of_the_presets(name):
 def test_policies_go_by_name_or_path(tmp_path):
     robot = ct.load_robot("carosac")
     assert policy_of(robot) == "carosac-residual"
-    assert set(DEFAULTS.values()) <= set(list_policies())
-    for name, default in DEFAULTS.items():
+    assert set(DEFAULT_POLICIES.values()) <= set(list_policies())
+    for name, default in DEFAULT_POLICIES.items():
         assert Policy.load(find_policy(default)).description.robot.name == name
     for name in list_policies():
         assert Policy.load(find_policy(name)).description.robot.name in name

@@ -11,7 +11,7 @@ from carosac_toolkit.base.errors import InvalidField
 from learned import environment, length_map, observation
 from learned.environment import EnvironmentSettings
 from learned.observation import ObservationUnits
-from learned.policy_probe import CLOSE, check_probe, make_probe
+from learned.policy_probe import PROBE_TOLERANCES, check_probe, make_probe
 from learned.target_paths import PathSettings
 from tests.robots import eight_cable_robot, simple_robot
 
@@ -36,14 +36,14 @@ def test_a_push_is_seen_in_the_lengths():
     """Ten times as much as what would be noticed, at home, from rest."""
     still, pushed = (make_probe(ROBOT, replace(PUSH, reach=reach)) for reach in (1e-9, 3.0))
     apart = np.subtract(pushed["length"][0], still["length"][0])
-    assert np.abs(apart).max() > 10 * CLOSE["length"]
+    assert np.abs(apart).max() > 10 * PROBE_TOLERANCES["length"]
 
 
 @pytest.mark.parametrize(
     ("settings", "module", "name", "value", "message"),
     [
-        (ABSOLUTE, observation, "MARGIN", 0.03, "differ by up to"),
-        (PUSH, length_map, "DEGREE", 5, r"lengths differ by up to .* mm"),
+        (ABSOLUTE, observation, "LENGTH_MARGIN_RATIO", 0.03, "differ by up to"),
+        (PUSH, length_map, "POLYNOMIAL_DEGREE", 5, r"lengths differ by up to .* mm"),
         (PUSH, environment, "make_actions", None, r"lengths differ by up to .* mm"),
     ],
 )

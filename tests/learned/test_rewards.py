@@ -6,7 +6,7 @@ import pytest
 from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.physics.cable import straight_line
 from learned import rewards
-from learned.environment import FAILURE
+from learned.environment import FAILURE_REWARD
 from learned.rewards import PAPER_NO_SAG, PAPER_SAG, Reward, RewardSettings
 from tests.learned.transitions import STRAIGHT, transition
 from tests.robots import simple_robot
@@ -126,7 +126,7 @@ def test_the_fit_falls_from_zero_at_the_target_to_minus_one_across_the_workspace
 
 def test_no_misfit_is_worse_than_a_step_without_a_solution():
     far = rewards.misfit_reward(np.array([SPAN, 2.0 * SPAN, 1e9]), 0.04, SPAN)
-    np.testing.assert_allclose(far, FAILURE, rtol=1e-15)
+    np.testing.assert_allclose(far, FAILURE_REWARD, rtol=1e-15)
 
 
 def test_relative_changes_of_the_misfit_count_alike_far_above_the_scale():

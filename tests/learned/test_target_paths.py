@@ -81,7 +81,7 @@ def test_paths_with_an_infeasible_target_are_drawn_again(monkeypatch):
     assert any((drawn(settings, seed).position[:, 2] >= 4.0).any() for seed in range(5))
     for seed in range(5):
         assert low(drawn(settings, seed, low).position).all()
-    monkeypatch.setattr("learned.target_paths.ATTEMPTS", 3)
+    monkeypatch.setattr("learned.target_paths.PATH_ATTEMPTS_MAX", 3)
     with pytest.raises(CarosacError, match=r"simple: none of 3 random paths .* is feasible"):
         drawn(settings, 0, lambda position: np.zeros(len(position), dtype=bool))
 

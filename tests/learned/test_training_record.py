@@ -8,7 +8,7 @@ from carosac_toolkit.base.errors import InvalidField
 from learned.observation import ObservationUnits
 from learned.rewards import RewardSettings
 from learned.training_record import (
-    SETTINGS,
+    SETTINGS_FILE,
     TrainingRecord,
     check_settings,
     digest,
@@ -33,7 +33,7 @@ def test_a_record_is_read_as_it_was_written(tmp_path):
 
 @pytest.mark.parametrize(("kept", "read"), [("17f0196", "17f0196"), (None, "unknown")])
 def test_an_older_record_has_one_commit(tmp_path, kept, read):
-    (tmp_path / SETTINGS).write_text(json.dumps(ASKED | {"commit": kept}))
+    (tmp_path / SETTINGS_FILE).write_text(json.dumps(ASKED | {"commit": kept}))
     assert read_record(tmp_path) == TrainingRecord(settings=ASKED, commits=(read,))
 
 

@@ -13,7 +13,7 @@ from baselines.ks_ekf import KsEkfSettings, initial_state
 from baselines.ks_ekf.cable_model import SWING_FADE_TIME_S, ExpectedLengths, expected_lengths
 from baselines.ks_ekf.cable_swing import CableSwing
 from baselines.ks_ekf.error_filter import ErrorFilter
-from baselines.ks_ekf.filter_state import FIXED, LENGTHS, POSE, InertialSamples, KsEkfState
+from baselines.ks_ekf.filter_state import FIXED_ERRORS, LENGTHS, POSE, InertialSamples, KsEkfState
 from baselines.ks_ekf.inertial import InertialMotion, slope
 from baselines.ks_ekf.platform_motion import carried, moved_to_imu, origin
 from baselines.ks_ekf.rest_detection import RecentMeasurements, detect_rest
@@ -23,7 +23,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.rest import statics
 
 ROBOT = ct.load_robot("carosac")
-SIZE = FIXED + ROBOT.n
+SIZE = FIXED_ERRORS + ROBOT.n
 SETTINGS = KsEkfSettings(imu_position=np.array([0.1, -0.05, 0.2]))
 
 
