@@ -127,7 +127,7 @@ class InputShaping:
         self._forget(len(belief.position))
 
     def command(self, belief: Belief, reference: Reference) -> Command:
-        """Lengths of rest at the shaped reference.
+        """Return the lengths of rest at the shaped reference.
 
         Raises:
             UnreachableReference: There is no stable rest within the tension limits there.
@@ -150,7 +150,7 @@ class InputShaping:
         self._signals = [ShapedSignal(self._settings.shaper) for _ in range(self.modes)]
 
     def _shaped(self, aim: Array, reference: Reference) -> Array:
-        """The reference after the shapers [m], (B, 3), whose unshaped value is `aim`."""
+        """Return the shaped reference [m], (B, 3), whose unshaped value is `aim`."""
         now = reference.time[:, 0]
         if self._start is None:
             self._start = now
@@ -173,7 +173,7 @@ class InputShaping:
         return made[-1] if chained else self._joined(aim, np.stack(made, axis=1), modes.excitation)
 
     def _stiffening(self, reference: Reference) -> Array:
-        """How much faster a pendulum swings in a frame that accelerates upwards, shape (B, 1).
+        """Return the frequency ratio of a pendulum in the accelerated frame, shape (B, 1).
 
         Within a quarter of gravity and four times as much: half and twice the frequency.
         """
@@ -182,7 +182,7 @@ class InputShaping:
         return np.asarray(np.sqrt(np.clip(1.0 + rise / self._robot.gravity, 0.25, 4.0)))
 
     def _prepared(self, reference: Reference, delays: list[Array], elapsed: Array) -> list[Array]:
-        """What each shaper gets, (B, 3) each: read ahead, so that what it makes is centred in time.
+        """Return the input of each shaper, (B, 3), read ahead so that its output is in time.
 
         The look ahead grows smoothly after the reset. It is as long as the slowest pose of the
         workspace needs; where the mode is faster, the rest is waited for.
@@ -214,7 +214,7 @@ class InputShaping:
         return aim + np.asarray((excitation.swapaxes(1, 2) @ weights)[..., 0])
 
     def _delays(self, modes: SwayModes) -> list[Array]:
-        """Mean delay of each shaper [s], (B,) each; of all together where they act on all."""
+        """Return the mean delay of each shaper [s], (B,); one of all where they act in series."""
         kind, columns = self._settings.shaper, range(modes.frequency.shape[1])
         each = [
             mean_delay(impulses(kind, modes.frequency[:, k], modes.damping[:, k])) for k in columns
@@ -222,7 +222,7 @@ class InputShaping:
         return [np.sum(each, axis=0)] if self._settings.directions == "all" else each
 
     def _rest(self, position: Array) -> Equilibrium:
-        """Poses of rest at positions (B, 3) [m]."""
+        """Solve for rest at positions (B, 3) [m]."""
         rest = statics.inverse_kinematics(self._robot, position)
         if not rest.converged.all():
             row = int((~rest.converged).argmax())
@@ -233,7 +233,7 @@ class InputShaping:
         return rest
 
     def _largest_delays(self) -> Array:
-        """Mean delay of each shaper where the workspace box has its slowest sway [s]."""
+        """Return the mean delay of each shaper at the slowest sway of the workspace box [s]."""
         if self.modes == 0:
             return np.zeros(0)
         box = zip(self._robot.workspace_min, self._robot.workspace_max, strict=True)
@@ -247,7 +247,7 @@ class InputShaping:
 
 
 def _slow_modes(robot: Robot, frequency_max: float) -> int:
-    """How many modes at home are slower than a limit.
+    """Count the modes at home that are slower than a limit.
 
     Raises:
         UnreachableReference: The robot cannot rest at home.

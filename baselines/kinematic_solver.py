@@ -135,7 +135,7 @@ class KinematicSolver:
 
 
 def _pose_and_forces(found: Equilibrium) -> dict[str, NDArray[Any]]:
-    """What a belief takes from a solve, row by row."""
+    """Return the parts of a solution that a belief takes, row by row."""
     return {
         "position": found.position,
         "rotation": found.rotation,
@@ -146,19 +146,19 @@ def _pose_and_forces(found: Equilibrium) -> dict[str, NDArray[Any]]:
 
 
 def _is_good(found: Equilibrium) -> NDArray[np.bool_]:
-    """Where a solve gave a pose at which the platform can rest."""
+    """Return where a solution is a pose at which the platform can rest."""
     return np.asarray(found.converged & found.stable)
 
 
 def _put(old: NDArray[Any], where: NDArray[np.bool_], new: NDArray[Any]) -> NDArray[Any]:
-    """A copy of `old` with the rows of `where` replaced."""
+    """Return a copy of `old` with the rows of `where` replaced."""
     result = np.array(old)
     result[where] = new
     return result
 
 
 def _keep_tension(good: NDArray[np.bool_], new: Array, old: Array | None) -> Array | None:
-    """New tensions where they are good, the last good ones elsewhere; None where there are none."""
+    """Return new tensions where they are good, else the last good ones; None without any."""
     if good.all():
         return new
     return None if old is None else np.where(good[:, None], new, old)

@@ -19,7 +19,7 @@ class KinematicSolverController(LookaheadController):
     """
 
     def command(self, belief: Belief, reference: Reference) -> Command:
-        """Lengths of rest at the pose ahead.
+        """Return the lengths of rest at the pose ahead.
 
         Raises:
             UnreachableReference: There is no rest within the tension limits there.

@@ -77,7 +77,7 @@ class LengthReadings:
 
     @classmethod
     def first(cls, time: float, length: Array, slid: Array | None = None) -> LengthReadings:
-        """One reading (n,) [m] of encoders that may have slipped before, by (n,) [m]."""
+        """Start with one reading (n,) [m] of encoders that slipped by (n,) [m] before."""
         nothing = np.zeros(len(length))
         slid = nothing if slid is None else slid
         return cls(
@@ -87,7 +87,7 @@ class LengthReadings:
     def taken(
         self, time: float, length: Array, robot: Robot, jump: float, keep: float
     ) -> LengthReadings:
-        """With one more reading, if it is one, and can be true.
+        """Add a reading, if it is new and can be true.
 
         A cable that jumps farther than its winch can wind, and stays there, has not moved: its
         encoder slipped, and so have others that jumped with it, less far. Earlier readings are then
@@ -124,7 +124,7 @@ class LengthReadings:
     def _outliers(
         self, time: float, length: Array, robot: Robot, jump: float
     ) -> LengthOutliers | None:
-        """The outliers with one more reading; None if it is none."""
+        """Return the outliers with one more reading; None if it is none."""
         before = self.outliers
         if before is not None:
             wound = robot.speed_max * (time - before.time)
@@ -150,7 +150,7 @@ class LengthReadings:
     def _believed(
         self, time: float, length: Array, slipped: Array, sound: int, keep: float
     ) -> LengthReadings:
-        """With a reading that is believed, before which encoders slipped (n,) [m]."""
+        """Add a reading that is believed, before which encoders slipped by (n,) [m]."""
         slid, had_slid, slid_at = self.slid + slipped, self.had_slid, self.slid_at
         if slipped.any():
             left, soon = np.linalg.norm(slid - had_slid), time - slid_at < JUMP_RETURN_TIME_S
@@ -173,7 +173,7 @@ class LengthReadings:
         )
 
     def held(self, time: float) -> LengthReadings:
-        """As if the last reading had come once more at a later time [s]."""
+        """Repeat the last reading at a later time [s]."""
         return replace(
             self,
             time=np.append(self.time[-1:], time),
@@ -181,7 +181,7 @@ class LengthReadings:
         )
 
     def at(self, time: float) -> Array:
-        """Reading at a time [m], shape (n,)."""
+        """Return the reading at a time [m], shape (n,)."""
         last = self.time[-1]
         if time > last and len(self.time) > 1:
             rate = (self.length[-1] - self.length[-2]) / (last - self.time[-2])
@@ -193,7 +193,7 @@ class LengthReadings:
         return np.asarray(self.length[k - 1] + share * (self.length[k] - self.length[k - 1]))
 
     def knots(self, start: float, end: float, short: float) -> list[float]:
-        """Times at which the path bends between two others [s], the end included.
+        """Return the times at which the path bends between two others [s], with the end.
 
         Where those are no farther apart than `short` [s], the bend is lost in the noise.
         """

@@ -1,4 +1,4 @@
-"""What every kinematic controller shares: the reference it aims at, and when."""
+"""Reference ahead of now that every kinematic controller aims at."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ class LookaheadSettings:
 
 
 def delay_of(robot: Robot, settings: LookaheadSettings) -> float:
-    """How far ahead to aim [s], as the settings say."""
+    """Return how far ahead to aim [s], by the settings."""
     if settings.delay is not None:
         return settings.delay
     return float(robot.winch_lag.mean()) + 0.5 * settings.period
 
 
 def interpolated(where: Array, at: Array, value: Array) -> Array:
-    """Values (B, T, 3) at (B, T), linear between and constant outside, at (B, M): (B, M, 3)."""
+    """Interpolate values (B, T, 3) at (B, T) to (B, M), constant outside: (B, M, 3)."""
     return np.stack(
         [
             np.stack([np.interp(w, t, v[:, axis]) for axis in range(3)], axis=-1)
@@ -58,7 +58,7 @@ def interpolated(where: Array, at: Array, value: Array) -> Array:
 
 
 class Lookahead:
-    """Where to aim at, cycle by cycle."""
+    """Point to aim at, cycle by cycle."""
 
     def __init__(self, robot: Robot, settings: LookaheadSettings) -> None:
         delay = delay_of(robot, settings)
@@ -72,7 +72,7 @@ class Lookahead:
         self._correction = np.zeros_like(belief.position)
 
     def aim(self, belief: Belief, reference: Reference) -> tuple[Array, Array]:
-        """Position [m] and velocity [m/s] to command now, each of shape (B, 3).
+        """Return position [m] and velocity [m/s] to command now, each of shape (B, 3).
 
         Linear between the rows of the reference; the correction integrates the believed error.
         """
@@ -111,4 +111,4 @@ class LookaheadController(ABC):
 
     @abstractmethod
     def command(self, belief: Belief, reference: Reference) -> Command:
-        """Lengths of the pose ahead."""
+        """Return the lengths of the pose ahead."""

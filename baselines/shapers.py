@@ -32,7 +32,7 @@ _BINOMIAL_AMPLITUDES = {"zv": (1.0, 1.0), "zvd": (1.0, 2.0, 1.0)}
 
 
 def impulses(shaper: Shaper, frequency: Array, damping: Array) -> tuple[Array, Array]:
-    """Impulses of a shaper.
+    """Return the impulses of a shaper.
 
     Args:
         shaper: Which.
@@ -61,12 +61,12 @@ def impulses(shaper: Shaper, frequency: Array, damping: Array) -> tuple[Array, A
 
 
 def mean_delay(shaper: tuple[Array, Array]) -> Array:
-    """By how much a shaper delays a slow command: sum of amplitude times time [s], shape (B,)."""
+    """Return the delay of a slow command: sum of amplitude times time [s], shape (B,)."""
     return np.asarray((shaper[0] * shaper[1]).sum(axis=1))
 
 
 def residual(shaper: tuple[Array, Array], frequency: Array, damping: Array) -> Array:
-    """Share V of the vibration that a shaper leaves of a mode.
+    """Return the share V of the vibration that a shaper leaves of a mode.
 
     Args:
         shaper: Times [s] and amplitudes, each of shape (B, m).

@@ -13,7 +13,7 @@ class StraightLineController(LookaheadController):
     """Sends the straight-line lengths of the reference, orientation held at home."""
 
     def command(self, belief: Belief, reference: Reference) -> Command:
-        """Lengths of straight cables at the pose ahead, and their rates."""
+        """Return the lengths of straight cables at the pose ahead, and their rates."""
         position, velocity = self._ahead.aim(belief, reference)
         length = straight_line.inverse_kinematics(self._robot, position)
         cables = straight_line.straight_length(self._robot, position)

@@ -1,4 +1,4 @@
-"""What the numbers of an action mean: lengths, or a push that the cables give the platform."""
+"""Meaning of the numbers of an action: lengths, or a push that the cables give the platform."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ class ActionMap(Protocol):
     size: int
 
     def applied(self, action: Array, look: ObservationInputs) -> Array:
-        """What an action comes to after what was applied last, in [-1, 1], shape (B, a)."""
+        """Return the action applied after the one applied last, in [-1, 1], shape (B, a)."""
         ...
 
     def lengths(self, applied: Array, look: ObservationInputs) -> Array:
-        """Lengths to ask the winches for [m], shape (B, n)."""
+        """Return the lengths to ask the winches for [m], shape (B, n)."""
         ...
 
     def effort(self, applied: Array) -> Array:
-        """How much of its range is used, shape (B,)."""
+        """Return the used share of its range, shape (B,)."""
         ...
 
 
@@ -38,15 +38,15 @@ class Absolute:
         self.size = len(scales.length_low)
 
     def applied(self, action: Array, look: ObservationInputs) -> Array:
-        """The action itself."""
+        """Return the action itself."""
         return action
 
     def lengths(self, applied: Array, look: ObservationInputs) -> Array:
-        """The lengths, whatever there is to see."""
+        """Return the lengths of an action, whatever is observed."""
         return self._scales.to_length(applied)
 
     def effort(self, applied: Array) -> Array:
-        """None: lengths cost nothing."""
+        """Return zero: lengths cost nothing."""
         return np.zeros(len(applied))
 
 
@@ -106,11 +106,11 @@ class Push:
         self._correction = correction
 
     def applied(self, action: Array, look: ObservationInputs) -> Array:
-        """Some of the way from what was applied last to the action."""
+        """Go a share of the way from what was applied last to the action."""
         return look.last_action + self._share * (action - look.last_action)
 
     def lengths(self, applied: Array, look: ObservationInputs) -> Array:
-        """Lengths of rest at the displaced target."""
+        """Return the lengths of rest at the displaced target."""
         push = self._reach * applied
         if self._feedforward:
             push = push + look.aimed_acceleration
@@ -118,6 +118,6 @@ class Push:
         return self._map.lengths(look.target, push=push, offset=offset)
 
     def effort(self, applied: Array) -> Array:
-        """Norm of the push over the reach."""
+        """Return the norm of the push over the reach."""
         found: Array = np.linalg.norm(applied, axis=1)
         return found

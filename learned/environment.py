@@ -36,7 +36,7 @@ FAILURE_REWARD = -1.0  # reward of a step without a solution; what came later is
 
 @dataclass(frozen=True, kw_only=True)
 class EnvironmentSettings:
-    """What is learned in.
+    """Settings of the environment in which a policy is trained.
 
     Attributes:
         world: ``no_sag``: straight cables; ``settle``: sagging ones, each set-point settles;
@@ -125,7 +125,7 @@ class EnvironmentSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StepResult:
-    """What a step of B environments gave.
+    """Result of a step of B environments.
 
     Attributes:
         observation: Of the next step, after a reset where the episode ended, shape (B, d).
@@ -200,7 +200,7 @@ class CableEnvironment:
         return tuple(self._paths)
 
     def first_paths(self, count: int) -> list[TargetPath]:
-        """The first paths of the pool, all different."""
+        """Return the first paths of the pool, all different."""
         return [self._pool.path(k) for k in range(count)]
 
     def reset(self, paths: list[TargetPath] | None = None) -> Array:
@@ -252,13 +252,13 @@ class CableEnvironment:
         )  # fmt: skip
 
     def _is_lost(self, transition: Transition) -> NDArray[np.bool_]:
-        """Environments whose platform is too far from the target to learn anything from."""
+        """Return where the platform is too far from the target to learn anything from."""
         limit = np.inf if self.settings.lost is None else self.settings.lost
         found: NDArray[np.bool_] = transition.distance > limit
         return found
 
     def state(self) -> dict[str, Any]:
-        """Everything that changes; `restore` goes on from there, bit by bit."""
+        """Return everything that changes; `restore` continues from there, bit for bit."""
         return {
             "worlds": self.worlds.state(), "paths": list(self._paths), "step": self._step.copy(),
             "last_action": self._last_action.copy(), "mean_error": self._mean_error.copy(),
@@ -281,11 +281,11 @@ class CableEnvironment:
         self._rng.bit_generator.state = state["rng"]
 
     def _draw(self) -> TargetPath:
-        """A path of an episode."""
+        """Draw the path of an episode."""
         return self._pool.path(int(self._rng.integers(self.settings.path.pool)))
 
     def _feasible(self, position: Array) -> NDArray[np.bool_]:
-        """Where the nominal robot can rest."""
+        """Return where the nominal robot can rest."""
         rest = statics.inverse_kinematics(self.robot, position, device=self._device)
         return rest.converged & rest.stable
 
@@ -302,7 +302,7 @@ class CableEnvironment:
         return self._observe(rows)
 
     def _observe(self, rows: NDArray[Any]) -> Array:
-        """What is seen before the next step; the errors of some rows go into their means first."""
+        """Observe before the next step; add the errors of some rows to their means first."""
         assert self._reached is not None
         look, period = self._look(self._reached), self.settings.path.period
         if period is not None:
@@ -315,7 +315,7 @@ class CableEnvironment:
         return observe(self.settings.observation, look, self.scales)
 
     def _look(self, reached: WorldStates) -> ObservationInputs:
-        """What there is to see before the next step."""
+        """Return what can be observed before the next step."""
         ahead = [self._path_rows(step) for step in (1, *(1 + k for k in self.settings.preview))]
         due, aimed = ahead[0], ahead[0][2]
         if self.settings.path.period is not None:
@@ -334,14 +334,14 @@ class CableEnvironment:
         )  # fmt: skip
 
     def _aimed_acceleration(self, period: float) -> Array:
-        """Of the targets, when lengths that are asked for now have arrived, shape (B, 3)."""
+        """Return the target's acceleration when lengths asked for now have arrived, (B, 3)."""
         steps = 1.0 + lead_of(self.robot, self.settings) / period
         whole, share = int(steps), steps % 1.0
         found: Array = (1.0 - share) * self._path_rows(whole)[2]
         return found + share * self._path_rows(whole + 1)[2] if share > 0.0 else found
 
     def _path_rows(self, ahead: int) -> Array:
-        """Position, velocity and acceleration of targets so many steps ahead, shape (3, B, 3)."""
+        """Return position, velocity and acceleration of targets some steps ahead, (3, B, 3)."""
         last = self._targets.shape[1] - 1
         found = self._targets[np.arange(self.size), np.minimum(self._step + ahead, last)]
         return found.transpose(1, 0, 2)
@@ -376,7 +376,7 @@ class CableEnvironment:
 
 
 def empty_look(robot: Robot, previews: int, actions: int) -> ObservationInputs:
-    """A robot at rest at home that shall stay there."""
+    """Return what a robot observes at rest at home, where it is to stay."""
     home, nothing = robot.home_position[None], np.zeros((1, 3))
     return ObservationInputs(
         position=home, rotation=robot.home_rotation[None], twist=np.zeros((1, 6)),
@@ -390,7 +390,7 @@ def empty_look(robot: Robot, previews: int, actions: int) -> ObservationInputs:
 def make_actions(
     robot: Robot, settings: EnvironmentSettings, scales: ObservationScales, device: str = "cpu"
 ) -> ActionMap:
-    """What the numbers of an action mean; lengths of pushes are found on a Warp device."""
+    """Make the map from actions to lengths; that of pushes is fitted on a Warp device."""
     if settings.action == "absolute":
         return Absolute(scales)
     return Push(
@@ -405,7 +405,7 @@ def make_actions(
 
 
 def lead_of(robot: Robot, settings: EnvironmentSettings) -> float:
-    """How far ahead of the target lengths are aimed [s]: by the lag, less half a step."""
+    """Return how far ahead of the target lengths are aimed [s]: the lag, less half a step."""
     period = settings.path.period or 0.0
     return max(0.0, float(robot.winch_lag.mean()) - 0.5 * period)
 
@@ -413,7 +413,7 @@ def lead_of(robot: Robot, settings: EnvironmentSettings) -> float:
 def _worlds(
     robot: Robot, settings: EnvironmentSettings, size: int, seed: int, device: str
 ) -> TrainingWorlds:
-    """The worlds of some settings."""
+    """Make the worlds of some settings."""
     if settings.world == "no_sag":
         return NoSagWorlds(robot, size, device)
     if settings.world == "settle":

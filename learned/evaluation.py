@@ -65,7 +65,7 @@ def evaluate(policy: Policy, protocol: Protocol, *, paths: int, seed: int) -> Po
 def evaluate_inverse_kinematics(
     policy: Policy, protocol: Protocol, *, paths: int, seed: int, feedforward: bool = False
 ) -> PolicyScores:
-    """What catenary inverse kinematics of the targets does on the same paths and plants.
+    """Follow the same paths, on the same plants, by catenary inverse kinematics.
 
     In real time it acts as often as the policy and is aimed ahead as the reference of `Push` is.
     What it errs by, and the cables that it leaves slack, the set-points themselves cause.
@@ -93,7 +93,7 @@ def evaluate_inverse_kinematics(
 
 
 def slack_at_rest(policy: Policy, *, paths: int, seed: int) -> float:
-    """How often the plants of ``realtime`` have a cable below its least tension without any motion.
+    """Return how often the plants of ``realtime`` have a slack cable without any motion.
 
     They hang at rest on the lengths of catenary inverse kinematics of each target. Nothing but the
     errors of robot file and encoders takes their tension away.
@@ -125,7 +125,7 @@ def slack_at_rest(policy: Policy, *, paths: int, seed: int) -> float:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _PolicyTrial:
-    """What is the same for all that follow the paths of a protocol."""
+    """Robot, settings and paths of a protocol, the same for all that follow them."""
 
     robot: Robot
     settings: EnvironmentSettings
@@ -145,7 +145,7 @@ class _PolicyTrial:
 
 
 def _trial(policy: Policy, protocol: Protocol, paths: int, seed: int) -> _PolicyTrial:
-    """The settings and paths of a protocol."""
+    """Prepare the settings and paths of a protocol."""
     check_whole("paths", paths, 1)
     robot = policy.description.robot
     settings = settings_of(environment_settings(policy.description.settings), protocol)
@@ -163,7 +163,7 @@ def _trial(policy: Policy, protocol: Protocol, paths: int, seed: int) -> _Policy
 
 
 def settings_of(trained: EnvironmentSettings, protocol: Protocol) -> EnvironmentSettings:
-    """The environment of a protocol, for a policy that was trained in another one."""
+    """Return the environment of a protocol, for a policy that was trained in another one."""
     if protocol not in PROTOCOL_PATHS:
         raise InvalidField("protocol", repr(protocol), f"one of {list(PROTOCOL_PATHS)}")
     if (trained.world == "realtime") != (protocol == "realtime"):
@@ -180,7 +180,7 @@ def settings_of(trained: EnvironmentSettings, protocol: Protocol) -> Environment
 
 
 def random_trajectories(robot: Robot, count: int, seed: int) -> list[Trajectory]:
-    """The paths of ``realtime``, from rest to rest, whatever the period of a policy.
+    """Draw the paths of ``realtime``, from rest to rest, for any period of a policy.
 
     Raises:
         CarosacError: The robot cannot rest along any of 100 paths that were drawn.
@@ -199,7 +199,7 @@ def random_trajectories(robot: Robot, count: int, seed: int) -> list[Trajectory]
 
 
 def _drawn(robot: Robot, rng: np.random.Generator) -> Trajectory | None:
-    """A random path, or None if it leaves the box or the robot cannot rest along it."""
+    """Draw a path; return None if it leaves the box or the robot cannot rest along it."""
     speed = float(rng.uniform(*PEAK_SPEED_RANGE_M_PER_S))
     try:
         path = random_minimum_snap(
@@ -213,13 +213,13 @@ def _drawn(robot: Robot, rng: np.random.Generator) -> Trajectory | None:
 
 
 def timed(trajectory: Trajectory, period: float) -> TargetPath:
-    """A whole path and a second of rest, one target each period."""
+    """Sample a whole path and a second of rest, one target each period."""
     steps = int(np.ceil((trajectory.duration + SETTLING_TIME_S) / period - 1e-9))
     return sampled(trajectory, PathSettings(steps=steps, period=period))
 
 
 def solved(robot: Robot, paths: list[TargetPath]) -> PolicyScores:
-    """Set-points at rest on the lengths of catenary inverse kinematics; they are reached."""
+    """Solve for set-points at rest by catenary inverse kinematics; they are reached."""
     target = np.stack([path.position[1:] for path in paths])
     rest = statics.inverse_kinematics(robot, target.reshape(-1, 3))
     shape = target.shape[:2]
@@ -238,7 +238,7 @@ def solved(robot: Robot, paths: list[TargetPath]) -> PolicyScores:
 
 
 def settled_particles(robot: Robot, scores: PolicyScores) -> PolicyScores:
-    """The same set-points in cables of particles: placed at rest, and left alone for a second.
+    """Settle the same set-points in cables of particles: at rest, left alone for a second.
 
     Positions and tensions are those of the particles then; tilt and inconsistency stay those of
     the catenaries.
@@ -257,21 +257,21 @@ def settled_particles(robot: Robot, scores: PolicyScores) -> PolicyScores:
 
 
 def trajectory_errors(scores: PolicyScores) -> tuple[Array, Array]:
-    """Mean distance and mean absolute length error of each path [m], each of shape (N,)."""
+    """Return mean distance and mean absolute length error of each path [m], each (N,)."""
     distance = np.linalg.norm(scores.error, axis=2)
     length = np.abs(scores.length_error).mean(axis=2)
     return _mean_of_path(scores, distance), _mean_of_path(scores, length)
 
 
 def trajectory_rmse(scores: PolicyScores) -> Array:
-    """RMSE of each path along each axis of W [m], shape (N, 3)."""
+    """Return the RMSE of each path along each axis of W [m], shape (N, 3)."""
     squares = (_mean_of_path(scores, scores.error[..., k] ** 2) for k in range(3))
     found: Array = np.sqrt(np.stack(list(squares), axis=1))
     return found
 
 
 def rmse_ratio(scores: PolicyScores, other: PolicyScores) -> float:
-    """RMSE of the distance over that of another's, over all steps that count for both."""
+    """Return the RMSE of the distance over that of another, over steps that count for both."""
     failed = np.maximum.accumulate(scores.failed | other.failed, axis=1)
     seen = scores.counted & ~failed
     mine, theirs = ((one.error[seen] ** 2).sum() for one in (scores, other))
@@ -279,6 +279,6 @@ def rmse_ratio(scores: PolicyScores, other: PolicyScores) -> float:
 
 
 def _mean_of_path(scores: PolicyScores, values: Array) -> Array:
-    """The mean of values (N, T) over the steps of each path that count, shape (N,)."""
+    """Average values (N, T) over the steps of each path that count, shape (N,)."""
     found: Array = np.where(scores.counted, values, 0.0).sum(axis=1) / scores.counted.sum(axis=1)
     return found

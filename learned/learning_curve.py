@@ -1,4 +1,4 @@
-"""What a training leaves behind as tables: its learning curve, and each episode that ended."""
+"""Tables that a training leaves behind: its learning curve, and each episode that ended."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Episode(NamedTuple):
 
 
 def measured(scores: Mapping[str, Any]) -> dict[str, float]:
-    """The columns that come from `learned.scores.Scores.data` of the test paths."""
+    """Return the columns that come from `PolicyScores.data` of the test paths."""
     return {
         "median_error_m": scores["median_error_m"]["norm"],
         "median_of_means_m": scores["median_of_trajectory_means_m"],
@@ -93,5 +93,5 @@ def _write(path: Path, header: Sequence[str], lines: Iterable[Sequence[str]]) ->
 
 
 def _text(name: str, value: float) -> str:
-    """A number of the curve; six digits are too few for some numbers of steps."""
+    """Format a number of the curve; six digits are too few for some numbers of steps."""
     return f"{value:.0f}" if name in COUNT_COLUMNS else f"{value:.6g}"

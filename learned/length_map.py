@@ -82,13 +82,13 @@ class LengthMap:
         self._kept: tuple[int, Buffers] | None = None  # of the last batch, with its size
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but the buffers, which are made when they are needed."""
+        """Return all but the buffers, which are made when they are needed."""
         return self.__dict__ | {"_kept": None}
 
     def lengths(
         self, position: Array, *, push: Array | None = None, offset: Array | None = None
     ) -> Array:
-        """Lengths of rest, shape (B, n).
+        """Return the lengths of rest, shape (B, n).
 
         Beyond the box, sag, tilt and softness are those of its border.
 
@@ -100,7 +100,7 @@ class LengthMap:
         return self._moved("length", position, push, offset)
 
     def displacement(self, position: Array, push: Array) -> Array:
-        """By how much the rest is moved for a push: S a [m], shape (B, 3).
+        """Return the motion of the rest for a push: S a [m], shape (B, 3).
 
         Args:
             position: In W [m], shape (B, 3).
@@ -111,7 +111,7 @@ class LengthMap:
     def _moved(
         self, wanted: str, position: Array, push: Array | None, offset: Array | None
     ) -> Array:
-        """What is wanted: the `place` to which rest is moved, (B, 3), or its `length`, (B, n)."""
+        """Return the `place` to which rest is moved, (B, 3), or its `length`, (B, n)."""
         size = len(position)
         if np.shape(position) != (size, 3) or size == 0:
             batch("position", position, (3,))  # says what is wrong
@@ -129,7 +129,7 @@ class LengthMap:
             return found
 
     def _allocate(self, size: int) -> Buffers:
-        """Buffers of the kernel, with the coefficients and the robot in them."""
+        """Allocate the buffers of the kernel, with coefficients and robot in them."""
         warp_setup.load(length_map_kernels, self._device)
         terms, n = self._extra.shape
         buffers = Buffers(self._device, {
@@ -146,7 +146,7 @@ class LengthMap:
 
 
 def products(unit: Array) -> Array:
-    """Chebyshev products up to the total degree, in the order of the kernel, shape (B, K).
+    """Return Chebyshev products up to the total degree, in the kernel's order, shape (B, K).
 
     Args:
         unit: Positions as shares of the box from its middle, shape (B, 3).
@@ -159,7 +159,7 @@ def products(unit: Array) -> Array:
 
 
 def softness(robot: Robot, rest: statics.Equilibrium) -> Array:
-    """How far the rest moves against inertia, lengths held [s^2], shape (B, 3, 3).
+    """Return the motion of the rest per acceleration, lengths held [s^2], shape (B, 3, 3).
 
     While the platform accelerates with a, in W, its inertia pulls at its centre of mass with -m a;
     the rest then lies S a behind. The platform turns as it likes.

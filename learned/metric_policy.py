@@ -75,11 +75,11 @@ class MetricCritic(ContinuousCritic):
                 networks.append(torch.nn.Sequential(*layers))
 
     def forward(self, obs: torch.Tensor, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Values of all critics, each of shape (B, 1)."""
+        """Return the values of all critics, each of shape (B, 1)."""
         return tuple(self._value(k, obs, actions) for k in range(self.n_critics))
 
     def q1_forward(self, obs: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
-        """Values of the first critic, shape (B, 1)."""
+        """Return the values of the first critic, shape (B, 1)."""
         return self._value(0, obs, actions)
 
     def _value(self, k: int, obs: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
@@ -93,11 +93,11 @@ class MetricPolicy(TD3Policy):
     """TD3's policy with `MetricCritic`."""
 
     def __init__(self, *args: Any, metric: dict[str, Any], **kwargs: Any) -> None:
-        """As TD3's, with the arguments of the critic's metric."""
+        """Make TD3's policy, with the arguments of the critic's metric."""
         self._metric = metric
         super().__init__(*args, **kwargs)
 
     def make_critic(self, features_extractor: Any = None) -> ContinuousCritic:
-        """A metric critic."""
+        """Make a metric critic."""
         arguments = self._update_features_extractor(self.critic_kwargs, features_extractor)
         return MetricCritic(**arguments, **self._metric).to(self.device)

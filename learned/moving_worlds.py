@@ -68,7 +68,7 @@ class MovingSettings:
                 raise InvalidField(name, repr(getattr(self, name)), allowed)
 
     def without_estimator(self) -> MovingSettings:
-        """The same with beliefs that err by a constant."""
+        """Return the settings with beliefs that err by a constant."""
         usual = {name: getattr(MovingSettings, name) for name in ESTIMATOR_FIELDS}
         return replace(self, estimator=None, **usual)
 
@@ -129,13 +129,13 @@ class MovingWorlds:
         return self._reached()
 
     def hung(self, length: Array) -> statics.Equilibrium:
-        """The rest of all plants on lengths that encoders say [m], shape (B, n); nothing moves."""
+        """Return the rest of all plants on encoder lengths (B, n) [m]; nothing moves."""
         return statics.forward_kinematics(
             self._simulator.fleet, length + self._length_bias, device=self._device
         )
 
     def state(self) -> dict[str, Any]:
-        """Simulator, biases and their source, sensors and beliefs."""
+        """Return simulator, biases and their source, sensors and beliefs."""
         return {
             "sensing": None if self._sensing is None else self._sensing.state(),
             "simulator": self._simulator.save(),
@@ -157,7 +157,7 @@ class MovingWorlds:
         return sigma * self._rng.standard_normal(shape)
 
     def _lengths(self, rows: NDArray[Any], position: Array) -> Array:
-        """True lengths on which the plants of some worlds can rest, near the given positions."""
+        """Find lengths near given positions on which the plants of some worlds can rest."""
         fleet = self._simulator.fleet.rows(np.asarray(rows, dtype=np.int32))
         where = np.array(position)
         for _ in range(START_ATTEMPTS_MAX):

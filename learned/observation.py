@@ -1,4 +1,4 @@
-"""What a policy sees: named parts of one vector, in units of the workspace.
+"""Observation of a policy: named parts of one vector, in units of the workspace.
 
 The same functions look at an environment while training and at a belief while driving, so a policy
 sees the same numbers in both.
@@ -26,7 +26,7 @@ LENGTH_GRID_POINTS = 9  # points along each edge of the box at which lengths are
 
 @dataclass(frozen=True, kw_only=True)
 class ObservationUnits:
-    """What counts as 1 in an observation; kept with a policy, which knows no others.
+    """Units of an observation, which count as 1; kept with a policy.
 
     Attributes:
         error: Distance from the target [m].
@@ -54,7 +54,7 @@ class ObservationUnits:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ObservationInputs:
-    """What there is to see for B robots with n cables.
+    """Everything that can be observed of B robots with n cables.
 
     Attributes:
         position: Platform origin in W [m], shape (B, 3).
@@ -111,7 +111,7 @@ class ObservationScales:
 
     @classmethod
     def of(cls, robot: Robot, units: ObservationUnits | None = None) -> ObservationScales:
-        """Those of a robot; without units the default ones."""
+        """Measure the workspace of a robot; without units take the default ones."""
         low, high = robot.workspace_min, robot.workspace_max
         axes = [np.linspace(a, b, LENGTH_GRID_POINTS) for a, b in zip(low, high, strict=True)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -125,20 +125,20 @@ class ObservationScales:
         )  # fmt: skip
 
     def to_length(self, action: Array) -> Array:
-        """Actions in [-1, 1] as lengths [m], shape (B, n)."""
+        """Convert actions in [-1, 1] to lengths [m], shape (B, n)."""
         return self.length_low + (action + 1.0) / 2.0 * (self.length_high - self.length_low)
 
     def to_action(self, length: Array) -> Array:
-        """Lengths [m] as actions, shape (B, n)."""
+        """Convert lengths [m] to actions, shape (B, n)."""
         return 2.0 * (length - self.length_low) / (self.length_high - self.length_low) - 1.0
 
     def to_unit(self, position: Array) -> Array:
-        """Positions in W [m] as shares of the box, (..., 3)."""
+        """Convert positions in W [m] to shares of the box, (..., 3)."""
         return (position - self.center) / self.half
 
 
 def _tilt(look: ObservationInputs, scales: ObservationScales) -> Array:
-    """Horizontal components of the platform's z axis, in W."""
+    """Return the horizontal components of the platform's z axis, in W."""
     return look.rotation[:, :2, 2] / scales.units.tilt
 
 
@@ -189,12 +189,12 @@ def check_parts(parts: Sequence[str]) -> None:
 
 
 def observe(parts: Sequence[str], look: ObservationInputs, scales: ObservationScales) -> Array:
-    """The parts side by side, shape (B, d)."""
+    """Return the parts side by side, shape (B, d)."""
     return np.concatenate([OBSERVATION_PARTS[name](look, scales) for name in parts], axis=1)
 
 
 def fading(mean: Array, error: Array, period: float, memory: float) -> Array:
-    """A fading mean with one more look in it, shape (B, 3).
+    """Add an error to a fading mean, shape (B, 3).
 
     It starts at zero, so a constant error is seen in full after a few times the memory only.
 
@@ -209,7 +209,7 @@ def fading(mean: Array, error: Array, period: float, memory: float) -> Array:
 
 
 def slices(parts: Sequence[str], n: int, previews: int, actions: int) -> dict[str, slice]:
-    """Where each part stands in the observation.
+    """Return the place of each part in the observation.
 
     Args:
         parts: Names.

@@ -125,7 +125,7 @@ class PolicyController:
         self._mean_error = self._lasting_error = np.zeros((len(belief.position), 3))
 
     def command(self, belief: Belief, reference: Reference) -> Command:
-        """The lengths that the policy asks for.
+        """Return the lengths that the policy asks for.
 
         Raises:
             InvalidField: The belief lacks what the policy observes or is further from the reference
@@ -146,7 +146,7 @@ class PolicyController:
         return Command(time=belief.time, unstrained_length=self._length)
 
     def _look(self, belief: Belief, reference: Reference) -> ObservationInputs:
-        """What there is to see."""
+        """Return what can be observed."""
         wanted = TWIST_PARTS & set(self._environment.observation)
         if belief.twist is None and wanted:
             allowed = (
@@ -211,7 +211,7 @@ class _LookaheadRows:
 
     @classmethod
     def of(cls, ahead: Sequence[float]) -> _LookaheadRows:
-        """Times in periods."""
+        """Split times in periods into rows and shares."""
         row = np.floor(np.array(ahead) + ROW_TOLERANCE).astype(np.intp)
         share: Array = np.array(ahead, dtype=np.float64)[:, None] - row[:, None]
         return cls(
@@ -220,7 +220,7 @@ class _LookaheadRows:
         )  # fmt: skip
 
     def rows(self, values: Array, size: int) -> Array:
-        """Values at these times, of B or one for all, (1 or B, N, 3): (B, K, 3)."""
+        """Interpolate values of B or one for all, (1 or B, N, 3), at these times: (B, K, 3)."""
         found: Array = values[:, self.row]
         if self.between:
             found = (1.0 - self.share) * found + self.share * values[:, self.next_row]
@@ -228,7 +228,7 @@ class _LookaheadRows:
 
 
 def _in_turn(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
-    """The same rows as a slice, where each is the one after that before it."""
+    """Return consecutive rows as a slice, and others as they are."""
     if len(rows) == 0:
         return slice(0)
     if (np.diff(rows) == 1).all():
@@ -292,7 +292,7 @@ def check_near(look: ObservationInputs, lost: float) -> None:
 
 
 def list_policies() -> tuple[str, ...]:
-    """Names of the policies that come with the toolkit, sorted."""
+    """Return the names of the policies that come with the toolkit, sorted."""
     names = [entry.name for entry in _folder().iterdir()]
     return tuple(
         sorted(name.removesuffix(POLICY_SUFFIX) for name in names if name.endswith(POLICY_SUFFIX))
@@ -300,7 +300,7 @@ def list_policies() -> tuple[str, ...]:
 
 
 def policy_of(robot: Robot) -> str:
-    """Name of the bundled policy that a robot gets by default.
+    """Return the name of the bundled policy that a robot gets by default.
 
     Raises:
         InvalidField: There is none.
@@ -314,7 +314,7 @@ def policy_of(robot: Robot) -> str:
 
 
 def find_policy(name_or_path: str) -> Path:
-    """The file of a policy.
+    """Find the file of a policy.
 
     Args:
         name_or_path: A bundled name, or a path.
@@ -333,5 +333,5 @@ def find_policy(name_or_path: str) -> Path:
 
 
 def _folder() -> Path:
-    """Where they lie."""
+    """Return the folder of the bundled policies."""
     return Path(str(files("learned") / "policies"))

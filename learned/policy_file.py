@@ -35,7 +35,7 @@ POLICY_FILE_NAME = "an ONNX file that `carosac train` wrote"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PolicyDescription:
-    """What a policy was trained for, and how.
+    """Description of what a policy was trained for, and how.
 
     Attributes:
         preset: Name of the preset it was trained with.
@@ -176,7 +176,7 @@ def write_policy(
 
 
 def _checked(layers: Layers) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """Layers as float32, or an error that names the first that does not fit."""
+    """Return layers as float32; name the first that does not fit."""
     if not layers:
         raise InvalidField("layers", "none", "at least one layer")
     checked = []
@@ -196,7 +196,7 @@ def _checked(layers: Layers) -> list[tuple[NDArray[np.float32], NDArray[np.float
 
 
 def _model(layers: Layers, activation: str) -> ModelProto:
-    """The graph of a perceptron: observation (batch, in) to action (batch, out)."""
+    """Build the graph of a perceptron: observation (batch, in) to action (batch, out)."""
     try:
         from onnx import TensorProto, helper, numpy_helper
     except ImportError as error:
@@ -229,7 +229,7 @@ def _model(layers: Layers, activation: str) -> ModelProto:
 
 
 def _with_metadata(model: ModelProto, description: PolicyDescription) -> bytes:
-    """A checked model with its description, the same bytes for the same policy."""
+    """Check a model and add its description; equal policies give equal bytes."""
     from onnx import checker, helper
 
     record = {f.name: getattr(description, f.name) for f in fields(PolicyDescription)}
@@ -244,7 +244,7 @@ def _with_metadata(model: ModelProto, description: PolicyDescription) -> bytes:
 
 
 def _session(path: str | Path) -> Any:
-    """A file open in onnxruntime, on one core."""
+    """Open a file in onnxruntime, on one core."""
     try:
         import onnxruntime
         from onnxruntime.capi import onnxruntime_pybind11_state as failures
@@ -263,7 +263,7 @@ def _session(path: str | Path) -> Any:
 
 
 def _description(path: str | Path, metadata: Mapping[str, str]) -> PolicyDescription:
-    """The description in the metadata of a file."""
+    """Read the description in the metadata of a file."""
     schema = metadata.get(METADATA_PREFIX + "schema")
     if schema != POLICY_SCHEMA:
         got = f"{path} with schema {schema}" if schema else f"{path} without our metadata"
@@ -281,7 +281,7 @@ def _description(path: str | Path, metadata: Mapping[str, str]) -> PolicyDescrip
 
 
 def _robot(path: str | Path, record: Any) -> Robot:
-    """The robot of a policy; fields that came to `Robot` later may be missing if they can be."""
+    """Read the robot of a policy; optional fields that came to `Robot` later may be missing."""
     needed = {f.name for f in fields(Robot) if f.default is MISSING}
     known = {f.name for f in fields(Robot)}
     found = set(record) if isinstance(record, dict) else set()
@@ -292,12 +292,12 @@ def _robot(path: str | Path, record: Any) -> Robot:
 
 
 def _is_batch(shape: Sequence[Any]) -> bool:
-    """Whether a shape is (batch, d) with a known d."""
+    """Return whether a shape is (batch, d) with a known d."""
     return len(shape) == 2 and isinstance(shape[1], int)
 
 
 def _plain(name: str, value: Any) -> Any:
-    """A mapping as JSON gives it back, or an error."""
+    """Return a mapping as JSON gives it back, or refuse it."""
     allowed = "a mapping of texts to what JSON can hold, all numbers finite"
     if not isinstance(value, Mapping):
         raise InvalidField(name, repr(value), allowed)

@@ -1,4 +1,4 @@
-"""What fixed looks and actions come to: shows whether a policy is driven as it was trained.
+"""Probe of a policy: results of fixed observations and actions, to notice changed code.
 
 What numbers of an observation and of an action mean is computed from the robot and the settings,
 with constants of the code that a policy does not keep. A policy keeps a probe instead: what came
@@ -28,7 +28,7 @@ PROBE_DECIMALS = 7  # digits behind the point
 
 
 def make_probe(robot: Robot, settings: EnvironmentSettings) -> dict[str, list[list[float]]]:
-    """Observations and lengths [m] that fixed looks and actions come to, by name, a row for each.
+    """Compute the observations and lengths [m] of fixed inputs, by name, a row for each.
 
     Args:
         robot: The nominal robot.
@@ -78,7 +78,7 @@ def check_probe(kept: Any, robot: Robot, settings: EnvironmentSettings) -> None:
 def _looks(
     robot: Robot, previews: int, actions: int, rng: np.random.Generator
 ) -> ObservationInputs:
-    """One at rest at home, the others anyhow in the inner part of the workspace box."""
+    """Draw inputs in the inner part of the workspace box; the first one is at rest at home."""
     center = (robot.workspace_min + robot.workspace_max) / 2
     half = INNER_BOX_RATIO * (robot.workspace_max - robot.workspace_min) / 2
     count = PROBE_ROWS - 1

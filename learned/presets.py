@@ -99,7 +99,7 @@ class Td3Settings:
 
     @property
     def values_one_step(self) -> bool:
-        """Whether critic or replay know the reward ``fit`` of a single step, and nothing else."""
+        """True if critic or replay know the reward ``fit`` of a single step, and nothing else."""
         return self.critic == "metric" or self.relabelled > 0.0
 
 
@@ -148,7 +148,7 @@ class Preset:
     stages: dict[str, Stage]
 
     def stage(self, name: str) -> Stage:
-        """A stage by its name.
+        """Find a stage by its name.
 
         Raises:
             InvalidField: There is none of that name.
@@ -159,7 +159,7 @@ class Preset:
 
 
 def find_preset(name: str) -> Preset:
-    """A preset by its name.
+    """Find a preset by its name.
 
     Raises:
         InvalidField: There is none of that name.

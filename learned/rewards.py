@@ -77,37 +77,37 @@ class RewardSettings:
 
 
 def step_reward(distance: Array) -> Array:
-    """The paper's reward for being there at all, 0.01 a step; shape as `distance` (B,)."""
+    """Return the paper's reward for being there at all, 0.01 a step, shape (B,)."""
     return np.full_like(distance, 0.01)
 
 
 def goal_reward(distance: Array, radius: float = 0.05) -> Array:
-    """The paper's 1 within a radius [m] of the goal; `distance` [m], shape (B,)."""
+    """Return the paper's 1 within a radius [m] of the goal; `distance` [m], shape (B,)."""
     return (distance < radius).astype(np.float64)
 
 
 def distance_reward(normalised: Array) -> Array:
-    """The paper's reward of the distance over the largest one in the workspace, shape (B,)."""
+    """Return the paper's reward of the distance over the largest in the workspace, (B,)."""
     return -np.tanh(2.0 * (normalised - 0.06)) + 0.002
 
 
 def sag_reward(difference: Array) -> Array:
-    """The paper's reward of length less straight distance [m], a mean over cables, shape (B,)."""
+    """Return the paper's reward of length less straight distance [m], a mean, shape (B,)."""
     return -0.7 * np.tanh(difference**2 + 0.09) - 0.035
 
 
 def action_ratio_reward(ratio: Array) -> Array:
-    """The paper's reward of the change of length over the distance to the goal, shape (B,)."""
+    """Return the paper's reward of the change of length over the distance, shape (B,)."""
     return -(np.tanh(ratio) ** 15) / 10.0
 
 
 def deviation_reward(difference: Array) -> Array:
-    """The paper's reward of the action less straight-line lengths of the goal [m], shape (B,)."""
+    """Return the paper's reward of the action less straight lengths of the goal [m], (B,)."""
     return -(np.tanh(difference) ** 4) / 5.0
 
 
 def misfit_reward(misfit: Array, scale: float, span: float) -> Array:
-    r"""A reward that asks for the last millimetre as well as for the first metre.
+    r"""Return a reward that asks for the last millimetre as well as for the first metre.
 
     .. math:: r = -\ln(1 + \min(m, D) / s) / \ln(1 + D / s)
 
@@ -125,7 +125,7 @@ def misfit_reward(misfit: Array, scale: float, span: float) -> Array:
 
 
 def tracking_reward(misfit: Array, scale: float, span: float) -> Array:
-    r"""A reward for feedback: quadratic close by, so that small errors call for small actions.
+    r"""Return a reward for feedback: quadratic close by, so small errors get small actions.
 
     .. math:: r = -\ln(1 + (m / s)^2) / \ln(1 + (D / s)^2)
 
@@ -141,7 +141,7 @@ def tracking_reward(misfit: Array, scale: float, span: float) -> Array:
 
 
 def lengths_misfit(transition: Transition, settings: RewardSettings) -> Array:
-    r"""What is wrong with lengths wherever the target is, in metres of distance, shape (B,).
+    r"""Return the misfit of lengths wherever the target is, as a distance [m], shape (B,).
 
     .. math:: m_L^2 = (c |\Delta L|)^2 + \sum_i (k o_i)^2, \qquad
               o_i = \max(0, t_{min,i} + \rho w - t_i) / w, \qquad w = m g / n
@@ -174,12 +174,12 @@ class Reward:
         self.span = span
 
     def __call__(self, transition: Transition) -> Array:
-        """Reward of each environment, shape (B,)."""
+        """Return the reward of each environment, shape (B,)."""
         found: Array = np.sum(list(self.terms(transition).values()), axis=0)
         return found
 
     def terms(self, transition: Transition) -> dict[str, Array]:
-        """Each term by name, shape (B,)."""
+        """Return each term by name, shape (B,)."""
         return {name: REWARD_TERMS[name](transition, self) for name in self.settings.terms}
 
 

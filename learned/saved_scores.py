@@ -17,7 +17,7 @@ SCORES_KEY = "evaluation"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SavedScores:
-    """What ``carosac evaluate`` found.
+    """Scores of one run of ``carosac evaluate``.
 
     Attributes:
         policy: As it was named.

@@ -1,4 +1,4 @@
-"""How well a policy does on given paths: errors, and whether its cables agree with each other."""
+"""Scores of a policy on paths: errors, and whether its cables agree with each other."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Act = Callable[[Array], Array]  # observations (B, d) to actions (B, a) in [-1, 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PolicyScores:
-    """What happened on N paths of T steps, with n cables.
+    """Outcome of N paths of T steps, with n cables.
 
     Attributes:
         target: Targets in W [m], shape (N, T, 3).
@@ -55,7 +55,7 @@ class PolicyScores:
         return self.position - self.target
 
     def data(self, robot: Robot) -> dict[str, Any]:
-        """The numbers of ``carosac evaluate``; NaN where all paths failed at their first step.
+        """Return the numbers of ``carosac evaluate``; NaN where all paths failed at once.
 
         Args:
             robot: For its tension limits.
@@ -90,7 +90,7 @@ class PolicyScores:
 
 
 def sound_paths(scores: PolicyScores) -> NDArray[np.bool_]:
-    """Paths on which nothing failed, shape (N,)."""
+    """Return the paths on which nothing failed, shape (N,)."""
     return np.asarray(~scores.failed.any(axis=1))
 
 
@@ -151,7 +151,7 @@ def _score_batch(
 
 
 def _wanted(environment: CableEnvironment, target: Array, rotation: Array) -> tuple[Array, Array]:
-    """Lengths of inverse kinematics of targets (B, n), and the tilt against rest there (B,)."""
+    """Return inverse kinematics of targets (B, n), and the tilt against rest there (B,)."""
     robot = environment.robot
     if environment.settings.world == "no_sag":
         return straight_line.inverse_kinematics(robot, target), np.zeros(len(target))
@@ -161,15 +161,15 @@ def _wanted(environment: CableEnvironment, target: Array, rotation: Array) -> tu
 
 
 def _mean(values: Any) -> float:
-    """The mean; NaN of nothing, as those below."""
+    """Return the mean; NaN of nothing, as those below."""
     return float(np.mean(values)) if np.size(values) else float("nan")
 
 
 def _median(values: NDArray[Any]) -> float:
-    """The median."""
+    """Return the median."""
     return _percentile(values, 50)
 
 
 def _percentile(values: NDArray[Any], share: float) -> float:
-    """A percentile."""
+    """Return a percentile."""
     return float(np.percentile(values, share)) if np.size(values) else float("nan")

@@ -86,7 +86,7 @@ def check_changes(stages: Mapping[str, Stage], fixed: Changes, varied: Sequence[
 
 
 def changed(name: str, stage: Stage, changes: Changes) -> Stage:
-    """A stage with the changes that concern it.
+    """Return a stage with the changes that concern it.
 
     Args:
         name: Of the stage.
@@ -108,7 +108,7 @@ def changed(name: str, stage: Stage, changes: Changes) -> Stage:
 
 
 def label_of(changes: Changes) -> str:
-    """Changes in short, for names of folders, in no order but that of their paths.
+    """Return a short label of changes for names of folders, in the order of their paths.
 
     What would be too long for a file system ends in a digest of all of it.
     """
@@ -119,7 +119,7 @@ def label_of(changes: Changes) -> str:
 
 
 def concerned(stage: str, stages: Sequence[str], changes: Changes) -> dict[str, Any]:
-    """The changes that a stage depends on: its own, and those of stages before it.
+    """Return the changes that a stage depends on: its own, and those of stages before it.
 
     Args:
         stage: Its name.
@@ -135,7 +135,7 @@ def concerned(stage: str, stages: Sequence[str], changes: Changes) -> dict[str, 
 
 
 def _read(option: str, text: str, stages: Sequence[str]) -> tuple[str, Any]:
-    """Path and value of a change."""
+    """Read path and value of a change."""
     path, equals, value = text.partition("=")
     first, *rest = path.split(".")
     known = first.replace("-", "_")
@@ -150,18 +150,18 @@ def _read(option: str, text: str, stages: Sequence[str]) -> tuple[str, Any]:
 
 
 def _short(path: str) -> str:
-    """A path without the part that it goes without saying."""
+    """Return a path without the part that goes without saying."""
     return ".".join(name for name in path.split(".") if name not in STAGE_PARTS)
 
 
 def _plain(value: Any) -> str:
-    """A value in letters that every file system has."""
+    """Write a value in letters that every file system has."""
     text = json.dumps(value, separators=(",", ":"), sort_keys=True).replace(",", "+")
     return re.sub(r"[^A-Za-z0-9_.+-]", "", text)
 
 
 def _with_tuples(value: Any) -> Any:
-    """A copy of a JSON value with its lists as tuples, at any depth."""
+    """Copy a JSON value with its lists as tuples, at any depth."""
     if isinstance(value, list):
         return tuple(_with_tuples(item) for item in value)
     if isinstance(value, dict):

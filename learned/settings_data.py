@@ -47,5 +47,5 @@ def _check_names(where: str, values: dict[str, Any], kind: Any) -> None:
 
 
 def _tuple(value: Any) -> Any:
-    """Lists of JSON as tuples."""
+    """Convert lists of JSON to tuples."""
     return tuple(value) if isinstance(value, list) else value

@@ -25,7 +25,7 @@ Feasible = Callable[[Array], NDArray[np.bool_]]
 
 @dataclass(frozen=True, kw_only=True)
 class PathSettings:
-    """How targets move in an episode.
+    """Settings of the motion of targets in an episode.
 
     Attributes:
         kind: ``spline``: a cubic spline through six random points of the box; ``minimum_snap``:
@@ -79,7 +79,7 @@ class TargetPath:
     later: Array | None = None
 
     def targets(self) -> Array:
-        """All of it: position, velocity and acceleration in turn, shape (N, 3, 3).
+        """Return position, velocity and acceleration in turn, shape (N, 3, 3).
 
         In the last row it rests where it ends, as it does from there on.
         """
@@ -103,7 +103,7 @@ class PathPool:
         self._paths: dict[int, TargetPath] = {}
 
     def path(self, index: int) -> TargetPath:
-        """A path by its number, the same one however often it is asked for."""
+        """Return a path by its number, always the same one."""
         if index not in self._paths:
             rng = np.random.default_rng([self._seed, 7, index])
             self._paths[index] = draw_path(*self._arguments, rng, self._feasible)
@@ -140,14 +140,14 @@ def draw_path(
 
 
 def _all(feasible: Feasible, position: Array) -> bool:
-    """Whether all of a path is feasible; most that are not show it at few points."""
+    """Return whether all of a path is feasible; few points show most that are not."""
     return bool(feasible(position[::COARSE_STRIDE]).all() and feasible(position).all())
 
 
 def _scattered(
     robot: Robot, settings: PathSettings, rng: np.random.Generator, feasible: Feasible | None
 ) -> TargetPath:
-    """Feasible points with the density of Chebyshev nodes along each axis."""
+    """Draw feasible points with the density of Chebyshev nodes along each axis."""
     center = (robot.workspace_max + robot.workspace_min) / 2
     half = (robot.workspace_max - robot.workspace_min) / 2
     count = settings.steps + 1
@@ -165,7 +165,7 @@ def _scattered(
 
 
 def sampled(trajectory: Trajectory, settings: PathSettings) -> TargetPath:
-    """Targets along a trajectory: in even steps from start to end, or one each period."""
+    """Sample targets along a trajectory: in even steps from start to end, or one each period."""
     if settings.period is None:
         times = np.linspace(0.0, trajectory.duration, settings.steps + 1)
         position = trajectory.sample(times).position

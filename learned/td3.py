@@ -46,7 +46,7 @@ class StagedTd3(TD3):
 
 
 def build_model(stage: Stage, environment: CableVecEnv, seed: int) -> StagedTd3:
-    """A model that has learned nothing yet.
+    """Build a model that has learned nothing yet.
 
     Args:
         stage: Its settings.
@@ -91,7 +91,7 @@ def _quieten(model: StagedTd3) -> None:
 
 
 def _networks(stage: Stage, target: slice | None, span: float) -> dict[str, Any]:
-    """Arguments of the policy: sizes, activation, critics."""
+    """Return the arguments of the policy: sizes, activation, critics."""
     settings = stage.td3
     policy: dict[str, Any] = {
         "net_arch": list(settings.hidden),
@@ -107,7 +107,7 @@ def _networks(stage: Stage, target: slice | None, span: float) -> dict[str, Any]
 def _relabelling(
     stage: Stage, environment: CableVecEnv, target: slice | None, span: float
 ) -> dict[str, Any]:
-    """Arguments of the relabelling buffer; empty without relabelling."""
+    """Return the arguments of the relabelling buffer; empty without relabelling."""
     if stage.td3.relabelled == 0.0:
         return {}
     reward = stage.environment.reward
@@ -119,7 +119,7 @@ def _relabelling(
 
 
 def state_of(model: StagedTd3) -> dict[str, Any]:
-    """Everything that changes while training, with all sources of randomness."""
+    """Return everything that changes while training, with all sources of randomness."""
     buffer = model.replay_buffer
     assert buffer is not None and isinstance(model.action_noise, DecayingNoise)
     assert isinstance(model.env, CableVecEnv)
@@ -183,6 +183,6 @@ def take_networks(model: StagedTd3, state: dict[str, Any]) -> list[Any]:
 
 
 def layers_of(model: StagedTd3) -> list[tuple[Any, Any]]:
-    """Weights and biases of the actor, layer by layer, for `learned.policy_file`."""
+    """Return weights and biases of the actor, layer by layer, for `learned.policy_file`."""
     linear = [module for module in model.actor.mu if isinstance(module, torch.nn.Linear)]
     return [(x.weight.detach().numpy().copy(), x.bias.detach().numpy().copy()) for x in linear]

@@ -61,7 +61,7 @@ Report = Callable[[dict[str, float], float], None]
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingJob:
-    """What to train.
+    """Job of training one stage.
 
     Attributes:
         robot: The nominal robot.
@@ -91,7 +91,7 @@ class TrainingJob:
         return f"{self.preset}-{self.changes}" if self.changes else self.preset
 
     def settings(self) -> dict[str, Any]:
-        """All settings as JSON holds them."""
+        """Return all settings as JSON holds them."""
         start = None if self.start is None else f"{self.start.parent.name}/{self.start.name}"
         return {
             "preset": self.preset, "changes": self.changes, "stage": self.stage_name,
@@ -102,7 +102,7 @@ class TrainingJob:
         }  # fmt: skip
 
     def settings_as_json(self) -> dict[str, Any]:
-        """All settings as they are read back from a file: without tuples."""
+        """Return all settings as they are read back from a file: without tuples."""
         found: dict[str, Any] = json.loads(json.dumps(self.settings()))
         return found
 
@@ -146,7 +146,7 @@ def train(
 
 
 def _finished(job: TrainingJob, folder: Path) -> bool:
-    """Whether a folder holds the policy of all steps of this very training."""
+    """Return whether a folder holds the policy of all steps of this very training."""
     check_settings(job.settings_as_json(), folder)
     if not all((folder / name).is_file() for name in (POLICY_FILE, CHECKPOINT_FILE, CURVE_FILE)):
         return False
@@ -187,7 +187,7 @@ class _Run:
 
     @property
     def done(self) -> bool:
-        """Whether all steps are made."""
+        """True once all steps are made."""
         return bool(self.model.num_timesteps >= self.job.stage.td3.steps)
 
     def begin(self) -> None:
@@ -241,7 +241,7 @@ class _Run:
         return True
 
     def _advance(self) -> None:
-        """One step of all environments, the updates that belong to it, and what is due then."""
+        """Take one step of all environments, with the updates and reports due then."""
         from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 
         model, td3 = self.model, self.job.stage.td3
@@ -273,7 +273,7 @@ class _Run:
         return path
 
     def act(self, observation: Array) -> Array:
-        """The policy without noise."""
+        """Act by the policy without noise."""
         found, _ = self.model.predict(observation.astype(np.float32), deterministic=True)
         return found.astype(np.float64)
 
@@ -354,7 +354,7 @@ class _Run:
 
 
 def curve_settings(settings: EnvironmentSettings) -> EnvironmentSettings:
-    """Settings of the environment in which the learning curve is measured.
+    """Return the settings of the environment in which the learning curve is measured.
 
     Fewer set-points, no paths but those that are measured on, and all errors count. In real time
     no estimators, which would take longer than the training: beliefs err by a constant.

@@ -1,4 +1,4 @@
-"""What a training is and was: its settings, the code that ran it, and what it started from."""
+"""Record of a training: its settings, the code that ran it, and what it started from."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ SHARED_FIELDS = (  # with the stage that a later one starts from
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingRecord:
-    """What ``settings.json`` holds.
+    """Content of ``settings.json``.
 
     Attributes:
         settings: What was asked for, as JSON gives it back.
@@ -62,22 +62,22 @@ class TrainingRecord:
 
     @property
     def commit(self) -> str:
-        """All commits in one text."""
+        """Text of all commits."""
         return ", ".join(self.commits)
 
     def resumed(self, commit: str) -> TrainingRecord:
-        """The record of a training that goes on with the code of a commit."""
+        """Return the record of a training that continues with the code of a commit."""
         if commit == self.commits[-1]:
             return self
         return replace(self, commits=(*self.commits, commit))
 
     def data(self) -> dict[str, Any]:
-        """All of it, as JSON holds it."""
+        """Return all of it, as JSON holds it."""
         history = {"commits": list(self.commits), "started_from": self.started_from}
         return self.settings | history
 
     def as_start(self, checkpoint: str, steps: int, networks: Iterable[Any]) -> dict[str, Any]:
-        """What a later stage keeps of this one when it starts from its networks.
+        """Return what a later stage keeps of this one when it starts from its networks.
 
         Args:
             checkpoint: Folder and name.
@@ -97,7 +97,7 @@ class TrainingRecord:
 
 
 def read_record(folder: Path) -> TrainingRecord | None:
-    """The record of a training; None where there is none.
+    """Read the record of a training; return None where there is none.
 
     Settings that came later than the training change nothing in it, and are there by default.
     """
@@ -178,7 +178,7 @@ def check_start(
 
 
 def with_later_fields(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings of a training with the fields that they lack because these came later."""
+    """Fill in the fields that the settings of an older training lack."""
     filled: dict[str, Any] = json.loads(json.dumps(settings))
     for keys, fields in LATER_FIELDS:
         part = _at(filled, keys)
@@ -188,13 +188,13 @@ def with_later_fields(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def digest(values: Iterable[Any]) -> str:
-    """What stands for all of some numbers and texts."""
+    """Return a digest of numbers and texts."""
     parts = [x.tobytes() if isinstance(x, np.ndarray) else repr(x).encode() for x in values]
     return hashlib.sha256(b"|".join(parts)).hexdigest()[:16]
 
 
 def _differences(known: Any, asked: Any, path: str = "") -> list[str]:
-    """What differs between nested settings, in words: ``td3.steps is 400000, not 20000``."""
+    """Describe the differences of nested settings: ``td3.steps is 400000, not 20000``."""
     if isinstance(known, dict) or isinstance(asked, dict):
         one, other = (x if isinstance(x, dict) else {} for x in (known, asked))
         both = ((name, f"{path}.{name}" if path else name) for name in one | other)
@@ -204,7 +204,7 @@ def _differences(known: Any, asked: Any, path: str = "") -> list[str]:
 
 
 def _at(settings: dict[str, Any], keys: Iterable[str]) -> Any:
-    """A nested setting; None where there is none."""
+    """Return a nested setting; None where there is none."""
     found: Any = settings
     for key in keys:
         found = found.get(key) if isinstance(found, dict) else None

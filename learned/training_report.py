@@ -1,4 +1,4 @@
-"""What came out of several trainings: a table for each stage, and pictures."""
+"""Report of several trainings: a table for each stage, and pictures."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def report(study: TrainingStudy, rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _table(stage: str, groups: dict[str, list[tuple[TrainingRun, Row]]]) -> str:
-    """Scores of a stage: of each seed, or over the seeds of each variation."""
+    """Format the scores of a stage: of each seed, or over the seeds of each variation."""
     if len(groups) == 1:
         (members,) = groups.values()
         lines = [(f"seed {training.seed}", [row]) for training, row in members]
@@ -77,7 +77,7 @@ def _table(stage: str, groups: dict[str, list[tuple[TrainingRun, Row]]]) -> str:
 
 
 def _range(rows: Sequence[Row], column: str, factor: float) -> str:
-    """Median of a column over trainings, with the smallest and the largest; - without any."""
+    """Format the median of a column over trainings, with its range; - without any."""
     values = [factor * float(row[column] or 0.0) for row in rows if row.get(column) is not None]
     if not values:
         return "-"
@@ -115,7 +115,7 @@ def _pictures(
 
 
 def _data(study: TrainingStudy, training: TrainingRun, row: Row) -> dict[str, Any]:
-    """One training as data."""
+    """Return one training as data."""
     place = study.folder / training.place
     stages = {
         stage: {"policy": place / stage / POLICY_FILE, "folder": place / stage}
@@ -131,7 +131,7 @@ def _data(study: TrainingStudy, training: TrainingRun, row: Row) -> dict[str, An
 
 
 def _pattern(study: TrainingStudy) -> Path:
-    """Where the policies are, with a name in capitals for what differs."""
+    """Return the place of the policies, with a name in capitals for what differs."""
     first = study.trainings[0]
     above = Path("VARIATION") if first.varied else Path()
     return above / "seedN" / first.stages[-1] / POLICY_FILE

@@ -70,7 +70,7 @@ class TrainingRun:
 
     @property
     def variation(self) -> str:
-        """What is varied, in short; empty without a sweep."""
+        """Short label of what is varied; empty without a sweep."""
         return label_of(self.varied)
 
     @property
@@ -79,7 +79,7 @@ class TrainingRun:
         return Path(self.variation) / f"seed{self.seed}"
 
     def jobs(self, robot: Robot, folder: Path) -> list[TrainingJob]:
-        """What is trained, stage by stage.
+        """Return the jobs, stage by stage.
 
         Args:
             robot: As it was read.
@@ -109,7 +109,7 @@ class TrainingRun:
         return jobs
 
     def settings(self) -> dict[str, Stage]:
-        """What each stage is trained with.
+        """Return the settings of each stage.
 
         Raises:
             InvalidField: A change or a number of steps that is not allowed.
@@ -125,7 +125,7 @@ class TrainingRun:
         return found
 
     def case(self) -> Case:
-        """It as a case of a study."""
+        """Return the training as a case of a study."""
         settings = {
             "preset": self.preset, "stages": list(self.stages), "steps": self.steps,
             "fixed": dict(self.fixed), "varied": dict(self.varied),
@@ -140,7 +140,7 @@ class TrainingRun:
 
     @classmethod
     def of_case(cls, case: Case) -> TrainingRun:
-        """The training that a case stands for."""
+        """Return the training that a case stands for."""
         values = {name: x for name, x in case.settings.items() if name != "robot_digest"}
         values["stages"] = tuple(values["stages"])
         return cls(robot=case.robot, seed=case.seed, **values)
@@ -185,12 +185,12 @@ class TrainingStudy:
         )  # fmt: skip
 
     def _has_policies(self, training: TrainingRun) -> bool:
-        """Whether all policies of a training are there; who removes one wants it trained again."""
+        """Return whether all policies of a training exist; a removed one is trained again."""
         place = self.folder / training.place
         return all((place / stage / POLICY_FILE).is_file() for stage in training.stages)
 
     def share(self) -> float:
-        """How much of all environment steps is done, 0 to 1."""
+        """Return the share of all environment steps that is done, 0 to 1."""
         done, whole = 0.0, 0
         for training in self.trainings:
             for name, stage in training.settings().items():
@@ -203,7 +203,7 @@ class TrainingStudy:
 
 
 def free_study(base: Path, trainings: Sequence[TrainingRun]) -> TrainingStudy:
-    """A study in `base`, or in ``base-2``, ``base-3`` and so on where others are there already."""
+    """Make a study in `base`, or in ``base-2``, ``base-3`` and so on where that is taken."""
     folder = free_folder(base, [training.case() for training in trainings])
     return TrainingStudy(trainings=tuple(trainings), folder=folder)
 
@@ -230,7 +230,7 @@ def train_case(case: Case, folder: Path) -> dict[str, Any]:
 
 
 def shortened(stage: Stage, steps: int) -> Stage:
-    """A stage of other length; its random steps are at most a fifth of it.
+    """Return a stage of other length; its random steps are at most a fifth of it.
 
     Raises:
         InvalidField: No whole number of steps, or none.

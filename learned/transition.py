@@ -1,4 +1,4 @@
-"""What one step of a batch of environments did: all that rewards and scores look at."""
+"""One step of a batch of environments: all quantities that rewards and scores depend on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where actions act on: worlds without sag, and worlds in which each set-point settles.
+"""Worlds in which actions act: without sag, and with each set-point settling.
 
 A third kind moves in real time: `learned.moving_worlds`.
 """
@@ -22,7 +22,7 @@ from carosac_toolkit.robot.robot import Robot
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WorldStates:
-    """Where B platforms are.
+    """State of B platforms.
 
     Attributes:
         position: Platform origin in W [m], shape (B, 3).
@@ -60,7 +60,7 @@ class TrainingWorlds(Protocol):
         ...
 
     def state(self) -> dict[str, Any]:
-        """Everything that changes."""
+        """Return everything that changes."""
         ...
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -98,7 +98,7 @@ class NoSagWorlds:
         return self._now
 
     def state(self) -> dict[str, Any]:
-        """Positions and lengths."""
+        """Return positions and lengths."""
         return {"position": self._now.position, "length": self._now.length}
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -106,7 +106,7 @@ class NoSagWorlds:
         self._now = self._at(state["position"], state["length"])
 
     def _at(self, position: Array, length: Array) -> WorldStates:
-        """There, with what the lengths lack."""
+        """Return the state there, with the inconsistency of the lengths."""
         found = straight_line.straight_length(self.robot, position, device=self._device)
         return WorldStates(
             position=position,
@@ -162,7 +162,7 @@ class SettledWorlds:
         return self._reached(~good)
 
     def state(self) -> dict[str, Any]:
-        """The equilibria."""
+        """Return the equilibria."""
         return {"rest": self._rest, "inconsistency": self._inconsistency.copy()}
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -181,7 +181,7 @@ class SettledWorlds:
         self._rest = Equilibrium(**merged)
 
     def _reached(self, failed: NDArray[np.bool_]) -> WorldStates:
-        """The equilibria, as all worlds show themselves."""
+        """Return the equilibria, as all worlds report themselves."""
         return WorldStates(
             position=self._rest.position,
             rotation=self._rest.rotation,

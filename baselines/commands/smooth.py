@@ -118,7 +118,7 @@ def run(options: Options) -> CommandResult:
 
 
 def _named(found: FoundRobot, folder: Path) -> str | None:
-    """By which name or path a recording in a folder finds its robot; None for a guess."""
+    """Return the name or path by which a recording in a folder finds its robot, or None."""
     if found.source == "exit points":
         return None
     if found.name in list_robots():
@@ -153,7 +153,7 @@ def _check_targets(options: Options, folder: Path, inputs: dict[str, Path]) -> N
 
 
 def _settings(options: Options) -> SmootherSettings:
-    """Defaults, and what was asked for."""
+    """Return the default settings with the changes that were asked for."""
     usual = SmootherSettings()
     asked = {name: getattr(options, name) for name in DYNAMICS_OPTIONS}
     dynamics = replace(
@@ -163,14 +163,14 @@ def _settings(options: Options) -> SmootherSettings:
 
 
 def _progress(passes: int, change: float) -> None:
-    """Say how far it is."""
+    """Print the largest change of a pass."""
     if passes == 1:
         print("largest change of a position after each pass:")
     print(f"  {passes:2d}: {change * 1e3:8.2f} mm", flush=True)
 
 
 def _head(options: Options, found: FoundRobot, result: Smoothed) -> list[str]:
-    """What was smoothed."""
+    """Return lines that name the recording and its robot."""
     recording = result.recording
     guess = " (a guess from the exit points)" if found.source == "exit points" else ""
     return [
@@ -180,7 +180,7 @@ def _head(options: Options, found: FoundRobot, result: Smoothed) -> list[str]:
 
 
 def _default_folder(path: Path, found: FoundRobot, poses: str) -> Path:
-    """Where files go that were not sent anywhere."""
+    """Return the folder for output that was not sent anywhere."""
     parts = [path.stem, found.robot.name, *([] if poses == "withheld" else [poses])]
     name = re.sub(r"[^\w.-]+", "_", "-".join(parts))
     return Path("carosac-results") / "smooth" / name

@@ -109,7 +109,7 @@ def _belief(
     updates: int,
     settings: DynamicEstimatorSettings,
 ) -> Belief:
-    """What the filters believe; where one stands nowhere, what was believed before."""
+    """Return the belief of the filters; where one is lost, keep what was believed before."""
     now = [track.now for track in tracks]
     good = np.array([state is not None for state in now])
     record = DynamicRecord(
@@ -152,7 +152,7 @@ def _belief(
 
 
 def _centers(states: list[DynamicFilterState], prior: float) -> Array | None:
-    """Centres of mass, where all have been found."""
+    """Return the centres of mass if all have been learned, else None."""
     found = []
     for state in states:
         where = state.errors.center
@@ -161,7 +161,7 @@ def _centers(states: list[DynamicFilterState], prior: float) -> Array | None:
 
 
 def _kept(now: list[DynamicFilterState | None], name: str, before: Array) -> Array:
-    """A field of the states that there are, and what was believed before of the others."""
+    """Return a field of the states that exist, and its earlier belief for the others."""
     return np.stack([
         before[row] if state is None else getattr(state, name) for row, state in enumerate(now)
     ])  # fmt: skip

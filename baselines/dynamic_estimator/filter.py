@@ -17,7 +17,7 @@ LATE_POSE_ACCELERATIONS = (2.0, 5.0)  # [m/s^2, rad/s^2] by which twists change 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class InnovationTally:
-    """What measurements said against the estimate.
+    """Sums of the innovations of several measurements.
 
     Attributes:
         squares: Sum of normalised innovations squared, of measurements within the gate.
@@ -30,7 +30,7 @@ class InnovationTally:
     disturbed: int = 0
 
     def __add__(self, other: InnovationTally) -> InnovationTally:
-        """Both together."""
+        """Add two tallies."""
         return InnovationTally(
             squares=self.squares + other.squares,
             dof=self.dof + other.dof,
@@ -104,7 +104,7 @@ class DynamicFilter:
         return self._corrected(state, cross, own, said.residual)
 
     def _noise(self, duration: float, keep: float) -> Array:
-        """What a step adds to the covariance of the errors; `keep` of the wind is left [-]."""
+        """Return the covariance that a step adds; a share `keep` of the wind remains."""
         where, s = self._model.errors, self._settings
         spread = np.zeros(where.size)
         spread[where.wind] = s.wind_force**2 * (1.0 - keep**2)
@@ -115,7 +115,7 @@ class DynamicFilter:
     def _corrected(
         self, state: DynamicFilterState, cross: Array, total: Array, innovation: Array
     ) -> tuple[DynamicFilterState, InnovationTally]:
-        """The state after a measurement.
+        """Correct a state by a measurement.
 
         Args:
             state: Before it.

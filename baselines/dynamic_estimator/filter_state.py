@@ -1,4 +1,4 @@
-"""What the filter knows about one robot, and the order of its errors."""
+"""State of the filter of one robot, and the order of its errors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Errors:
     """
 
     def __init__(self, n: int) -> None:
-        """For n cables."""
+        """Lay out the errors for n cables."""
         m = max(0, 6 - n)
         self.m, self.n = m, n
         self.sway = slice(0, m)
@@ -81,7 +81,7 @@ class DynamicFilterState:
         return Errors(len(self.length_bias))
 
     def pose_by(self) -> Array:
-        """Error of the pose per error, shape (6, size): cables leave no other."""
+        """Return the pose error per error, shape (6, size): cables leave no other."""
         where = self.errors
         by = np.zeros((6, where.size))
         by[:, where.sway] = self.sway.ways
@@ -89,7 +89,7 @@ class DynamicFilterState:
         return by
 
     def corrected(self, error: Array, covariance: Array) -> DynamicFilterState:
-        """The state after an error was estimated, which is then zero.
+        """Return the state with an estimated error removed.
 
         Args:
             error: Truth minus estimate, in the order of `Errors`.
@@ -113,19 +113,19 @@ class DynamicFilterState:
         )
 
     def loosened(self, deviation: Array) -> DynamicFilterState:
-        """The state with more doubt of the lengths, by one standard deviation each (n,) [m]."""
+        """Return the state with length biases less certain, by deviations (n,) [m]."""
         matrix = np.array(self.covariance)
         where = self.errors.bias
         matrix[where, where] += np.diag(deviation**2)
         return replace(self, covariance=matrix)
 
     def slipped(self, slip: Array) -> DynamicFilterState:
-        """The state after encoders slipped, by (n,) [m]: the platform is where it was."""
+        """Return the state after encoders slipped by (n,) [m]; the platform stays where it was."""
         doubt = np.where(slip == 0.0, 0.0, SLIP_DEVIATION_M)
         return replace(self, length_bias=self.length_bias + slip).loosened(doubt)
 
     def platform_covariance(self, reading: float, speed: float) -> Array:
-        """Covariance of pose and twist, as of a `Belief`, shape (12, 12).
+        """Return the covariance of pose and twist as in `Belief`, shape (12, 12).
 
         Args:
             reading: Error of the lengths themselves, beside their biases [m].

@@ -1,4 +1,4 @@
-"""What IMU and poses say of the errors, and what becomes of errors: for filter and smoother."""
+"""Measurement models of IMU and poses, and the transition of errors: for filter and smoother."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STRETCH_RATE_NOISE_M_PER_S = 0.06  # vibrations of the stretch, which turn the g
 
 
 class ImuMean(NamedTuple):
-    """What an IMU said: the mean of some samples.
+    """Mean of some IMU samples.
 
     Attributes:
         values: Angular rate [rad/s] and specific force [m/s^2] in its axes, shape (6,).
@@ -27,7 +27,7 @@ class ImuMean(NamedTuple):
 
 
 class LinearisedMeasurement(NamedTuple):
-    """What a measurement says of the errors.
+    """Measurement to first order in the errors.
 
     Attributes:
         residual: Measured minus expected, shape (6,).
@@ -52,7 +52,7 @@ class MeasurementModels:
         self._tension = s.tension_noise * model.robot.weight
 
     def carried(self, move: LinearisedStep, duration: float) -> tuple[Array, float]:
-        """Errors at the end of a step per error at its start, and the share of wind that is left.
+        """Return the transition matrix of the errors over a step, and the share of wind left.
 
         Args:
             move: The step.
@@ -66,7 +66,7 @@ class MeasurementModels:
         return carry, keep
 
     def felt(self, move: LinearisedStep, felt: ImuMean) -> LinearisedMeasurement:
-        """What an IMU at the end of a step says of the errors at its start."""
+        """Linearise the IMU at the end of a step in the errors at its start."""
         where = self._errors
         by = np.zeros((6, where.size))
         by[:, : where.moving] = move.felt_by
@@ -80,7 +80,7 @@ class MeasurementModels:
     def pose(
         self, state: DynamicFilterState, position: Array, rotation: Array
     ) -> LinearisedMeasurement:
-        """What a pose that was measured at the time of a state says.
+        """Linearise a pose that was measured at the time of a state.
 
         Args:
             state: The estimate.

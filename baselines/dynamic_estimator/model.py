@@ -110,7 +110,7 @@ class DynamicModel:
         )
 
     def _neighbours(self, state: DynamicFilterState) -> tuple[Motions, Array, Array, Array]:
-        """The estimate, then one with each error: motions, masses, centres and length biases."""
+        """Return the estimate and one neighbour per error: motions, masses, centres and biases."""
         where = self.errors
         size = 1 + where.moving
         change = np.zeros((size, where.moving))
@@ -131,7 +131,7 @@ class DynamicModel:
     def _arrived(
         self, state: DynamicFilterState, found: Arrived, length: Array, duration: float
     ) -> DynamicFilterState:
-        """The estimate moved on."""
+        """Return the estimate at the end of the step."""
         return replace(
             state,
             time=state.time + duration,
@@ -144,7 +144,7 @@ class DynamicModel:
         )
 
     def _felt(self, found: Arrived) -> Array:
-        """What an IMU without bias would read, shape (B, 6)."""
+        """Return the readings of an IMU without bias, shape (B, 6)."""
         omega, alpha = found.twist[:, 3:], found.acceleration[:, 3:]
         arm = found.rotation @ self._lever
         force = found.acceleration[:, :3] + np.array([0.0, 0.0, self.robot.gravity])
@@ -156,7 +156,7 @@ class DynamicModel:
         ])  # fmt: skip
 
     def _pulled(self, state: DynamicFilterState) -> Array:
-        """What an IMU reads more per tension, shape (6, n)."""
+        """Return the change of the IMU readings per tension, shape (6, n)."""
         pulls = state.sway.pulls
         arm = state.rotation @ self._lever
         force = pulls[:3]
@@ -165,19 +165,19 @@ class DynamicModel:
         return np.vstack([np.zeros_like(force), (state.rotation @ self._mount).T @ force])
 
     def _stretched(self, state: DynamicFilterState) -> Array:
-        """What an IMU reads more per rate of stretch, shape (6, n)."""
+        """Return the change of the IMU readings per rate of stretch, shape (6, n)."""
         turn = state.sway.slaved[3:]
         return np.vstack([(state.rotation @ self._mount).T @ turn, np.zeros_like(turn)])
 
 
 def _first(exit_tension: Array | None) -> Array:
-    """That of the estimate itself."""
+    """Return the exit tensions of the estimate itself."""
     assert exit_tension is not None
     return np.asarray(exit_tension[0])
 
 
 def _small_turns(rotation: Array) -> Array:
-    """Rotation vectors of tiny rotations (B, 3, 3) [rad], shape (B, 3)."""
+    """Return the rotation vectors of tiny rotations (B, 3, 3) [rad], shape (B, 3)."""
     return 0.5 * np.stack(
         [
             rotation[:, 2, 1] - rotation[:, 1, 2],
@@ -189,7 +189,7 @@ def _small_turns(rotation: Array) -> Array:
 
 
 def _turns(vectors: Array) -> Array:
-    """Rotations by rotation vectors (B, 3) [rad], shape (B, 3, 3)."""
+    """Return the rotations by rotation vectors (B, 3) [rad], shape (B, 3, 3)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(vectors).as_matrix())

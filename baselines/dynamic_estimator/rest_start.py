@@ -1,4 +1,4 @@
-"""Where the filter starts: at rest on the first lengths, and how wrong that may be."""
+"""Initial state of the filter: at rest on the first lengths, with its covariance."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class RestStart:
     def state(
         self, time: float, reading: Array, speed: float | None = None
     ) -> DynamicFilterState | None:
-        """The estimate at rest; None where the robot cannot rest on these lengths.
+        """Return the estimate at rest; None where the robot cannot rest on these lengths.
 
         Args:
             time: [s].
@@ -75,7 +75,7 @@ class RestStart:
         )
 
     def _derivatives(self, found: Equilibrium) -> Array:
-        """Pose (6) per logarithm of mass, centre of mass and length biases, shape (6, 4 + n)."""
+        """Return the pose per log mass, centre of mass and length bias, shape (6, 4 + n)."""
         from scipy.spatial.transform import Rotation
 
         turn = Rotation.from_matrix(found.rotation[1:] @ found.rotation[0].T).as_rotvec()
@@ -86,7 +86,7 @@ class RestStart:
     def _covariance(
         self, rest: Equilibrium, sway: SwayBasis, by: Array, speed: float | None
     ) -> Array:
-        """Of all errors: what is not known moves the rest, about which there is some motion."""
+        """Return the covariance of all errors: unknowns move the rest, motion comes on top."""
         s, where = self._settings, Errors(self._robot.n)
         spread = np.zeros(where.size)
         spread[where.wind] = s.wind_force
@@ -107,5 +107,5 @@ class RestStart:
 
 
 def _tiled(rest: Equilibrium, size: int) -> Equilibrium:
-    """The same equilibrium several times."""
+    """Repeat an equilibrium."""
     return Equilibrium(**{k: np.repeat(v, size, axis=0) for k, v in vars(rest).items()})

@@ -1,4 +1,4 @@
-"""What the dynamic estimator takes for granted: how wrong everything may be."""
+"""Settings of the dynamic estimator: the uncertainty of everything it assumes."""
 
 from __future__ import annotations
 

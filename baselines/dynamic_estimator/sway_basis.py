@@ -1,4 +1,4 @@
-r"""Where the cables let the platform go: the ways to sway, and what follows from the lengths.
+r"""Basis of the sway: motions that the cables leave free, and those that follow their lengths.
 
 Cables are stiff: a millimetre too short is a tension of tens of newtons. Pose errors are therefore
 those that leave all lengths as they are, and those that go with errors of the lengths:
@@ -41,7 +41,7 @@ class SwayBasis(NamedTuple):
 
 
 def sway_at(robot: Robot, position: Array, rotation: Array, unstrained_length: Array) -> SwayBasis:
-    """Ways to sway.
+    """Return the basis of the sway at a pose.
 
     Args:
         robot: n cables.

@@ -48,7 +48,7 @@ class TimedPose(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
-    """What is remembered of one robot.
+    """Memory of the tracker of one robot.
 
     Attributes:
         state: The filter where it stands; None where the platform could not be hung yet.
@@ -135,7 +135,7 @@ class Tracker:
             return self._hung_anew(track, measurement, row)
 
     def _counts(self, measurement: Measurement, row: int) -> float:
-        """When the newest length reading counts [s]."""
+        """Return the time at which the newest length reading counts [s]."""
         stamped = measurement.length_rate
         when = measurement.time[row] if stamped is None else stamped.time[row]
         return float(when) + self._delay
@@ -151,7 +151,7 @@ class Tracker:
         )  # fmt: skip
 
     def _held(self, track: Track, now: float) -> Track:
-        """Without lengths for long: they are held, and the winches may have wound on."""
+        """Hold the lengths that no longer arrive; the winches may have wound on."""
         assert track.state is not None
         doubt = self._robot.speed_max * (now - track.readings.time[-1])
         return replace(
@@ -160,7 +160,7 @@ class Tracker:
         )  # fmt: skip
 
     def _moved(self, track: Track, measurement: Measurement, row: int) -> Track:
-        """The filter to the last known lengths, then the estimate to now."""
+        """Move the filter to the last known lengths, then the estimate to now."""
         now = float(measurement.time[row])
         known = min(now, float(track.readings.time[-1]))
         track = self._fused(track, known, measurement, row)
@@ -173,7 +173,7 @@ class Tracker:
     def _predicted(
         self, state: DynamicFilterState, readings: LengthReadings, now: float
     ) -> DynamicFilterState:
-        """The estimate at a later time than lengths are known of, its covariance included."""
+        """Predict the estimate, covariance included, beyond the last known lengths."""
         for end in readings.knots(state.time, now, self._short):
             start = state.time
             state, _ = self._filter.step(state, readings.at(start), readings.at(end), end - start)
@@ -181,7 +181,7 @@ class Tracker:
         return state
 
     def _fused(self, track: Track, known: float, measurement: Measurement, row: int) -> Track:
-        """The filter through all that was measured up to a time."""
+        """Take the filter through all measurements up to a time."""
         state, tally = track.state, track.tally
         assert state is not None
         groups, waiting = _grouped(
@@ -215,7 +215,7 @@ class Tracker:
     def _to(
         self, state: DynamicFilterState, readings: LengthReadings, stop: float, group: Array | None
     ) -> tuple[DynamicFilterState, InnovationTally]:
-        """The filter to a time, with the IMU samples (K, 7) there."""
+        """Take the filter to a time, with the IMU samples (K, 7) there."""
         tally = InnovationTally()
         if stop - state.time < READING_INTERVAL_MIN_S:
             return state, tally
@@ -232,7 +232,7 @@ class Tracker:
 
 
 def _waiting(waiting: Array, measurement: Measurement, row: int) -> Array:
-    """IMU samples that wait, with the new ones."""
+    """Return the waiting IMU samples with the new ones."""
     imu = measurement.imu
     if imu is None:
         return waiting
@@ -241,7 +241,7 @@ def _waiting(waiting: Array, measurement: Measurement, row: int) -> Array:
 
 
 def _grouped(samples: Array, known: float, alike: float) -> tuple[dict[float, Array], Array]:
-    """IMU samples up to a time, in groups of which each is taken at its mean time.
+    """Group IMU samples up to a time; each group counts at its mean time.
 
     Returns:
         The groups, and the samples that are later.
@@ -260,7 +260,7 @@ def _grouped(samples: Array, known: float, alike: float) -> tuple[dict[float, Ar
 def _known_poses(
     poses: tuple[TimedPose, ...], measurement: Measurement, row: int
 ) -> tuple[TimedPose, ...]:
-    """Poses that wait, with the new one if it is one."""
+    """Return the waiting poses with the new one, if there is one."""
     kept = tuple(pose for pose in poses[:-1] if not pose.used) + poses[-1:]
     pose = measurement.pose
     if pose is None:

@@ -31,7 +31,7 @@ SWING_FADE_TIME_S = 2.0  # in which a cable's own swing fades to 1/e: a second o
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExpectedLengths:
-    """What the state says of the lengths of one robot, without their biases.
+    """Expected lengths of one robot in a state, without their biases.
 
     Attributes:
         length: Unstrained [m], shape (n,); only where `valid`.
@@ -99,7 +99,7 @@ def expected_lengths(
 
 
 def _strings(robot: Robot, straight: StraightCables, tension: Array) -> CableStrings:
-    """The cables as strings; those that hang loose as if under their own weight."""
+    """Return the cables as strings; loose ones as if under their own weight."""
     length, unit = straight.length[0], straight.direction[0]
     weight = robot.weight_per_length
     across = np.sqrt(np.maximum(1.0 - unit[:, 2] ** 2, 0.0))
@@ -112,7 +112,7 @@ def _strings(robot: Robot, straight: StraightCables, tension: Array) -> CableStr
 def _curvature(
     robot: Robot, state: KsEkfState, straight: StraightCables, settings: KsEkfSettings
 ) -> Array:
-    """By how much lengths are not linear in the errors of the pose, as these may be [m], (n,)."""
+    """Return the second-order length error of the present pose covariance [m], (n,)."""
     mapping = pose_map(state, settings.imu_position)
     variance = np.diag(mapping @ state.covariance @ mapping.T)
     arm = np.linalg.norm(robot.anchor_points, axis=1)
@@ -120,7 +120,7 @@ def _curvature(
 
 
 def _hanging(robot: Robot, rotation: Array, straight: StraightCables) -> Array:
-    """Wrench of the cables' own weight on the platform, across their chords, shape (6,)."""
+    """Return the wrench of the cables' own weight on the platform, across their chords, (6,)."""
     unit = -straight.direction[0]
     down = np.array([0.0, 0.0, -1.0])
     across = down - unit * (unit @ down)[:, None]
@@ -130,14 +130,14 @@ def _hanging(robot: Robot, rotation: Array, straight: StraightCables) -> Array:
 
 
 def _weight(robot: Robot, state: KsEkfState) -> Array:
-    """What they must exert about the platform origin where nothing moves, in W, shape (6,)."""
+    """Return the wrench of the cables about the origin at rest, in W, shape (6,)."""
     force = np.array([0.0, 0.0, robot.weight])
     arm = state.rotation @ (robot.center_of_mass + state.center)
     return np.concatenate([force, np.cross(arm, force)])
 
 
 def _wrench(robot: Robot, state: KsEkfState, turning: Array, settings: KsEkfSettings) -> Array:
-    """What the cables must exert about the platform origin, in W [N, N m], shape (6,)."""
+    """Return the wrench of the cables about the origin in motion, in W, shape (6,)."""
     rate, force = state.samples.at(state.time)
     spin = rate - state.rate_bias
     center = robot.center_of_mass + state.center

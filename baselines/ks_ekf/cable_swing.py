@@ -1,4 +1,4 @@
-r"""How cables swing themselves where their tension changes faster than they can follow.
+r"""Swing of the cables themselves where their tension changes faster than they can follow.
 
 A cable of length l and mass per length :math:`\rho` under a tension f is a string. Its slowest
 motion across the chord, with the sag s of its middle, is an oscillator about its sag at rest,
@@ -71,7 +71,7 @@ class CableSwing:
     time: float = 0.0
 
     def later(self, time: float, strings: CableStrings, damping_time: float) -> CableSwing:
-        """At a time [s], under tensions of then; swings fade to 1/e in `damping_time` [s]."""
+        """Return the swing at a time [s] under later tensions; it fades in `damping_time` [s]."""
         rest, pace = strings.sag, strings.pace
         if self.sag is None:
             return CableSwing(sag=rest, speed=np.zeros_like(rest), loose=rest, time=time)
@@ -87,7 +87,7 @@ class CableSwing:
         return CableSwing(sag=sag, speed=speed, loose=loose, time=time)
 
     def taken(self, strings: CableStrings) -> Array:
-        """Length that the swing takes at most, but for what comes and goes [m], shape (n,)."""
+        """Return the largest length the swing takes, beside its oscillation [m], shape (n,)."""
         if self.sag is None:
             return np.zeros_like(strings.length)
         square = (self.sag - strings.sag) ** 2 + (self.speed / strings.pace) ** 2

@@ -1,4 +1,4 @@
-"""What lengths and rest say against a state: residual, Jacobian and noise of each."""
+"""Residual, Jacobian and noise of lengths, rest poses and stillness against a state."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def of_lengths(
     robot: Robot, state: KsEkfState, lengths: Array, turning: Array, swing: CableSwing,
     settings: KsEkfSettings,
 ) -> MeasurementResidual:  # fmt: skip
-    """Lengths (n,) as they are, tight; `turning` is the angular acceleration in P [rad/s^2]."""
+    """Compare lengths (n,) with a state; `turning` is angular acceleration in P [rad/s^2]."""
     expected = expected_lengths(robot, state, turning, swing, settings)
     use = expected.valid
     residual = (lengths - expected.length - state.length_bias)[use]
@@ -75,7 +75,7 @@ def of_lengths(
 def of_rest_pose(
     state: KsEkfState, rest: RestPose, noise: Array, settings: KsEkfSettings
 ) -> MeasurementResidual:
-    """A pose of rest with its noise (6, 6), whose errors of lengths and mass are in the state."""
+    """Compare a pose of rest of noise (6, 6) with a state, whose length errors it depends on."""
     import pinocchio
 
     turn = pinocchio.log3(rest.rotation @ state.rotation.T)
@@ -105,7 +105,7 @@ def sway_noise(rest: RestPose, settings: KsEkfSettings) -> Array:
 def of_stillness(
     state: KsEkfState, quiet: RestMeans, gravity: float, settings: KsEkfSettings
 ) -> MeasurementResidual:
-    """Rest as the IMU sees it: no velocity, no angular rate, nothing but gravity."""
+    """Compare rest as the IMU sees it: no velocity, no angular rate, only gravity."""
     down = np.array([0.0, 0.0, -gravity])
     jacobian = np.zeros((9, len(state.covariance)))
     jacobian[:3, RATE_BIAS] = np.eye(3)
@@ -124,7 +124,7 @@ def of_stillness(
 
 
 def without_worst(state: KsEkfState, evidence: MeasurementResidual) -> MeasurementResidual:
-    """The same without the channel that contradicts all others most."""
+    """Return the residual without the channel that contradicts all others most."""
     spread = evidence.jacobian @ state.covariance @ evidence.jacobian.T + evidence.noise
     inverse = np.linalg.inv(spread)
     # Leaving channel i out lowers the normalised square by (S^-1 r)_i^2 / (S^-1)_ii.

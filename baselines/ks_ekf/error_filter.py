@@ -14,7 +14,7 @@ from carosac_toolkit.loop.consistency import Innovations
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FilterCorrection:
-    """What a measurement did.
+    """Result of one measurement.
 
     Attributes:
         error: Estimated error of the state, shape (k,); zero where the measurement was rejected.
@@ -91,19 +91,19 @@ class ErrorFilter:
 
 @lru_cache(maxsize=64)
 def limit(dof: int, probability: float) -> float:
-    """What a chi-squared variable stays below with a given probability."""
+    """Return the quantile of a chi-squared variable at a probability."""
     from scipy.stats import chi2
 
     return float(chi2.ppf(probability, dof))
 
 
 def no_innovations() -> Innovations:
-    """Nothing measured."""
+    """Return the sums of no measurements."""
     return Innovations(squares=np.zeros(1), dof=np.zeros(1), rejected=np.zeros(1))
 
 
 def added(before: Innovations, found: FilterCorrection) -> Innovations:
-    """With what one more measurement said; a rejected one is only counted."""
+    """Return the sums with one more measurement; a rejected one is only counted."""
     return Innovations(
         squares=before.squares + (found.square if found.accepted else 0.0),
         dof=before.dof + (found.dof if found.accepted else 0),

@@ -168,7 +168,7 @@ class KsEkf:
         return replace(record, state=state, slid=record.encoders.slid)
 
     def _is_carried(self, state: KsEkfState, now: float) -> bool:
-        """Whether inertial samples reach up to now."""
+        """Return whether inertial samples reach up to now."""
         samples = state.samples
         return len(samples) > 0 and now - float(samples.time[-1]) <= self._settings.imu_gap
 
@@ -239,7 +239,7 @@ class KsEkf:
     def _evidence(
         self, record: KsEkfRecord, reading: TimedLengths
     ) -> tuple[KsEkfRecord, MeasurementResidual | None]:
-        """What the lengths say; None where they have no pose of rest but need one."""
+        """Compare the lengths with the state; None where they need a pose of rest but have none."""
         state, settings = record.state, self._settings
         if settings.coupling == "tight":
             turning = slope(record.window.samples, state.time, SLOPE_HALF_WIDTH_S)
@@ -288,7 +288,7 @@ class KsEkf:
         )
 
     def _coast(self, record: KsEkfRecord) -> KsEkfRecord:
-        """Without inertial samples: the pose of rest, with the sway that there may be."""
+        """Take the pose of rest, with the sway that is possible, without inertial samples."""
         state = replace(initial_state.released(record.state, self._settings), samples=NO_SAMPLES)
         record = replace(record, state=state, coasted=record.coasted + 1)
         return self._place(record, record.reading, self._settings.sway)
@@ -316,7 +316,7 @@ class KsEkf:
     def _rest(
         self, record: KsEkfRecord, reading: TimedLengths
     ) -> tuple[KsEkfRecord, RestPose | None]:
-        """Pose of rest of the lengths, without what the state knows of their errors."""
+        """Solve for rest on the lengths, less the errors that the state knows."""
         state = record.state
         lengths = reading.lengths - state.length_bias
         rest = find_rest(self._robot, lengths, state.center, state.solution)
@@ -324,7 +324,7 @@ class KsEkf:
         return replace(record, state=replace(state, solution=solution)), rest
 
     def _belief(self, record: KsEkfRecord, measurement: Measurement) -> Belief:
-        """The belief at the time of a measurement: none of the lengths used is later."""
+        """Return the belief at the time of a measurement; no lengths used are later."""
         now = float(measurement.time[0])
         if record.state.inertial:
             state = self._motion.advance(record.state, now)

@@ -1,4 +1,4 @@
-"""What the filter carries from one measurement to the next."""
+"""State that the filter carries from one measurement to the next."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ class InertialSamples:
         return len(self.time)
 
     def keep(self, which: slice) -> InertialSamples:
-        """A part of them."""
+        """Return a part of the samples."""
         return InertialSamples(
             time=self.time[which], rate=self.rate[which], force=self.force[which]
         )
 
     def after(self, time: float) -> InertialSamples:
-        """Those from the last one at or before a time on, from which motion can go on."""
+        """Return the samples from the last one at or before a time on."""
         first = int(np.searchsorted(self.time, time + 1e-9, side="right")) - 1
         return self.keep(slice(max(first, 0), None))
 
     def joined(self, other: InertialSamples) -> InertialSamples:
-        """With later ones; what is not later than the last one here is left out."""
+        """Append later samples; leave out those that are not later than the last one."""
         new = other.time > (self.time[-1] + 1e-9 if len(self) else -np.inf)
         return InertialSamples(
             time=np.concatenate([self.time, other.time[new]]),
@@ -60,7 +60,7 @@ class InertialSamples:
         )
 
     def at(self, time: float) -> tuple[Array, Array]:
-        """Angular rate and specific force at a time, straight between samples, else the nearest."""
+        """Interpolate angular rate and specific force at a time; outside take the nearest."""
         k = int(np.searchsorted(self.time, time))
         if k == 0 or k == len(self):
             k = min(k, len(self) - 1)
@@ -135,13 +135,13 @@ class KsEkfState:
         )
 
     def slipped(self, which: NDArray[np.bool_]) -> KsEkfState:
-        """With more doubt of the lengths of cables (n,) whose encoders have slipped."""
+        """Return the state with the lengths of cables (n,) whose encoders slipped less certain."""
         covariance = self.covariance.copy()
         covariance[LENGTHS, LENGTHS] += np.diag(np.where(which, SLIP_DEVIATION_M**2, 0.0))
         return replace(self, covariance=covariance)
 
 
 def cross(vector: Array) -> Array:
-    """The matrix [a]x of a x b, shape (3, 3)."""
+    """Return the matrix [a]x of a x b, shape (3, 3)."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -39,7 +39,7 @@ MINUTE_S = 60.0  # [s]
 
 
 def samples_of(measurement: Measurement, settings: KsEkfSettings) -> InertialSamples:
-    """Inertial samples of a measurement, maybe none, turned into the axes of the platform."""
+    """Return the inertial samples of a measurement, if any, in the axes of the platform."""
     imu = measurement.imu
     if imu is None:
         return NO_SAMPLES
@@ -103,7 +103,7 @@ class InertialMotion:
         end: tuple[Array, Array],
         held: float = 0.0,
     ) -> KsEkfState:
-        """One step of h seconds by the trapezoidal rule; its end is `held` after any sample [s]."""
+        """Integrate h seconds by the trapezoidal rule, to an end `held` after any sample [s]."""
         import pinocchio
 
         turn = h * (0.5 * (start[0] + end[0]) - state.rate_bias)
@@ -127,7 +127,7 @@ class InertialMotion:
     def _transition(
         self, before: Array, after: Array, bend: Array, force: Array, h: float, size: int
     ) -> Array:
-        """Jacobian of a step, shape (size, size)."""
+        """Return the Jacobian of a step, shape (size, size)."""
         matrix = np.eye(size)
         lean = -h * cross(force)
         middle = -0.5 * h * (before + after)
@@ -141,7 +141,7 @@ class InertialMotion:
 
 
 def slope(samples: InertialSamples, time: float, reach: float) -> Array:
-    """Angular acceleration in P [rad/s^2], shape (3,): least squares over samples within `reach`.
+    """Fit the angular acceleration in P [rad/s^2], shape (3,), to samples within `reach`.
 
     Args:
         samples: Also those later than the time.

@@ -33,7 +33,7 @@ LOST_DEVIATIONS = (
 
 
 def prior(robot: Robot, settings: KsEkfSettings) -> Array:
-    """Variances of the errors before anything is measured; pose and velocity unknown."""
+    """Return the variances of the errors before any measurement; pose and velocity unknown."""
     n = robot.n
     spread = np.zeros(FIXED_ERRORS + n)
     spread[:9] = np.repeat(LOST_DEVIATIONS, 3)
@@ -45,7 +45,7 @@ def prior(robot: Robot, settings: KsEkfSettings) -> Array:
 
 
 def blank(robot: Robot, settings: KsEkfSettings, time: float) -> KsEkfState:
-    """A state at home of which nothing is known but the priors."""
+    """Return a state at home of which only the priors are known."""
     lost = np.repeat((LOST_DEVIATIONS[2], LOST_DEVIATIONS[1]), 3)
     return KsEkfState(
         time=time,
@@ -65,13 +65,13 @@ def blank(robot: Robot, settings: KsEkfSettings, time: float) -> KsEkfState:
 
 
 def forgotten(robot: Robot, settings: KsEkfSettings, state: KsEkfState) -> KsEkfState:
-    """A state of which nothing is known, with the pose and the samples of another one."""
+    """Return an unknown state at the pose and with the samples of another one."""
     nothing, kept = blank(robot, settings, state.time), released(state, settings)
     return replace(nothing, position=kept.position, rotation=kept.rotation, samples=state.samples)
 
 
 def doubted(robot: Robot, settings: KsEkfSettings, state: KsEkfState, factor: float) -> KsEkfState:
-    """The same with larger standard deviations; constants are never less known than at first."""
+    """Return the state with larger deviations; constants are never worse than their priors."""
     first = prior(robot, settings)
     growth = np.full(len(first), factor)
     constant = slice(9, None)
@@ -127,7 +127,7 @@ def placed(
 
 
 def lost(robot: Robot, settings: KsEkfSettings, state: KsEkfState, time: float) -> KsEkfState:
-    """The same, at the platform's origin, of whose pose and motion nothing is known any more."""
+    """Return the state at the platform's origin, with pose and motion unknown."""
     nothing, state = blank(robot, settings, time), released(state, settings)
     covariance = nothing.covariance.copy()
     covariance[9:, 9:] = state.covariance[9:, 9:]
@@ -151,7 +151,7 @@ def inertial(state: KsEkfState, settings: KsEkfSettings) -> KsEkfState:
 
 
 def released(state: KsEkfState, settings: KsEkfSettings) -> KsEkfState:
-    """A state that inertial samples carry no more: back at the platform's origin."""
+    """Return the state at the platform's origin, no longer carried by inertial samples."""
     if not state.inertial:
         return state
     rate = state.rotation @ (state.samples.at(state.time)[0] - state.rate_bias)

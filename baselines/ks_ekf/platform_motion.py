@@ -20,12 +20,12 @@ from carosac_toolkit.base.arrays import Array
 
 
 def origin(state: KsEkfState, lever: Array) -> Array:
-    """Platform origin in W [m], shape (3,), for an IMU at `lever` in P [m]."""
+    """Return the platform origin in W [m], shape (3,), for an IMU at `lever` in P [m]."""
     return state.position - state.rotation @ lever
 
 
 def pose_map(state: KsEkfState, lever: Array) -> Array:
-    """Error of the platform's pose [dp; dtheta] per error of the state, shape (6, 18 + n)."""
+    """Return the pose error [dp; dtheta] per error of the state, shape (6, 18 + n)."""
     matrix = np.zeros((6, len(state.covariance)))
     matrix[:, POSE] = np.eye(6)
     matrix[:3, ROTATION] = cross(state.rotation @ lever)
@@ -33,7 +33,7 @@ def pose_map(state: KsEkfState, lever: Array) -> Array:
 
 
 def carried(state: KsEkfState, settings: KsEkfSettings) -> tuple[Array, Array]:
-    """Twist of the platform origin, and covariance of pose and twist, from inertial samples.
+    """Return the twist of the origin, and the covariance of pose and twist, with an IMU.
 
     Args:
         state: At the time of its newest sample, or after it.
@@ -61,7 +61,7 @@ def carried(state: KsEkfState, settings: KsEkfSettings) -> tuple[Array, Array]:
 
 
 def at_rest(state: KsEkfState) -> tuple[Array, Array]:
-    """The same where nothing inertial carries the state, which then sits at the origin."""
+    """Return twist and covariance of a state at the origin that no inertial samples carry."""
     covariance = np.zeros((12, 12))
     covariance[:6, :6] = state.covariance[POSE, POSE]
     covariance[6:, 6:] = state.twist_covariance

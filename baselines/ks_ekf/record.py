@@ -1,4 +1,4 @@
-"""What a belief of the filter remembers."""
+"""Memory of a belief of the filter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether the platform rests: quiet encoders and a quiet IMU over a window."""
+"""Detection of rest: quiet encoders and a quiet IMU over a window."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class RecentMeasurements:
     def extended(
         self, readings: Sequence[TimedLengths], samples: InertialSamples, span: float
     ) -> RecentMeasurements:
-        """With measurements that are later, without those older than `span` seconds."""
+        """Append later measurements, and drop those older than `span` seconds."""
         last = self.time[-1] if len(self.time) else -np.inf
         new = [reading for reading in readings if reading.time > last]
         when = np.append(self.time, [reading.time for reading in new])

@@ -51,7 +51,7 @@ class RestPose:
     solution: Equilibrium
 
     def energy(self, sway: float) -> float:
-        """Energy per mode [J] at which the position sways by `sway`, root mean square [m]."""
+        """Return the energy per mode [J] at which the position sways by `sway` (RMS) [m]."""
         return sway**2 / float(np.trace(self.softness[:3, :3]))
 
 
@@ -76,7 +76,7 @@ def find_rest(
 
 
 def _with_derivatives(robot: Robot, found: Equilibrium, center: Array) -> RestPose:
-    """Differences between the rows of a solve, and the shift of the centre of mass."""
+    """Return the first row's rest with derivatives from the others, and its shifted centre."""
     import pinocchio
 
     rotation = found.rotation[0]

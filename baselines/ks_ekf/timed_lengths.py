@@ -28,7 +28,7 @@ class TimedLengths:
 
 
 def reading_of(measurement: Measurement, lead: float) -> TimedLengths:
-    """The lengths of a measurement of one robot, which lead the platform by `lead` [s]."""
+    """Return the lengths of a measurement of one robot, which lead it by `lead` [s]."""
     rate, lengths = measurement.length_rate, measurement.unstrained_length[0]
     taken = measurement.time if rate is None else rate.time
     return TimedLengths(

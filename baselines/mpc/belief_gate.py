@@ -1,4 +1,4 @@
-"""Whether a belief can be planned from: as long as it agrees with the lengths that were sent."""
+"""Gate for beliefs to plan from: they must agree with the lengths that were sent."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class BeliefGate:
 
     @property
     def stuck(self) -> bool:
-        """Whether it has disagreed for long with winches at rest."""
+        """True if it has disagreed for long with winches at rest."""
         return self._far >= self._stuck
 
     def within(self, resting: bool) -> float:
-        """Distance up to which something is learned from a belief [m]."""
+        """Return the distance up to which a belief is learned from [m]."""
         return SLACK_EXCESS_M if resting else BELIEF_GATE_M
 
     def update(self, distance: float, *, resting: bool, still: bool) -> None:

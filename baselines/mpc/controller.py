@@ -98,7 +98,7 @@ class Mpc:
         self._ready = True
 
     def command(self, belief: Belief, reference: Reference) -> Command:
-        """Lengths for the next period.
+        """Return the lengths for the next period.
 
         Raises:
             InvalidField: A batch of several robots, or no reset before.
@@ -130,7 +130,7 @@ class Mpc:
         return Command(time=belief.time, unstrained_length=lengths[None])
 
     def _solve(self, start: PlanStart, reference: Reference, now: float) -> Plan | None:
-        """A plan from here, or None with the reason in the record."""
+        """Make a plan from here, or return None with the reason in the record."""
         self.record.reason = ""
         if not np.isfinite(start.distance) or not start.geometry.valid:
             self._fail("geometry", "a believed pose that cables cannot reach")
@@ -162,7 +162,7 @@ class Mpc:
 
     @property
     def _resting(self) -> bool:
-        """Whether the last plan was given up, so that the platform is being brought to rest."""
+        """True if the last plan was given up, so that the platform is being brought to rest."""
         return self._failed > SHIFTED_STEPS_MAX
 
     def _fail(self, kind: str, words: str) -> None:
@@ -171,7 +171,7 @@ class Mpc:
         self.record.reason = f"{kind}: {words}"
 
     def _follow(self, plan: Plan) -> Array:
-        """The command that leads to the plan's next state."""
+        """Return the command that leads to the plan's next state."""
         before, state = plan.state[:2]
         position, rotation = pose_of(state, plan.rotation)
         geometry = self._update_excess(position, rotation, plan.tension[0], share=self._share())
@@ -188,7 +188,7 @@ class Mpc:
         return self._winches.follow(length, geometry.jacobian @ state[6:])
 
     def _fall_back(self, now: float) -> Array:
-        """The command after a failure: the last plan for some steps, then rest."""
+        """Return the command after a failure: the last plan for some steps, then rest."""
         self._failed += 1
         old = self._planner.plan
         if old is not None and not self._resting:
@@ -222,7 +222,7 @@ class Mpc:
         return geometry
 
     def _share(self) -> float:
-        """Share of a new sag that counts at once."""
+        """Return the share of a new sag that counts at once."""
         return float(1.0 - np.exp(-self.period / EXCESS_TIME_S))
 
 

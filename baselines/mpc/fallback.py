@@ -29,7 +29,7 @@ class RestFallback:
     def acceleration(
         self, position: Array, length: Array, rate: Array, offset: Array
     ) -> tuple[Array, bool]:
-        """Acceleration of the lengths now, critically damped, within half of the limits.
+        """Return the acceleration of the lengths now, critically damped and limited.
 
         Args:
             position: Platform origin in W last believed [m], shape (3,); its first value since
@@ -55,7 +55,7 @@ class RestFallback:
         return np.clip(wanted, -most, most), self._goal is not None
 
     def _rest_near(self, position: Array, length: Array, offset: Array) -> Array | None:
-        """Lengths of rest, if there are any within reach."""
+        """Return the lengths of rest, if there are any within reach."""
         robot = self._robot
         inside = np.clip(position, robot.workspace_min, robot.workspace_max)
         rest = statics.inverse_kinematics(robot, inside[None])

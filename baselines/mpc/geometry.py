@@ -34,7 +34,7 @@ class Geometry:
 
 
 def geometry_at(robot: Robot, position: Array, rotation: Array) -> Geometry:
-    """Straight cables at a pose.
+    """Return straight cables at a pose.
 
     Args:
         robot: Robot description, n cables.
@@ -58,7 +58,7 @@ def geometry_at(robot: Robot, position: Array, rotation: Array) -> Geometry:
 def excess_at(
     robot: Robot, position: Array, rotation: Array, tension: Array, geometry: Geometry
 ) -> Array:
-    """By how much the unstrained cables are longer than straight ones: sag less stretch [m].
+    """Return what unstrained cables have beyond straight ones: sag less stretch [m].
 
     Args:
         robot: Robot description, n cables.

@@ -1,4 +1,4 @@
-r"""Where the plan starts: the belief, made to agree with the cable lengths that are known.
+r"""Start of the plan: the belief, made to agree with the cable lengths that are known.
 
 The lengths that the winches have been sent to are known better, and sooner, than any pose: with n
 cables they fix n of the six degrees of freedom (all six if n >= 6). The belief gives the others,
@@ -81,7 +81,7 @@ class Observer:
 
     @property
     def surplus(self) -> Array:
-        """What is sent beyond modelled lengths [m], shape (n,): offset and slack."""
+        """Lengths sent beyond modelled ones [m], shape (n,): offset and slack."""
         return np.asarray(self.offset + self.slack)
 
     @property
@@ -90,7 +90,7 @@ class Observer:
         return np.asarray(np.clip(self.offset, -self._most, self._most))
 
     def forget(self) -> None:
-        """Nothing is planned, and what was learned of the motion may be wrong."""
+        """Drop the prediction, and what was learned of the load, which may be wrong."""
         self.load.reset()
         self._predicted: PlanStart | None = None
         self._planned: PlannedMotion | None = None
@@ -103,7 +103,7 @@ class Observer:
         self, belief: Belief, length: Array, rate: Array, *, within: float | None = None,
         stuck: bool = False,
     ) -> PlanStart:  # fmt: skip
-        """Where the platform is.
+        """Return where the platform is, and learn offsets and load on the way.
 
         Args:
             belief: Of one robot.
@@ -151,18 +151,18 @@ class Observer:
         self.rebased += 1
 
     def _motion(self, geometry: Geometry, rotation: Array) -> Array:
-        """Motion of least energy per length of the cables, shape (6, n)."""
+        """Return the motion of least energy per length of the cables, shape (6, n)."""
         return constrained_motion(self._mass(geometry, rotation), geometry.jacobian)
 
     def _mass(self, geometry: Geometry, rotation: Array) -> Array:
-        """Mass matrix, shape (6, 6)."""
+        """Return the mass matrix, shape (6, 6)."""
         mass = mass_matrix(self.load.robot, rotation[None], geometry.length[None])
         return np.asarray(mass[0])
 
     def _onto(
         self, length: Array, position: Array, rotation: Array, geometry: Geometry
     ) -> tuple[Array, Array, Geometry]:
-        """The nearest pose at which the cables have the lengths, by Newton's method.
+        """Find the nearest pose at which the cables have given lengths, by Newton's method.
 
         One step is not enough: a tenth of a millimetre that is left over at every command is paid
         out as speed that no plan has asked for.
@@ -202,7 +202,7 @@ class Observer:
         self.offset = self.offset + share * (self.kept - self.offset)
 
     def _twist(self, belief: Belief) -> Array:
-        """Believed twist; without one, the prediction and a share of how the pose differs."""
+        """Return the believed twist; without one, the prediction corrected by the pose."""
         if belief.twist is not None:
             return np.asarray(belief.twist[0])
         before = self._predicted
@@ -226,12 +226,12 @@ class Observer:
 
 
 def _sound(geometry: Geometry) -> bool:
-    """Whether all cables exist."""
+    """Return whether all cables exist."""
     return geometry.valid and bool(np.isfinite(geometry.jacobian).all())
 
 
 def _nowhere(position: Array, rotation: Array, geometry: Geometry) -> PlanStart:
-    """A start that no plan can begin at."""
+    """Return a start that no plan can begin at."""
     return PlanStart(
         position=position, rotation=rotation, twist=np.zeros(6), geometry=geometry, distance=np.inf
     )

@@ -27,7 +27,7 @@ LENGTH_EXCESS_SCALE_M = 1.0  # counts like exceeding a speed limit by all of it
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanTarget:
-    """What the platform should do at the N + 1 times of a plan.
+    """Target of the platform at the N + 1 times of a plan.
 
     Attributes:
         position: Platform origin in W [m], shape (N + 1, 3).
@@ -117,7 +117,7 @@ class Planner:
         return plan, slack
 
     def _guess(self, start: PlanStart, target: PlanTarget, time: float) -> Plan:
-        """The last plan, shifted to now, with the first state replaced."""
+        """Return the last plan, shifted to now, with the first state replaced."""
         when = time + self.grid
         old = self.plan
         if old is None:
@@ -150,7 +150,7 @@ class Planner:
         self._hanging = self._robot.weight_per_length * geometry.free
 
     def _least(self, target: PlanTarget) -> Array:
-        """Tensions at which cables are still taut [N], shape (N, n)."""
+        """Return the tensions at which cables are still taut [N], shape (N, n)."""
         half = REST_TENSION_RATIO_MIN * target.tension
         taut = half if target.calm else np.minimum(TAUT_TENSION_CABLE_WEIGHTS * self._hanging, half)
         return np.maximum(self._robot.tension_min, taut)
@@ -186,7 +186,7 @@ class Planner:
         return (better, float(step.slack.max())) if sound else None
 
     def _error(self, plan: Plan, target: PlanTarget) -> Array:
-        """State minus target; no attitude where it is free."""
+        """Return state minus target; no attitude error where it is free."""
         error = plan.state.copy()
         error[:, :3] -= target.position
         error[:, 6:9] -= target.velocity
@@ -196,7 +196,7 @@ class Planner:
         return error
 
     def _rows(self, acceleration: WinchRange, offset: Array) -> tuple[Array, Array, Array]:
-        """Limits on length, rate and acceleration of the cables, in shares of themselves."""
+        """Return scaled limits on length, rate and acceleration of the cables."""
         robot, stage, share = self._robot, self.stage, self._settings.limit_share
         n, stages = robot.n, self._settings.stages
         speed, most = share * robot.speed_max, share * robot.acceleration_max

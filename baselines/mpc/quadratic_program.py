@@ -114,7 +114,7 @@ class QuadraticProgram:
         return GaussNewtonStep(solved=solved, state=x, tension=u, slack=slack)
 
     def _fill_cost(self, hessian: Array, gradient: Array, end: Array, price: float) -> None:
-        """Hessian and gradient, the slack among them."""
+        """Fill Hessian and gradient, with those of the slack."""
         stages, states, n, _ = self._sizes
         for name, values, last in (("h", hessian, end[0]), ("g", gradient, end[1])):
             block = self._in[name][: stages * self._width].reshape(stages, self._width)
@@ -125,7 +125,7 @@ class QuadraticProgram:
     def _fill_constraints(
         self, dynamics: tuple[Array, Array, Array], rows: tuple[Array, Array, Array]
     ) -> None:
-        """Dynamics, then the soft rows, stage by stage."""
+        """Fill in the dynamics, then the soft rows, stage by stage."""
         stages, states, _, count = self._sizes
         a, b, c = dynamics
         matrix, low, high = rows
@@ -163,7 +163,7 @@ class QuadraticProgram:
 def _constraint_pattern(
     stages: int, states: int, n: int, rows: int
 ) -> tuple[Any, np.ndarray[Any, np.dtype[np.int64]]]:
-    """Where the values of `_fill_constraints` are, and in which order the solver wants them."""
+    """Return where `_fill_constraints` puts its values, and the solver's order of them."""
     width, height = states + n + 1, states + 2 * rows
     inner = [
         *((i, j) for i in range(states) for j in range(states + n)),
@@ -180,12 +180,12 @@ def _constraint_pattern(
 
 
 def _cost_pattern(stages: int, states: int, n: int) -> Any:
-    """A diagonal."""
+    """Return the pattern of a diagonal Hessian."""
     size = stages * (states + n + 1) + states
     return sparse.coo_matrix((np.ones(size), (np.arange(size), np.arange(size))), (size, size))
 
 
 def _sparsity(ca: Any, matrix: Any) -> Any:
-    """CasADi's word for where the entries are."""
+    """Convert a pattern to CasADi's sparsity."""
     rows, columns = matrix.row.tolist(), matrix.col.tolist()
     return ca.Sparsity.triplet(*matrix.shape, rows, columns)

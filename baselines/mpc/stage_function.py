@@ -82,7 +82,7 @@ class StageFunction:
 
 
 def cache_folder() -> Path:
-    """Where compiled code is kept: ``CAROSAC_CACHE``, else the user's cache folder."""
+    """Return where compiled code is kept: ``CAROSAC_CACHE``, else the user's cache folder."""
     own = os.environ.get("CAROSAC_CACHE")
     if own:
         return Path(own)
@@ -91,7 +91,7 @@ def cache_folder() -> Path:
 
 @lru_cache(maxsize=16)
 def _function(n: int, stages: int, compiled: Compiled) -> tuple[Any, str]:
-    """The function, and why it is not compiled."""
+    """Return the function, and why it is not compiled."""
     function = model.interpreted(n, stages)
     if compiled == "never":
         return function, "setting"

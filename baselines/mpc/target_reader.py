@@ -1,4 +1,4 @@
-"""What the plan should follow: the reference at the plan's times, with the tensions of rest."""
+"""Target of the plan: the reference at the plan's times, with the tensions of rest."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ class TargetReader:
         self.no_rest = 0
 
     def at(self, position: Array) -> Array:
-        """Tensions of rest at a position (3,), else equal shares of the weight [N], shape (n,)."""
+        """Return tensions of rest at a position (3,), or equal shares of the weight [N], (n,)."""
         self._rest(np.stack([position, position]))
         return np.asarray(self._tension[0])
 
     def read(self, reference: Reference) -> PlanTarget:
-        """The reference, linear between its rows, and the last row beyond them."""
+        """Interpolate the reference between its rows; hold the last row beyond them."""
         when, rows = reference.time[0, 0] + self._grid, reference.time[0]
         position, velocity = (
             interpolated(when[None], reference.time, values)[0]
@@ -61,7 +61,7 @@ class TargetReader:
         return PlanTarget(position=position, velocity=velocity, rotation=rotation, tension=tension)
 
     def nearer(self, target: PlanTarget, position: Array) -> PlanTarget:
-        """The target itself, or a slow way there from where the platform is.
+        """Return the target itself, or a slow way there from where the platform is.
 
         Args:
             target: As read.
@@ -82,7 +82,7 @@ class TargetReader:
         return replace(target, position=places, velocity=velocity, calm=True)
 
     def _rest(self, ends: Array) -> None:
-        """Tensions of rest at the first and the last position; the old ones where there is none."""
+        """Update the tensions of rest at both positions; keep the old ones where there is none."""
         if self._where is not None and np.array_equal(self._where, ends):
             return
         self._where = ends

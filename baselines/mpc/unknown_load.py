@@ -1,4 +1,4 @@
-r"""What the prediction model does not know of the load: its centre of mass, and an acceleration.
+r"""Load that the prediction model does not know: its centre of mass, and an acceleration.
 
 Speed that the believed twist gains beyond a prediction, in the ways that the cables leave free, has
 two causes. An unknown force such as wind accelerates the platform whatever is done. A centre of
@@ -50,7 +50,7 @@ CENTER_STEP_MIN_M = 1e-4  # [m] by which the centre of mass moves before the rob
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannedMotion:
-    """What was planned for a command.
+    """Motion that was planned for a command.
 
     Attributes:
         rotation: From P to W at its start, shape (3, 3).
@@ -71,7 +71,7 @@ class PlannedMotion:
         cls, robot: Robot, geometry: Geometry, tension: Array, *, rotation: Array, spin: Array,
         spin_rate: Array,
     ) -> PlannedMotion:  # fmt: skip
-        """With cables of a geometry and of tensions along their chords [N], shape (n,)."""
+        """Describe a motion with cables of chord tensions (n,) [N]."""
         hanging = 0.5 * robot.weight_per_length @ geometry.free
         return cls(
             rotation=rotation, spin=spin, spin_rate=spin_rate,
@@ -90,7 +90,7 @@ class UnknownLoad:
     def __init__(
         self, robot: Robot, *, period: float, center_of_mass: float, disturbance_time: float
     ) -> None:
-        """Nothing is known yet.
+        """Start with nothing known.
 
         Args:
             robot: The nominal robot.
@@ -129,7 +129,7 @@ class UnknownLoad:
 
     @property
     def shift(self) -> Array:
-        """By how much the centre of mass is elsewhere, in P [m], shape (3,)."""
+        """Offset of the centre of mass from the robot file, in P [m], shape (3,)."""
         return np.asarray(self._found[:3])
 
     @property
@@ -178,7 +178,7 @@ class UnknownLoad:
         self._place(self._nominal.center_of_mass + self.shift)
 
     def _bounded(self, covariance: Array) -> Array:
-        """No deviation above that of the start: ways that are not seen do not become unknown."""
+        """Limit deviations to those of the start, so that unseen ways do not become unknown."""
         now = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         share = np.minimum(1.0, self._most / now)
         return np.asarray(covariance * np.outer(share, share))
@@ -212,7 +212,7 @@ class UnknownLoad:
             self.robot = replace(self._nominal, center_of_mass=center_of_mass)
 
     def _by(self, motion: PlannedMotion) -> Array:
-        """Acceleration, linear first, in W, per shift in P and per `acceleration`, shape (6, 9)."""
+        """Return the acceleration in W per shift in P and per `acceleration`, shape (6, 9)."""
         robot, rotation = self.robot, motion.rotation
         body = moving_body(robot, motion.length)
         share = robot.mass / body.mass
@@ -228,6 +228,6 @@ class UnknownLoad:
 
 
 def _cross(vector: Array) -> Array:
-    """Matrix of the cross product with a vector, shape (3, 3)."""
+    """Return the matrix of the cross product with a vector, shape (3, 3)."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,4 +1,4 @@
-r"""What the winches are to do, tick by tick, and the commands that make them do it.
+r"""Winch motion, tick by tick, and the commands that produce it.
 
 A winch follows a held command by a first-order lag T. On average, a command is held for half a
 period h longer than it is new, so that the command of a tick at time t leads by T + h/2:
@@ -26,7 +26,7 @@ JERK_LIMIT_MARGIN = 0.02  # of the jerk limit: at the start, lengths are known t
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WinchRange:
-    """What the next command may be.
+    """Range of the next command.
 
     Attributes:
         low: [m], shape (n,).
@@ -51,7 +51,7 @@ class WinchReference:
         self._lead = np.maximum(robot.winch_lag - 0.5 * period, 0.25 * period)
 
     def reset(self, length: Array) -> None:
-        """The winches rest at a length [m], shape (n,)."""
+        """Let the winches rest at a length [m], shape (n,)."""
         self.length = np.array(length)
         self.rate = np.zeros_like(self.length)
         self.held = False
@@ -61,11 +61,11 @@ class WinchReference:
 
     @property
     def at_rest(self) -> bool:
-        """Whether they have all but stopped."""
+        """True if they have all but stopped."""
         return bool(np.abs(self.rate).max() < REST_SPEED_MAX_M_PER_S)
 
     def command_range(self) -> WinchRange:
-        """Commands within speed, acceleration, jerk and length limits; acceleration goes first."""
+        """Return the commands within all limits; that of acceleration goes first."""
         robot, h, keep = self._robot, self._period, 1.0 - LIMIT_MARGIN
         change = self._jerk_max * h * (1.0 - JERK_LIMIT_MARGIN)
         most = robot.acceleration_max * keep
@@ -84,13 +84,13 @@ class WinchReference:
         )
 
     def acceleration_range(self) -> WinchRange:
-        """Accelerations of the length in this tick that keep the command in its range [m/s^2]."""
+        """Return the length accelerations in this tick that keep the command in range [m/s^2]."""
         allowed = self.command_range()
         base, gain = self._response()
         return WinchRange(low=(allowed.low - base) / gain, high=(allowed.high - base) / gain)
 
     def follow(self, length: Array, rate: Array) -> Array:
-        """Command that brings the winches to a length and rate by the next tick.
+        """Return the command that brings the winches to a length and rate by the next tick.
 
         Args:
             length: [m], shape (n,).
@@ -117,12 +117,12 @@ class WinchReference:
         return command
 
     def accelerate(self, acceleration: Array) -> Array:
-        """Command for an acceleration of the length in this tick [m/s^2], shape (n,)."""
+        """Return the command for a length acceleration in this tick [m/s^2], shape (n,)."""
         h = self._period
         rate = self.rate + h * acceleration
         return self.follow(self.length + 0.5 * h * (self.rate + rate), rate)
 
     def _response(self) -> tuple[Array, Array]:
-        """Command without acceleration, and by how much acceleration changes it."""
+        """Return the command without acceleration, and its change per acceleration."""
         h, lead = self._period, self._lead
         return self.length + (h + lead) * self.rate, 0.5 * h * h + h * lead

@@ -1,4 +1,4 @@
-"""What a recording holds, put in order for a smoother: its key frames and what was measured there.
+"""Recording arranged for a smoother: its key frames and what was measured there.
 
 There is a key frame at each length sample, at each pose where any are used, so that the others
 can be scored, and where an inertial measurement begins and ends.
@@ -59,11 +59,11 @@ class ArrangedRecording:
     outliers: int
 
     def reading(self, time: float, delay: float) -> Array:
-        """Length reading that counts at a time [s] after a delay [s], in m, shape (n,)."""
+        """Return the length reading that counts at a time after a delay [s], in m, shape (n,)."""
         return self.path.at(np.asarray(time - delay))
 
     def withheld(self, start: int, stop: int) -> tuple[NDArray[np.int64], Pose] | None:
-        """Key frames from length sample start to stop - 1 with measured poses that were not used.
+        """Return key frames of samples start to stop - 1 with poses that were not used.
 
         With all poses withheld they are interpolated to the length samples; else each counts at
         its own time, as between them there are poses that were used.
@@ -153,7 +153,7 @@ def _check(run: Recording, settings: SmootherSettings) -> None:
 
 
 def _believed(run: Recording, robot: Robot, settings: SmootherSettings) -> tuple[Recording, int]:
-    """The recording without lengths that no winch can have wound, and how many of them there were.
+    """Return the recording without lengths that no winch can wind, and their number.
 
     What encoders slipped by is taken off.
     """
@@ -172,7 +172,7 @@ def _believed(run: Recording, robot: Robot, settings: SmootherSettings) -> tuple
 
 
 def _used(run: Recording, settings: SmootherSettings) -> NDArray[np.bool_]:
-    """Which poses are used."""
+    """Return which poses are used."""
     count = 0 if run.poses is None else len(run.poses.time)
     used = np.full(count, settings.poses != "withheld")
     if settings.poses == "half":
@@ -183,7 +183,7 @@ def _used(run: Recording, settings: SmootherSettings) -> NDArray[np.bool_]:
 def _groups(
     run: Recording, settings: SmootherSettings, first: float, last: float
 ) -> list[tuple[float, ImuMean]]:
-    """Inertial samples in groups, each with its mean time [s]."""
+    """Group inertial samples, each group with its mean time [s]."""
     if run.imu is None or not settings.imu:
         return []
     inside = (run.imu.time > first + READING_INTERVAL_MIN_S) & (run.imu.time <= last)
@@ -200,7 +200,7 @@ def _groups(
 
 
 def _poses(run: Recording, used: NDArray[np.bool_], time: Array) -> dict[int, tuple[Array, Array]]:
-    """Poses that are used, by key frame."""
+    """Return the poses that are used, by key frame."""
     if run.poses is None:
         return {}
     when = run.poses.time
@@ -217,17 +217,17 @@ def _poses(run: Recording, used: NDArray[np.bool_], time: Array) -> dict[int, tu
 
 
 def _apart(time: Array) -> Array:
-    """Sorted times without those that follow another at once."""
+    """Return sorted times without those that follow another at once."""
     return np.asarray(time[np.concatenate([[True], np.diff(time) > READING_INTERVAL_MIN_S])])
 
 
 def _previous(time: Array, end: float) -> float:
-    """The last of sorted times before another."""
+    """Return the last of sorted times before another."""
     return float(time[max(0, int(np.searchsorted(time, end - READING_INTERVAL_MIN_S)) - 1)])
 
 
 def nearest(time: Array, when: Array) -> NDArray[np.int64]:
-    """Index of the sorted time that is nearest to each."""
+    """Return the index of the sorted time nearest to each."""
     right = np.clip(np.searchsorted(time, when), 1, len(time) - 1)
     left_is_nearer = when - time[right - 1] <= time[right] - when
     return np.where(left_is_nearer, right - 1, right)

@@ -27,7 +27,7 @@ KNOWN_DEVIATION_RATIO = 1e-4  # of the scale of an error: what counts as known
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GraphSolution:
-    """What a graph says of the errors of K key frames.
+    """Estimated errors of K key frames.
 
     Attributes:
         error: Shape (K, size), what is constant as it was when a key frame left the lag.
@@ -126,12 +126,12 @@ class ErrorGraph:
         smoother.update(graph, values, stamps)
 
     def _first(self, correction: Array) -> Any:
-        """What is known at the start."""
+        """Build the factor of the start."""
         root = _whitening(self._start)
         return self._factor(0, root, -root @ correction)
 
     def _moves(self, k: int, carry: Array, noise: Array, correction: Array) -> Any:
-        """The dynamics from the key frame before to key frame k."""
+        """Build the factor of the dynamics from the key frame before to key frame k."""
         changing, constant = self.changing, self.constant
         root = _whitening(noise[np.ix_(changing, changing)])
         blocks = [
@@ -142,12 +142,12 @@ class ErrorGraph:
         return _linear(blocks, -root @ correction[changing])
 
     def _said(self, k: int, said: LinearisedMeasurement, weight: float) -> Any:
-        """A measurement of key frame k."""
+        """Build the factor of a measurement of key frame k."""
         root = np.sqrt(weight) * _whitening(said.noise)
         return self._factor(k, root @ said.by, root @ said.residual)
 
     def _factor(self, k: int, by: Array, value: Array) -> Any:
-        """The errors of key frame k times `by` are `value`, with unit noise."""
+        """Build a factor of key frame k: `by` times its errors is `value`, with unit noise."""
         blocks = [
             (_key(k), by[:, self.changing] * self._scale[self.changing]),
             (CONSTANT_KEY, by[:, self.constant] * self._scale[self.constant]),
@@ -155,7 +155,7 @@ class ErrorGraph:
         return _linear(blocks, value)
 
     def scaled(self, some: NDArray[np.int64]) -> Array:
-        """What some errors are measured in."""
+        """Return the scales of some errors."""
         return np.asarray(self._scale[some])
 
 
@@ -185,7 +185,7 @@ class _SolutionReader:
             self._constant = smoother.marginalCovariance(CONSTANT_KEY) * np.outer(there, there)
 
     def solution(self) -> GraphSolution:
-        """What was found."""
+        """Return the collected solution."""
         return GraphSolution(
             error=self._error, covariance=self._covariance, constant=self._constant
         )
@@ -199,7 +199,7 @@ def _key(k: int) -> int:
 
 
 def _linear(blocks: list[tuple[int, Array]], value: Array) -> Any:
-    """A factor of unit noise: the sum of blocks times variables, by key, is `value`."""
+    """Build a factor of unit noise: the sum of blocks times variables, by key, is `value`."""
     import gtsam
 
     zero = gtsam.Values()  # without it the factor has no error
@@ -212,7 +212,7 @@ def _linear(blocks: list[tuple[int, Array]], value: Array) -> Any:
 
 
 def _ends(time: Array, lag: float) -> list[int]:
-    """One past the last key frame of each part of a recording, a lag long."""
+    """Return one past the last key frame of each part of a recording, a lag long."""
     count = max(1, int(np.ceil((time[-1] - time[0]) / lag)))
     stops = time[0] + lag * np.arange(1, count)
     inner = np.unique(np.searchsorted(time, stops, side="right"))
@@ -220,6 +220,6 @@ def _ends(time: Array, lag: float) -> list[int]:
 
 
 def _whitening(covariance: Array) -> Array:
-    """W with W^T W the inverse of a covariance."""
+    """Return W with W^T W the inverse of a covariance."""
     root = np.linalg.cholesky(covariance)
     return np.asarray(np.linalg.inv(root))

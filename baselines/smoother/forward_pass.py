@@ -139,7 +139,7 @@ class ForwardModel:
         return replace(state, time=end), link
 
     def _noise(self, duration: float, keep: float) -> Array:
-        """What a step adds to the covariance of the errors; `keep` of the wind is left [-]."""
+        """Return the covariance that a step adds; a share `keep` of the wind remains."""
         where, s = self._model.errors, self._settings.dynamics
         spread = self._floor * duration
         spread[where.wind] += s.wind_force**2 * (1.0 - keep**2)
@@ -157,12 +157,12 @@ class ForwardModel:
 
 
 def widened(said: LinearisedMeasurement, late: Array) -> LinearisedMeasurement:
-    """The same, and its change per second (6,) by which the delay is longer."""
+    """Add the delay's column: the change per second (6,) by which it is longer."""
     return said._replace(by=np.column_stack([said.by, late]))
 
 
 def _delayed(links: list[KeyFrameLink], time: Array) -> list[KeyFrameLink]:
-    """The same, where the IMU tells of the delay too: by how its readings change with time."""
+    """Add the delay to the links with an IMU, by how its readings change with time."""
     heard = [k for k, link in enumerate(links) if link.felt is not None]
     if not heard:
         return links
@@ -179,7 +179,7 @@ def _delayed(links: list[KeyFrameLink], time: Array) -> list[KeyFrameLink]:
 
 
 def shifted(state: DynamicFilterState, delay: float) -> DynamicFilterState:
-    """Where a state is if the motion is later by a delay [s]."""
+    """Return a state as it is if the motion is later by a delay [s]."""
     import pinocchio
 
     turn = pinocchio.exp3(-delay * state.twist[3:])
@@ -189,7 +189,7 @@ def shifted(state: DynamicFilterState, delay: float) -> DynamicFilterState:
 
 
 def missing(state: DynamicFilterState, wanted: DynamicFilterState) -> Array:
-    """Errors of a state against another nearby, in the order of `Errors`, shape (size,).
+    """Return the errors of a state against another nearby, as in `Errors`, shape (size,).
 
     Of pose and twist these are what sway and length biases can put right; the rest, stretch, is
     the business of the dynamics.
@@ -211,7 +211,7 @@ def missing(state: DynamicFilterState, wanted: DynamicFilterState) -> Array:
 
 
 def scales(model: DynamicModel, settings: SmootherSettings) -> Array:
-    """What errors are measured in, so that all are of order one, shape (size + 1,)."""
+    """Return the scales in which all errors are of order one, shape (size + 1,)."""
     where: Errors = model.errors
     s = settings.dynamics
     found = np.full(where.size, 0.01 * np.sqrt(model.robot.mass))

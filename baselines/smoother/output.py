@@ -25,7 +25,7 @@ REPORT_FILES = (TABLE_FILE, *PICTURE_FILES)
 def recording_of(
     result: Smoothed, recording: Recording, robot: Robot, source: str, named: str | None
 ) -> Recording:
-    """A recording as it was, with smoothed poses in place of measured ones.
+    """Return a recording with smoothed poses in place of measured ones.
 
     All else is left as it was recorded, and poses are given in the frame of measured ones: the same
     robot may be used with it again.
@@ -52,7 +52,7 @@ def recording_of(
 
 
 def table_of(result: Smoothed) -> dict[str, Array]:
-    """All that was found at each sample, by columns with units."""
+    """Return all estimates at each sample, by columns with units."""
     columns = {"time_s": result.time}
     columns |= _columns("position_{}_m", result.position)
     columns |= dict(zip(_QUATERNION_COLUMNS, _quaternion(result).T, strict=True))
@@ -82,7 +82,7 @@ def _columns(name: str, values: Array) -> dict[str, Array]:
 
 
 def _quaternion(result: Smoothed) -> Array:
-    """Of the rotations, w x y z, shape (N, 4)."""
+    """Return the rotations as quaternions w x y z, shape (N, 4)."""
     poses = PoseSamples.from_rotation(result.time, result.position, result.rotation)
     return poses.quaternion
 
@@ -104,7 +104,7 @@ def write(folder: Path, result: Smoothed, robot: str) -> list[Path]:
 
 
 def _parquet(columns: dict[str, Array]) -> bytes:
-    """A table as the content of a Parquet file."""
+    """Return a table as the content of a Parquet file."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -1,4 +1,4 @@
-"""What a smoother found, in sentences."""
+"""Results of a smoother in sentences."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PHASE_NAMES = {"all": "in all", "moving": "winches in motion", "resting": "winch
 
 
 def sentences(result: Smoothed) -> list[str]:
-    """What was used, what was found, and how good it is."""
+    """Describe the data used, the estimates, and their quality."""
     return [
         _used(result),
         _sigma(result),
@@ -25,7 +25,7 @@ def sentences(result: Smoothed) -> list[str]:
 
 
 def warnings(result: Smoothed) -> list[str]:
-    """What must not be overlooked."""
+    """Describe everything that must not be overlooked."""
     distance = exit_point_distance(result.recording, result.robot)
     found = [*result.misfits, *doubt_exit_points(distance)]
     if not result.converged:
@@ -48,7 +48,7 @@ def warnings(result: Smoothed) -> list[str]:
 
 
 def _implausible(result: Smoothed) -> list[str]:
-    """Constants that were found far from what was taken for granted."""
+    """Describe constants that were estimated far from their assumed values."""
     dynamics, robot, found = result.settings.dynamics, result.robot, []
     why = "the model is wrong" + ("" if result.converged else ", or it did not settle")
     away = abs(float(np.log(result.mass / robot.mass)))
@@ -74,7 +74,7 @@ def _implausible(result: Smoothed) -> list[str]:
 
 
 def _used(result: Smoothed) -> str:
-    """What went in."""
+    """Describe the data used."""
     parts = ["lengths"]
     if result.inertial:
         parts.append(f"{result.inertial} inertial measurements")
@@ -86,7 +86,7 @@ def _used(result: Smoothed) -> str:
 
 
 def _sigma(result: Smoothed) -> str:
-    """How sure it is."""
+    """Describe the uncertainty of the estimate."""
     sigma = np.sqrt((result.sigma**2).mean(axis=0))
     position = " / ".join(f"{value * 1e3:.1f}" for value in sigma[:3])
     turn = " / ".join(f"{np.degrees(value):.2f}" for value in sigma[3:6])
@@ -94,7 +94,7 @@ def _sigma(result: Smoothed) -> str:
 
 
 def _scored(result: Smoothed, scores: SmoothingScores) -> list[str]:
-    """Errors against poses that were not used."""
+    """Describe the errors against poses that were not used."""
     found = []
     for name, part in scores.parts.items():
         axes = " / ".join(f"{value * 1e3:.1f}" for value in part.rmse[:3])
@@ -108,7 +108,7 @@ def _scored(result: Smoothed, scores: SmoothingScores) -> list[str]:
 
 
 def _found(result: Smoothed) -> list[str]:
-    """What the data told beside the motion, and what was only taken for granted."""
+    """Describe the constants that the data determined, and those only assumed."""
     bias = ", ".join(
         f"{value * 1e3:+.1f} +-{sigma * 1e3:.1f}"
         for value, sigma in zip(
@@ -139,6 +139,6 @@ def _found(result: Smoothed) -> list[str]:
 
 
 def _passes(result: Smoothed) -> str:
-    """Whether it settled."""
+    """Describe whether the passes settled."""
     state = "settled" if result.converged else "did not settle"
     return f"It {state} in {counted(result.passes, 'pass', 'passes')}."

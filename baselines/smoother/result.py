@@ -1,4 +1,4 @@
-"""What a smoother found."""
+"""Result of a smoother."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class Smoothed:
 
     @property
     def told(self) -> dict[str, bool]:
-        """Whether the data told it: one sigma is clearly less than what was taken for granted."""
+        """True for what the data determined: its deviation is clearly below the assumed one."""
         known = self.settings.dynamics
         bias = np.sqrt((self.length_bias_sigma**2).mean())
         pairs = {
@@ -113,7 +113,7 @@ class Smoothed:
         }
 
     def data(self) -> dict[str, Any]:
-        """The numbers in short, under names with units, ready for JSON."""
+        """Return the main numbers, under names with units, ready for JSON."""
         mean = np.sqrt((self.sigma**2).mean(axis=0))
         return {
             "samples": len(self.time),

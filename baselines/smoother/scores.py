@@ -1,4 +1,4 @@
-"""How far a smoothed estimate is from measured poses that it did not see."""
+"""Errors of a smoothed estimate against measured poses that it did not see."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class SmoothingScores:
     nees: dict[str, float]
 
     def data(self) -> dict[str, Any]:
-        """All numbers, ready for JSON."""
+        """Return all numbers, ready for JSON."""
         return {name: {**part.data(), "nees": self.nees[name]} for name, part in self.parts.items()}
 
 

@@ -12,7 +12,7 @@ POSE_TREATMENTS = ("withheld", "half", "used")
 
 
 def _dynamics() -> DynamicEstimatorSettings:
-    """Those of the estimator, but the path of the lengths is smooth: less noise, no damping."""
+    """Return the estimator's settings for a smooth path of lengths: less noise, no damping."""
     return DynamicEstimatorSettings(
         stretch_damping=0.0, stretch_noise=5e-4, rate_noise=0.05, wind_force=1.0
     )

@@ -122,7 +122,7 @@ class _LastPass:
 def _rest(
     measured: ArrangedRecording, robot: Robot, settings: SmootherSettings
 ) -> DynamicFilterState:
-    """Where the recording begins."""
+    """Return the state at which the recording begins."""
     first = float(measured.time[0])
     reading = measured.reading(first, measured.delay)
     found = RestStart(robot, settings.dynamics).state(first, reading, settings.dynamics.start_speed)
@@ -138,7 +138,7 @@ def _rest(
 def _solved(
     graph: ErrorGraph, passed: ForwardPass, measured: ArrangedRecording, settings: SmootherSettings
 ) -> tuple[GraphSolution, dict[int, float]]:
-    """The errors, with poses that are far off weighing less."""
+    """Solve for the errors, with poses that are far off weighing less."""
     import gtsam
 
     huber = gtsam.noiseModel.mEstimator.Huber.Create(HUBER_DEVIATIONS)
@@ -155,13 +155,13 @@ def _solved(
 
 
 def _distance(said: LinearisedMeasurement, error: Array) -> float:
-    """How far a measurement is off after an error is put right, in standard deviations."""
+    """Return the residual after an error is put right, in standard deviations."""
     left = said.residual - said.by @ error
     return float(np.sqrt(left @ np.linalg.solve(said.noise, left)))
 
 
 def _change(passed: ForwardPass, solution: GraphSolution) -> tuple[float, float]:
-    """Largest change of a position [m] and of an orientation [rad]."""
+    """Return the largest change of a position [m] and of an orientation [rad]."""
     moved = np.array([
         state.pose_by() @ error[:-1] - error[-1] * state.twist
         for state, error in zip(passed.states, solution.error, strict=True)
@@ -171,7 +171,7 @@ def _change(passed: ForwardPass, solution: GraphSolution) -> tuple[float, float]
 
 
 def _still(solution: GraphSolution, graph: ErrorGraph) -> bool:
-    """Whether what is constant stays as it is, too, against one sigma of it."""
+    """Return whether the constants change by less than a share of their deviations."""
     moved = np.abs(solution.error[-1, graph.constant])
     return bool((moved <= CONSTANT_CHANGE_DEVIATIONS * np.sqrt(np.diag(solution.constant))).all())
 
@@ -179,7 +179,7 @@ def _still(solution: GraphSolution, graph: ErrorGraph) -> bool:
 def _wanted(
     passed: ForwardPass, solution: GraphSolution, graph: ErrorGraph, step: float
 ) -> tuple[list[DynamicFilterState], float]:
-    """States that the next pass is to reach, and the delay that it is to have [s].
+    """Return the states that the next pass is to reach, and its delay [s].
 
     A `step` below 1 goes only that share of the way.
     """
@@ -193,7 +193,7 @@ def _wanted(
 
 
 def _put_right(state: DynamicFilterState, error: Array, covariance: Array) -> DynamicFilterState:
-    """A state after an error was estimated, that of the delay included."""
+    """Return a state with an estimated error removed, that of the delay included."""
     return shifted(state.corrected(error[:-1], covariance), float(error[-1]))
 
 
@@ -203,7 +203,7 @@ def _result(
     misfits: tuple[str, ...],
     withheld: tuple[NDArray[np.int64], Pose] | None,
 ) -> Smoothed:
-    """The estimate at the length samples."""
+    """Return the estimate at the length samples."""
     settings, robot, graph = measured.settings, found.robot, found.graph
     states, covariance = _states(found, measured.samples)
     last = states[-1]
@@ -257,7 +257,7 @@ def _result(
 def _poses(
     states: list[DynamicFilterState], time: Array | None, noise: tuple[float, float, float]
 ) -> tuple[Pose, Array]:
-    """Poses, and the covariances of pose and twist, shape (S, 12, 12).
+    """Return poses, and the covariances of pose and twist, shape (S, 12, 12).
 
     What is left open of the delay counts as if it were independent of all else: it is where
     nothing tells it, and next to nothing where something does.
@@ -274,7 +274,7 @@ def _poses(
 
 
 def _states(found: _LastPass, keys: NDArray[np.int64]) -> tuple[list[DynamicFilterState], Array]:
-    """States at S key frames, and the covariances of what changes, shape (S, size, size)."""
+    """Return states at S key frames, and their covariances, shape (S, size, size)."""
     solution, graph, states = found.solution, found.graph, []
     size = len(graph.changing) + len(graph.constant) - 1  # without the delay
     covariance = np.zeros((len(keys), size, size))

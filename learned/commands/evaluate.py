@@ -112,7 +112,7 @@ def run(options: Options) -> CommandResult:
 def _default_folder(
     description: PolicyDescription, protocol: Protocol, count: int, seed: int
 ) -> Path:
-    """Where pictures go that were not sent anywhere; other paths than usual are in its name."""
+    """Return the default folder for pictures; unusual numbers of paths are in its name."""
     trained = f"seed{description.seed}-{description.steps}steps"
     parts = [description.preset, description.robot.name, trained, protocol]
     if count != PROTOCOL_PATHS[protocol]:
@@ -123,7 +123,7 @@ def _default_folder(
 
 
 def _table(data: dict[str, Any]) -> str:
-    """The numbers, one a line, beside those of inverse kinematics."""
+    """Format the numbers, one a line, beside those of inverse kinematics."""
     columns = {"policy": data}
     for name, key in ((SOLVER_COLUMN, "inverse_kinematics"), (FEEDFORWARD_COLUMN, "feedforward")):
         if key in data:
@@ -138,7 +138,7 @@ def _table(data: dict[str, Any]) -> str:
 
 
 def _legend(data: dict[str, Any]) -> list[str]:
-    """What the rows and columns of a table mean."""
+    """Explain the rows and columns of a table."""
     lines = []
     if "slack_share" in data:
         lines.append("slack: below the least tension that the robot file allows, in some cable")
@@ -189,7 +189,7 @@ TABLE_ROWS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
 
 
 def draw(scores: PolicyScores, robot: Robot, folder: Path) -> list[Path]:
-    """The paper's pictures, of paths that did not fail."""
+    """Draw the paper's pictures, of paths that did not fail."""
     from learned.pictures.evaluation import draw_histograms, draw_paths, draw_violins
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -203,7 +203,7 @@ def draw(scores: PolicyScores, robot: Robot, folder: Path) -> list[Path]:
 
 
 def draw_rmse(scores: dict[str, PolicyScores], folder: Path) -> list[Path]:
-    """How the RMSE of a path scatters, over paths on which nothing failed."""
+    """Draw the distribution of the RMSE of a path, over paths on which nothing failed."""
     from learned.pictures.accuracy import rmse_gaussians
 
     sound = np.all([sound_paths(one) for one in scores.values()], axis=0)

@@ -106,7 +106,7 @@ def run(options: Options) -> CommandResult:
 
 
 def _stages(preset: Preset, asked: tuple[str, ...]) -> list[str]:
-    """Names of the stages to train, in the order of the preset."""
+    """Return the names of the stages to train, in the order of the preset."""
     wanted = [name.replace("-", "_") for name in asked]
     for k, name in enumerate(wanted):
         if name not in preset.stages:
@@ -116,7 +116,7 @@ def _stages(preset: Preset, asked: tuple[str, ...]) -> list[str]:
 
 
 def _train_once(options: Options, preset: Preset, training: TrainingRun) -> CommandResult:
-    """One training in this process."""
+    """Train once, in this process."""
     for name in ("workers", "scheduler"):
         if getattr(options, name) is not None:
             allowed = "nothing without --seeds or --vary"
@@ -135,7 +135,7 @@ def _train_once(options: Options, preset: Preset, training: TrainingRun) -> Comm
 
 
 def _train_all(options: Options, preset: Preset, trainings: list[TrainingRun]) -> CommandResult:
-    """Several trainings on the study engine."""
+    """Train many times, on the study engine."""
     from learned.training_report import report
 
     check_stages(trainings[0].stages, preset.name)
@@ -219,7 +219,7 @@ def _report(row: dict[str, float], left: float) -> None:
 
 
 def _name(options: Options, training: TrainingRun, robot: str, last: str) -> str:
-    """Folder of what was not sent anywhere; short trainings, and devices, apart."""
+    """Return the name of the default folder, with what differs from usual trainings."""
     parts = [training.fixed_name, robot, last]
     if options.device != CPU_DEVICE:
         parts.append(options.device.replace(":", ""))

@@ -19,20 +19,20 @@ PATHS_DRAWN = 4  # paths that are drawn
 
 
 def draw_histograms(scores: PolicyScores, path: Path) -> Figure:
-    """Mean position and mean length error of each path."""
+    """Draw mean position error and mean length error of each path."""
     sound = sound_paths(scores)
     distance, length = trajectory_errors(scores)
     return error_histograms(distance[sound], length[sound], path)
 
 
 def draw_violins(scores: PolicyScores, path: Path) -> Figure:
-    """Absolute error per axis over all points of all paths."""
+    """Draw the absolute error per axis over all points of all paths."""
     sound = sound_paths(scores)
     return error_violins(scores.error[sound][scores.counted[sound]], path)
 
 
 def draw_paths(scores: PolicyScores, robot: Robot, path: Path) -> Figure:
-    """The first paths in space."""
+    """Draw the first paths in space."""
     shown = np.flatnonzero(sound_paths(scores))[:PATHS_DRAWN, None]
     last = scores.counted.sum(axis=1)[shown] - 1
     steps = np.minimum(np.arange(scores.counted.shape[1]), last)  # what does not count is not drawn

@@ -24,7 +24,7 @@ SETTLE_COMMAND = "carosac evaluate POLICY --protocol settle --output DIR"
 
 
 def _made(draw: Callable[[Path], Figure]) -> Figure:
-    """A figure of a function that also wants to write it somewhere."""
+    """Return the figure of a function that also writes it somewhere."""
     with tempfile.TemporaryDirectory() as folder:
         return draw(Path(folder) / "figure.svg")
 
@@ -32,7 +32,7 @@ def _made(draw: Callable[[Path], Figure]) -> Figure:
 def _evaluated(
     draw: Callable[[SavedScores, Path], Figure], protocols: Sequence[str]
 ) -> Callable[[Sequence[Source]], list[Drawn]]:
-    """A figure of an evaluation: of the first of these protocols that there is."""
+    """Return the figure of an evaluation: the first of these protocols that exists."""
 
     def drawn(sources: Sequence[Source]) -> list[Drawn]:
         there = {folder: SavedScores.read(folder) for folder in of_kind(sources, "evaluation")}
@@ -50,7 +50,7 @@ def _evaluated(
 
 
 def _trained(sources: Sequence[Source]) -> list[Drawn]:
-    """One figure for each stage, with the curves of all its trainings."""
+    """Return one figure for each stage, with the curves of all its trainings."""
     stages: dict[str, dict[Path, LearningCurve]] = {}
     folders = of_kind(sources, "training")
     for folder in folders:
@@ -70,7 +70,7 @@ def _trained(sources: Sequence[Source]) -> list[Drawn]:
 
 
 def _rewards(sources: Sequence[Source]) -> list[Drawn]:
-    """From the functions that train: no data."""
+    """Return the figure of the reward functions, which needs no data."""
     return [Drawn(figure=_made(paper_reward_terms))]
 
 

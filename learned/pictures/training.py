@@ -25,7 +25,7 @@ LOG_AXIS_RATIO = 8.0  # ratio of errors from which their axis is logarithmic
 
 
 class LearningCurve(TypedDict):
-    """What one training left behind, E episodes and K evaluations.
+    """Learning curve of one training, E episodes and K evaluations.
 
     Attributes:
         steps: Environment steps at the end of each episode, shape (E,).
@@ -45,7 +45,7 @@ class LearningCurve(TypedDict):
 
 
 def curve_of(folder: Path, name: str) -> LearningCurve | None:
-    """The learning curve of a training, as its picture wants it.
+    """Read the learning curve of a training for its picture.
 
     Args:
         folder: Of the training. Where older code left no file of episodes, their means between
@@ -137,7 +137,7 @@ def learning_curves(
 
 
 def smoothed(steps: Array, values: Array, share: float = SMOOTHING_RATIO) -> tuple[Array, Array]:
-    """Moving mean over a centred window; at the ends over what of the window there is.
+    """Average over a centred window, cut off at the ends.
 
     Args:
         steps: Not falling, shape (E,); episodes that end together share one point.
@@ -172,7 +172,7 @@ def _draw_reward(axes: Any, curve: LearningCurve, color: str, label: str) -> Non
 
 
 def _legend(curves: Sequence[LearningCurve]) -> list[str]:
-    """What the marks of the rewards are."""
+    """Explain the marks of the rewards."""
     averaged = {curve.get("averaged", False) for curve in curves}
     said = []
     if False in averaged:
@@ -217,7 +217,7 @@ def _finish_errors(axes: Any, marks: Mapping[str, float]) -> None:
 
 
 def _pair(name: str, x: ArrayLike, other: str, y: ArrayLike) -> tuple[Array, Array]:
-    """Two arrays of the same shape (S,), finite, or an error that names the one that is not."""
+    """Check two arrays of one shape (S,), finite; name the one that is not."""
     first, second = batch(name, x, ()), batch(other, y, ())
     if len(first) != len(second):
         raise InvalidField(other, f"{len(second)} values", f"{len(first)} values, one per {name}")

@@ -261,7 +261,7 @@ def test_a_batch_and_a_place_out_of_reach_are_refused():
     ("period", 0.0, "period > 0, finite"), ("position_weight", -1.0, "position_weight >= 0"),
     ("stages", 20.5, "a whole number"), ("compiled", "yes", "one of"),
     ("lookahead", 0.03, "two stages or more"), ("time_budget", np.nan, "time_budget > 0"),
-    ("limit_share", 1.5, "0 < share <= 1"),
+    ("limit_share", 1.5, "0 < limit_share <= 1"),
 ])  # fmt: skip
 def test_settings_that_make_no_sense_are_refused(name, value, allowed):
     with pytest.raises(InvalidField, match=allowed):
