@@ -108,9 +108,9 @@ class KinematicSolver:
     ) -> Belief:
         """Solve from a guess, again without one where that fails, and keep what is good."""
         lengths = measurement.unstrained_length
-        found = forward_kinematics(self._robot, lengths, guess=guess)
-        again = ~_is_good(found) & (self._settings.restart and guess is not None)
-        result = _pose_and_forces(found)
+        rest = forward_kinematics(self._robot, lengths, guess=guess)
+        again = ~_is_good(rest) & (self._settings.restart and guess is not None)
+        result = _pose_and_forces(rest)
         if again.any():
             second = _pose_and_forces(forward_kinematics(self._robot, lengths[again]))
             result = {name: _put(result[name], again, second[name]) for name in result}
@@ -129,25 +129,25 @@ class KinematicSolver:
                 failures=record.failures + ~good,
                 restarts=record.restarts + again,
                 unseeded=record.unseeded + int(self._by_pose and measurement.pose is None),
-                solution=found if good.all() and not again.any() else None,
+                solution=rest if good.all() and not again.any() else None,
             ),
         )
 
 
-def _pose_and_forces(found: Equilibrium) -> dict[str, NDArray[Any]]:
+def _pose_and_forces(rest: Equilibrium) -> dict[str, NDArray[Any]]:
     """Return the parts of a solution that a belief takes, row by row."""
     return {
-        "position": found.position,
-        "rotation": found.rotation,
-        "tension": found.tension,
-        "residual": found.residual,
-        "good": _is_good(found),
+        "position": rest.position,
+        "rotation": rest.rotation,
+        "tension": rest.tension,
+        "residual": rest.residual,
+        "good": _is_good(rest),
     }
 
 
-def _is_good(found: Equilibrium) -> NDArray[np.bool_]:
+def _is_good(rest: Equilibrium) -> NDArray[np.bool_]:
     """Return where a solution is a pose at which the platform can rest."""
-    return np.asarray(found.converged & found.stable)
+    return np.asarray(rest.converged & rest.stable)
 
 
 def _put(old: NDArray[Any], where: NDArray[np.bool_], new: NDArray[Any]) -> NDArray[Any]:

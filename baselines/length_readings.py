@@ -106,19 +106,19 @@ class LengthReadings:
         last = self.time[-1] if self.outliers is None else self.outliers.time
         if time - last < READING_INTERVAL_MIN_S:
             return self
-        found = self._outliers(time, length, robot, jump)
+        outliers = self._outliers(time, length, robot, jump)
         nothing = np.zeros(len(length))
-        if found is None:
+        if outliers is None:
             sound = self.sound + 1 if self.outliers is None else 1
             return self._believed(time, length, nothing, sound, keep)
-        if found.agree < AGREEING_READINGS_MIN:
-            return replace(self, outliers=found, rejected=self.rejected + 1, slipped=None)
-        if self.sound < AGREEING_READINGS_MIN or not found.prompt:
+        if outliers.agree < AGREEING_READINGS_MIN:
+            return replace(self, outliers=outliers, rejected=self.rejected + 1, slipped=None)
+        if self.sound < AGREEING_READINGS_MIN or not outliers.prompt:
             new = self._believed(time, length, nothing, AGREEING_READINGS_MIN, keep)
             return replace(new, corrected=self.corrected + 1)
         stuck = (self.frozen >= FROZEN_READINGS_MIN) & (self.frozen < FROZEN_READINGS_MIN).any()
         return self._believed(
-            time, length, np.where(stuck, 0.0, found.offset), AGREEING_READINGS_MIN, keep
+            time, length, np.where(stuck, 0.0, outliers.offset), AGREEING_READINGS_MIN, keep
         )
 
     def _outliers(

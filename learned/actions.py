@@ -119,5 +119,4 @@ class Push:
 
     def effort(self, applied: Array) -> Array:
         """Return the norm of the push over the reach."""
-        found: Array = np.linalg.norm(applied, axis=1)
-        return found
+        return np.asarray(np.linalg.norm(applied, axis=1))

@@ -254,8 +254,7 @@ class CableEnvironment:
     def _is_lost(self, transition: Transition) -> NDArray[np.bool_]:
         """Return where the platform is too far from the target to learn anything from."""
         limit = np.inf if self.settings.lost is None else self.settings.lost
-        found: NDArray[np.bool_] = transition.distance > limit
-        return found
+        return np.asarray(transition.distance > limit)
 
     def state(self) -> dict[str, Any]:
         """Return everything that changes; `restore` continues from there, bit for bit."""
@@ -337,23 +336,23 @@ class CableEnvironment:
         """Return the target's acceleration when lengths asked for now have arrived, (B, 3)."""
         steps = 1.0 + lead_of(self.robot, self.settings) / period
         whole, share = int(steps), steps % 1.0
-        found: Array = (1.0 - share) * self._path_rows(whole)[2]
-        return found + share * self._path_rows(whole + 1)[2] if share > 0.0 else found
+        aimed: Array = (1.0 - share) * self._path_rows(whole)[2]
+        return aimed + share * self._path_rows(whole + 1)[2] if share > 0.0 else aimed
 
     def _path_rows(self, ahead: int) -> Array:
         """Return position, velocity and acceleration of targets some steps ahead, (3, B, 3)."""
         last = self._targets.shape[1] - 1
-        found = self._targets[np.arange(self.size), np.minimum(self._step + ahead, last)]
-        return found.transpose(1, 0, 2)
+        rows = self._targets[np.arange(self.size), np.minimum(self._step + ahead, last)]
+        return rows.transpose(1, 0, 2)
 
     def _take_targets(self, rows: NDArray[Any]) -> None:
         """Keep the targets of the paths of some environments where all are looked up at once."""
         for row in rows:
-            found = self._paths[row].targets()
-            if (more := len(found) - self._targets.shape[1]) > 0:
+            targets = self._paths[row].targets()
+            if (more := len(targets) - self._targets.shape[1]) > 0:
                 self._targets = np.pad(self._targets, ((0, 0), (0, more), (0, 0), (0, 0)), "edge")
-            self._targets[row, : len(found)] = found
-            self._targets[row, len(found) :] = found[-1]
+            self._targets[row, : len(targets)] = targets
+            self._targets[row, len(targets) :] = targets[-1]
 
     def _transition(
         self,

@@ -58,8 +58,8 @@ def evaluate(policy: Policy, protocol: Protocol, *, paths: int, seed: int) -> Po
         InvalidField: A policy of set-points in real time, or the other way round.
     """
     trial = _trial(policy, protocol, paths, seed)
-    found = trial.follow(trial.settings, policy.act)
-    return settled_particles(trial.robot, found) if protocol == "settle" else found
+    scores = trial.follow(trial.settings, policy.act)
+    return settled_particles(trial.robot, scores) if protocol == "settle" else scores
 
 
 def evaluate_inverse_kinematics(
@@ -112,15 +112,15 @@ def slack_at_rest(policy: Policy, *, paths: int, seed: int) -> float:
     worlds = MovingWorlds(robot, moving, period, paths, EVALUATION_SEED_OFFSET + seed)
     points = [path.position for path in trial.paths]
     worlds.reset(np.arange(paths), np.stack([one[0] for one in points]))
-    found = []
+    slack_rows = []
     for step in range(1, max(len(one) for one in points)):
         there = np.array([step < len(one) for one in points])
         target = np.stack([one[min(step, len(one) - 1)] for one in points])
         asked = statics.inverse_kinematics(robot, target).unstrained_length
         rest = worlds.hung(asked)
         slack = rest.tension < robot.tension_min - TENSION_TOLERANCE_N
-        found.append(slack[there & rest.converged & rest.stable].any(axis=1))
-    return float(np.concatenate(found).mean())
+        slack_rows.append(slack[there & rest.converged & rest.stable].any(axis=1))
+    return float(np.concatenate(slack_rows).mean())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -152,14 +152,14 @@ def _trial(policy: Policy, protocol: Protocol, paths: int, seed: int) -> _Policy
     if protocol == "realtime":
         period = settings.path.period
         assert period is not None
-        found = [timed(one, period) for one in random_trajectories(robot, paths, seed)]
-        steps = max(len(path.position) for path in found)  # one more: no row begins anew
+        targets = [timed(one, period) for one in random_trajectories(robot, paths, seed)]
+        steps = max(len(path.position) for path in targets)  # one more: no row begins anew
         settings = replace(settings, path=replace(settings.path, steps=steps))
     else:
-        found = CableEnvironment(robot, settings, seed=EVALUATION_SEED_OFFSET + seed).first_paths(
+        targets = CableEnvironment(robot, settings, seed=EVALUATION_SEED_OFFSET + seed).first_paths(
             paths
         )
-    return _PolicyTrial(robot=robot, settings=settings, paths=found, seed=seed)
+    return _PolicyTrial(robot=robot, settings=settings, paths=targets, seed=seed)
 
 
 def settings_of(trained: EnvironmentSettings, protocol: Protocol) -> EnvironmentSettings:
@@ -185,7 +185,7 @@ def random_trajectories(robot: Robot, count: int, seed: int) -> list[Trajectory]
     Raises:
         CarosacError: The robot cannot rest along any of 100 paths that were drawn.
     """
-    found = []
+    trajectories = []
     for index in range(count):
         rng = np.random.default_rng([EVALUATION_SEED_OFFSET + seed, 7, index])
         drawn = (_drawn(robot, rng) for _ in range(PATH_ATTEMPTS_MAX))
@@ -194,8 +194,8 @@ def random_trajectories(robot: Robot, count: int, seed: int) -> list[Trajectory]
             raise CarosacError(
                 f"{robot.name}: none of {PATH_ATTEMPTS_MAX} random paths is feasible"
             )
-        found.append(one)
-    return found
+        trajectories.append(one)
+    return trajectories
 
 
 def _drawn(robot: Robot, rng: np.random.Generator) -> Trajectory | None:
@@ -266,8 +266,7 @@ def trajectory_errors(scores: PolicyScores) -> tuple[Array, Array]:
 def trajectory_rmse(scores: PolicyScores) -> Array:
     """Return the RMSE of each path along each axis of W [m], shape (N, 3)."""
     squares = (_mean_of_path(scores, scores.error[..., k] ** 2) for k in range(3))
-    found: Array = np.sqrt(np.stack(list(squares), axis=1))
-    return found
+    return np.asarray(np.sqrt(np.stack(list(squares), axis=1)))
 
 
 def rmse_ratio(scores: PolicyScores, other: PolicyScores) -> float:
@@ -280,5 +279,5 @@ def rmse_ratio(scores: PolicyScores, other: PolicyScores) -> float:
 
 def _mean_of_path(scores: PolicyScores, values: Array) -> Array:
     """Average values (N, T) over the steps of each path that count, shape (N,)."""
-    found: Array = np.where(scores.counted, values, 0.0).sum(axis=1) / scores.counted.sum(axis=1)
-    return found
+    total = np.where(scores.counted, values, 0.0).sum(axis=1)
+    return np.asarray(total / scores.counted.sum(axis=1))

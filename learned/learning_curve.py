@@ -64,8 +64,8 @@ def read_curve(path: Path) -> list[dict[str, float]]:
     rows = []
     with path.open(newline="", encoding="utf-8") as stream:
         for read in csv.DictReader(stream):
-            found = dict.fromkeys(LATER_COLUMNS, "nan") | read
-            rows.append({name: float(found[name]) for name in CURVE_COLUMNS})
+            texts = dict.fromkeys(LATER_COLUMNS, "nan") | read
+            rows.append({name: float(texts[name]) for name in CURVE_COLUMNS})
     return rows
 
 

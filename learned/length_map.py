@@ -70,8 +70,8 @@ class LengthMap:
             raise CarosacError(f"{robot.name}: it can rest at {share} of its workspace box only")
         extra = rest.unstrained_length - straight_line.straight_length(robot, points).length
         soft = softness(robot, rest)[sound].reshape(-1, 9)
-        found = np.linalg.lstsq(basis, np.hstack([soft, extra[sound]]), rcond=None)[0]
-        both = np.asarray(found, dtype=np.float64)
+        coefficients = np.linalg.lstsq(basis, np.hstack([soft, extra[sound]]), rcond=None)[0]
+        both = np.asarray(coefficients, dtype=np.float64)
         self._softness, self._extra = both[:, :9].reshape(-1, 3, 3), both[:, 9:]
         self.largest_error = float(np.abs(basis @ self._extra - extra[sound]).max())
         self._arguments = (
@@ -125,8 +125,8 @@ class LengthMap:
             buffers.put("offset", ZERO_VECTOR if offset is None else offset)
             kernel = length_map_kernels.lengths_of_rest
             buffers.launch("lengths_of_rest", kernel, size, *self._arguments)
-            found: Array = buffers.get(wanted)
-            return found
+            values: Array = buffers.get(wanted)
+            return values
 
     def _allocate(self, size: int) -> Buffers:
         """Allocate the buffers of the kernel, with coefficients and robot in them."""
@@ -154,8 +154,7 @@ def products(unit: Array) -> Array:
     values = np.cos(np.arange(POLYNOMIAL_DEGREE + 1.0)[:, None, None] * np.arccos(unit))
     powers = np.stack(np.meshgrid(*[np.arange(POLYNOMIAL_DEGREE + 1)] * 3, indexing="ij"), -1)
     x, y, z = powers[powers.sum(axis=-1) <= POLYNOMIAL_DEGREE].T
-    found: Array = (values[x, :, 0] * values[y, :, 1] * values[z, :, 2]).T
-    return found
+    return np.asarray((values[x, :, 0] * values[y, :, 1] * values[z, :, 2]).T)
 
 
 def softness(robot: Robot, rest: statics.Equilibrium) -> Array:
@@ -172,5 +171,5 @@ def softness(robot: Robot, rest: statics.Equilibrium) -> Array:
     moment = np.cross(center[:, None, :], np.eye(3)).transpose(0, 2, 1)  # columns c x e_k
     force = np.broadcast_to(np.eye(3), moment.shape)
     wrench = robot.mass * np.concatenate([force, moment], axis=1)
-    found = np.linalg.solve(rest.stiffness, wrench)[:, :3]
-    return np.asarray(found, dtype=np.float64)
+    motion = np.linalg.solve(rest.stiffness, wrench)[:, :3]
+    return np.asarray(motion, dtype=np.float64)

@@ -204,8 +204,7 @@ def fading(mean: Array, error: Array, period: float, memory: float) -> Array:
         period: Between two looks [s].
         memory: Time after which a look counts by 1 / e of what it counted [s].
     """
-    found: Array = mean + (1.0 - math.exp(-period / memory)) * (error - mean)
-    return found
+    return np.asarray(mean + (1.0 - math.exp(-period / memory)) * (error - mean))
 
 
 def slices(parts: Sequence[str], n: int, previews: int, actions: int) -> dict[str, slice]:

@@ -221,10 +221,10 @@ class _LookaheadRows:
 
     def rows(self, values: Array, size: int) -> Array:
         """Interpolate values of B or one for all, (1 or B, N, 3), at these times: (B, K, 3)."""
-        found: Array = values[:, self.row]
+        rows: Array = values[:, self.row]
         if self.between:
-            found = (1.0 - self.share) * found + self.share * values[:, self.next_row]
-        return found if len(found) == size else np.broadcast_to(found, (size, *found.shape[1:]))
+            rows = (1.0 - self.share) * rows + self.share * values[:, self.next_row]
+        return rows if len(rows) == size else np.broadcast_to(rows, (size, *rows.shape[1:]))
 
 
 def _in_turn(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:

@@ -115,8 +115,8 @@ class Policy:
         session = _session(path)
         description = _description(path, session.get_modelmeta().custom_metadata_map)
         sides = (("observation", session.get_inputs()), ("action", session.get_outputs()))
-        for name, found in sides:
-            shapes = {one.name: one.shape for one in found}
+        for name, ends in sides:
+            shapes = {one.name: one.shape for one in ends}
             if set(shapes) != {name} or not _is_batch(shapes[name]):
                 raise InvalidField(
                     "path", f"{path} with {shapes}", f"{POLICY_FILE_NAME}: {name} (batch, d)"
@@ -207,8 +207,8 @@ def _model(layers: Layers, activation: str) -> ModelProto:
     for k, (weight, bias) in enumerate(layers):
         tensors.append(numpy_helper.from_array(weight, f"weight_{k}"))
         tensors.append(numpy_helper.from_array(bias, f"bias_{k}"))
-        given = [value, f"weight_{k}", f"bias_{k}"]
-        nodes.append(helper.make_node("Gemm", given, [f"linear_{k}"], transB=1))
+        inputs = [value, f"weight_{k}", f"bias_{k}"]
+        nodes.append(helper.make_node("Gemm", inputs, [f"linear_{k}"], transB=1))
         last = k == len(layers) - 1
         value = "action" if last else f"hidden_{k}"
         if last or activation == "relu":
@@ -284,8 +284,8 @@ def _robot(path: str | Path, record: Any) -> Robot:
     """Read the robot of a policy; optional fields that came to `Robot` later may be missing."""
     needed = {f.name for f in fields(Robot) if f.default is MISSING}
     known = {f.name for f in fields(Robot)}
-    found = set(record) if isinstance(record, dict) else set()
-    wrong = sorted((needed - found) | (found - known))
+    names = set(record) if isinstance(record, dict) else set()
+    wrong = sorted((needed - names) | (names - known))
     if wrong:
         raise InvalidField("path", f"{path} whose robot differs in {wrong}", "the fields of Robot")
     return Robot(**record)

@@ -41,11 +41,11 @@ def make_probe(robot: Robot, settings: EnvironmentSettings) -> dict[str, list[li
     if settings.path.period is None:  # of set-points the target is due
         look = replace(look, due=look.target, due_velocity=look.target_velocity)
     action = rng.uniform(-1.0, 1.0, (PROBE_ROWS, actions.size))
-    found = {
+    results = {
         "observation": observe(settings.observation, look, scales),
         "length": actions.lengths(actions.applied(action, look), look),
     }
-    return {name: values.round(PROBE_DECIMALS).tolist() for name, values in found.items()}
+    return {name: values.round(PROBE_DECIMALS).tolist() for name, values in results.items()}
 
 
 def check_probe(kept: Any, robot: Robot, settings: EnvironmentSettings) -> None:
@@ -70,8 +70,8 @@ def check_probe(kept: Any, robot: Robot, settings: EnvironmentSettings) -> None:
             raise InvalidField("policy", f"{name}s of another size", allowed)
         apart = float(np.abs(theirs[name] - values).max())
         if not apart <= PROBE_TOLERANCES[name]:
-            said = f"{1e3 * apart:.2g} mm" if name == "length" else f"{apart:.2g}"
-            got = f"trained with another version: {name}s differ by up to {said}"
+            difference = f"{1e3 * apart:.2g} mm" if name == "length" else f"{apart:.2g}"
+            got = f"trained with another version: {name}s differ by up to {difference}"
             raise InvalidField("policy", got, allowed)
 
 

@@ -94,8 +94,8 @@ class Td3Settings:
             if getattr(self, name) not in allowed:
                 raise InvalidField(name, repr(getattr(self, name)), f"one of {list(allowed)}")
         if self.discount > 0.0 and self.values_one_step:
-            said = "0 with a metric critic or relabelled steps, which value one step alone"
-            raise InvalidField("discount", self.discount, said)
+            reason = "0 with a metric critic or relabelled steps, which value one step alone"
+            raise InvalidField("discount", self.discount, reason)
 
     @property
     def values_one_step(self) -> bool:

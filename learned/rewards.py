@@ -120,8 +120,7 @@ def misfit_reward(misfit: Array, scale: float, span: float) -> Array:
         scale: s [m].
         span: D, the largest distance in the workspace [m], from which on the reward is -1.
     """
-    found: Array = -np.log1p(np.minimum(misfit, span) / scale) / np.log1p(span / scale)
-    return found
+    return np.asarray(-np.log1p(np.minimum(misfit, span) / scale) / np.log1p(span / scale))
 
 
 def tracking_reward(misfit: Array, scale: float, span: float) -> Array:
@@ -136,8 +135,7 @@ def tracking_reward(misfit: Array, scale: float, span: float) -> Array:
         scale: s, where it turns from quadratic to logarithmic [m].
         span: D, the largest distance in the workspace [m], where the reward is -1.
     """
-    found: Array = -np.log1p((misfit / scale) ** 2) / np.log1p((span / scale) ** 2)
-    return found
+    return np.asarray(-np.log1p((misfit / scale) ** 2) / np.log1p((span / scale) ** 2))
 
 
 def lengths_misfit(transition: Transition, settings: RewardSettings) -> Array:
@@ -156,8 +154,7 @@ def lengths_misfit(transition: Transition, settings: RewardSettings) -> Array:
         taut = robot.tension_min + settings.reserve * share
         lack = np.maximum(0.0, taut - transition.tension) / share
         square = square + settings.slack**2 * (lack**2).sum(axis=1)
-    found: Array = np.sqrt(square)
-    return found
+    return np.asarray(np.sqrt(square))
 
 
 class Reward:
@@ -175,8 +172,7 @@ class Reward:
 
     def __call__(self, transition: Transition) -> Array:
         """Return the reward of each environment, shape (B,)."""
-        found: Array = np.sum(list(self.terms(transition).values()), axis=0)
-        return found
+        return np.asarray(np.sum(list(self.terms(transition).values()), axis=0))
 
     def terms(self, transition: Transition) -> dict[str, Array]:
         """Return each term by name, shape (B,)."""

@@ -115,13 +115,13 @@ def score(environment: CableEnvironment, act: Act, paths: list[TargetPath]) -> P
         _score_batch(environment, act, paths[k : k + size], steps)
         for k in range(0, len(paths), size)
     ]
-    found: dict[str, Any] = {
+    columns: dict[str, Any] = {
         name: None if values is None else np.concatenate([part[name] for part in parts])
         for name, values in parts[0].items()
     }
-    found["counted"] = np.arange(steps) < ends[:, None]
-    found["failed"] &= found["counted"]
-    return PolicyScores(**found)
+    columns["counted"] = np.arange(steps) < ends[:, None]
+    columns["failed"] &= columns["counted"]
+    return PolicyScores(**columns)
 
 
 def _score_batch(
@@ -130,23 +130,23 @@ def _score_batch(
     """Follow one path in each row of the environment; all of `PolicyScores` but what counts."""
     observation = environment.reset(paths)
     names = [name for name in PolicyScores.__dataclass_fields__ if name != "counted"]
-    found: dict[str, list[Any]] = {name: [] for name in names}
+    columns: dict[str, list[Any]] = {name: [] for name in names}
     for _ in range(steps):
         result = environment.step(act(observation))
         observation = result.observation
         transition = result.transition
         wanted, tilt = _wanted(environment, transition.target, result.reached.rotation)
-        found["target"].append(transition.target)
-        found["position"].append(transition.position)
-        found["length_error"].append(transition.asked - wanted)
-        found["inconsistency"].append(np.abs(transition.inconsistency).max(axis=1))
-        found["length"].append(transition.length)
-        found["tilt"].append(tilt)
-        found["tension"].append(result.reached.tension)
-        found["failed"].append(result.failed)
+        columns["target"].append(transition.target)
+        columns["position"].append(transition.position)
+        columns["length_error"].append(transition.asked - wanted)
+        columns["inconsistency"].append(np.abs(transition.inconsistency).max(axis=1))
+        columns["length"].append(transition.length)
+        columns["tilt"].append(tilt)
+        columns["tension"].append(result.reached.tension)
+        columns["failed"].append(result.failed)
     return {
         name: None if values[0] is None else np.stack(values, axis=1)
-        for name, values in found.items()
+        for name, values in columns.items()
     }
 
 

@@ -103,8 +103,8 @@ def changed(name: str, stage: Stage, changes: Changes) -> Stage:
             continue
         put_field(path, nested, fields, _with_tuples(value))
     check_types(name, stage, nested)
-    found: Stage = filled(name, stage, nested)
-    return found
+    changed_stage: Stage = filled(name, stage, nested)
+    return changed_stage
 
 
 def label_of(changes: Changes) -> str:

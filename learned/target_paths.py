@@ -151,13 +151,14 @@ def _scattered(
     center = (robot.workspace_max + robot.workspace_min) / 2
     half = (robot.workspace_max - robot.workspace_min) / 2
     count = settings.steps + 1
-    found = np.zeros((0, 3))
+    points_kept = np.zeros((0, 3))
     for _ in range(PATH_ATTEMPTS_MAX):
         points = center + half * np.cos(np.pi * rng.uniform(size=(count, 3)))
-        found = np.concatenate([found, points if feasible is None else points[feasible(points)]])
-        if len(found) >= count:
+        good = points if feasible is None else points[feasible(points)]
+        points_kept = np.concatenate([points_kept, good])
+        if len(points_kept) >= count:
             still = np.zeros((count, 3))
-            return TargetPath(position=found[:count], velocity=still, acceleration=still)
+            return TargetPath(position=points_kept[:count], velocity=still, acceleration=still)
     raise CarosacError(
         f"{robot.name}: too few of {PATH_ATTEMPTS_MAX * count} random points in its workspace box "
         "are feasible; `carosac check` shows why"
@@ -173,8 +174,8 @@ def sampled(trajectory: Trajectory, settings: PathSettings) -> TargetPath:
         return TargetPath(position=position, velocity=still, acceleration=still)
     count = settings.steps + 1
     ahead = int(np.ceil(PATH_LOOKAHEAD_S / settings.period))
-    found = trajectory.sample(settings.period * np.arange(count + ahead))
-    every = np.stack([found.position, found.velocity, found.acceleration], axis=1)
+    reference = trajectory.sample(settings.period * np.arange(count + ahead))
+    every = np.stack([reference.position, reference.velocity, reference.acceleration], axis=1)
     position, velocity, acceleration = (every[:count, k] for k in range(3))
     return TargetPath(
         position=position, velocity=velocity, acceleration=acceleration, later=every[count:]

@@ -103,8 +103,8 @@ class TrainingJob:
 
     def settings_as_json(self) -> dict[str, Any]:
         """Return all settings as they are read back from a file: without tuples."""
-        found: dict[str, Any] = json.loads(json.dumps(self.settings()))
-        return found
+        settings: dict[str, Any] = json.loads(json.dumps(self.settings()))
+        return settings
 
 
 def train(
@@ -274,8 +274,8 @@ class _Run:
 
     def act(self, observation: Array) -> Array:
         """Act by the policy without noise."""
-        found, _ = self.model.predict(observation.astype(np.float32), deterministic=True)
-        return found.astype(np.float64)
+        action, _ = self.model.predict(observation.astype(np.float32), deterministic=True)
+        return action.astype(np.float64)
 
     def _keep_episodes(self) -> None:
         """Take over the episodes that ended."""
@@ -287,7 +287,7 @@ class _Run:
     def _measure(self) -> None:
         """Add a point to the learning curve."""
         self.test.restore(self.fresh)
-        found = score(self.test, self.act, self.paths).data(self.job.robot)
+        scores = score(self.test, self.act, self.paths).data(self.job.robot)
         before = self.rows[-1]["steps"] if self.rows else 0.0
         rewards = [one.reward for one in self.episodes if one.steps > before]
         row = {
@@ -295,7 +295,7 @@ class _Run:
             "updates": float(self.model._n_updates),
             "cpu_seconds": self.spent,
             "reward": float(np.mean(rewards)) if rewards else float("nan"),
-            **measured(found),
+            **measured(scores),
         }
         self.rows.append(row)
         self._write_tables()

@@ -104,11 +104,11 @@ def read_record(folder: Path) -> TrainingRecord | None:
     path = folder / SETTINGS_FILE
     if not path.is_file():
         return None
-    found = json.loads(path.read_text(encoding="utf-8"))
-    history = {name: found.pop(name, None) for name in HISTORY_FIELDS}
+    settings = json.loads(path.read_text(encoding="utf-8"))
+    history = {name: settings.pop(name, None) for name in HISTORY_FIELDS}
     commits = history["commits"] or [history["commit"] or UNKNOWN_COMMIT]
     return TrainingRecord(
-        settings=with_later_fields(found),
+        settings=with_later_fields(settings),
         commits=tuple(commits),
         started_from=history["started_from"],
     )
@@ -127,14 +127,15 @@ def check_settings(settings: dict[str, Any], folder: Path) -> TrainingRecord | N
     if known is None:
         return None
     if known.settings != settings:
-        found = _differences(known.settings, settings)
+        differences = _differences(known.settings, settings)
         more = (
-            f", and {len(found) - DIFFERENCES_SHOWN} more differ"
-            if len(found) > DIFFERENCES_SHOWN
+            f", and {len(differences) - DIFFERENCES_SHOWN} more differ"
+            if len(differences) > DIFFERENCES_SHOWN
             else ""
         )
         allowed = (
-            f"a folder of the same settings; there {', '.join(found[:DIFFERENCES_SHOWN])}{more}"
+            "a folder of the same settings; there "
+            f"{', '.join(differences[:DIFFERENCES_SHOWN])}{more}"
         )
         raise InvalidField("output", f"'{folder}'", allowed)
     return known
@@ -199,13 +200,13 @@ def _differences(known: Any, asked: Any, path: str = "") -> list[str]:
         one, other = (x if isinstance(x, dict) else {} for x in (known, asked))
         both = ((name, f"{path}.{name}" if path else name) for name in one | other)
         parts = [_differences(one.get(name), other.get(name), where) for name, where in both]
-        return [said for part in parts for said in part]
+        return [difference for part in parts for difference in part]
     return [] if known == asked else [f"{path} is {known!r}, not {asked!r}"]
 
 
 def _at(settings: dict[str, Any], keys: Iterable[str]) -> Any:
     """Return a nested setting; None where there is none."""
-    found: Any = settings
+    value: Any = settings
     for key in keys:
-        found = found.get(key) if isinstance(found, dict) else None
-    return found
+        value = value.get(key) if isinstance(value, dict) else None
+    return value

@@ -114,15 +114,15 @@ class TrainingRun:
         Raises:
             InvalidField: A change or a number of steps that is not allowed.
         """
-        preset, found = find_preset(self.preset), {}
-        said = {"td3.steps", *(f"{name}.td3.steps" for name in self.stages)}
-        for path in sorted(said & {**self.fixed, **self.varied}.keys()):
+        preset, stages = find_preset(self.preset), {}
+        step_paths = {"td3.steps", *(f"{name}.td3.steps" for name in self.stages)}
+        for path in sorted(step_paths & {**self.fixed, **self.varied}.keys()):
             if self.steps is not None:
                 raise InvalidField("--steps", self.steps, f"nothing beside {path}")
         for name in self.stages:
             stage = changed(name, preset.stages[name], {**self.fixed, **self.varied})
-            found[name] = stage if self.steps is None else shortened(stage, self.steps)
-        return found
+            stages[name] = stage if self.steps is None else shortened(stage, self.steps)
+        return stages
 
     def case(self) -> Case:
         """Return the training as a case of a study."""
@@ -224,8 +224,8 @@ def train_case(case: Case, folder: Path) -> dict[str, Any]:
     for job in training.jobs(robot_of(case.robot, digest_of(case)), place):
         train(job, place / job.stage_name)
         last = read_curve(place / job.stage_name / CURVE_FILE)[-1]
-        found = {name: x if np.isfinite(x) else None for name, x in last.items()}
-        row |= {f"{job.stage_name}_{name}": found[name] for name in CURVE_COLUMNS}
+        values = {name: x if np.isfinite(x) else None for name, x in last.items()}
+        row |= {f"{job.stage_name}_{name}": values[name] for name in CURVE_COLUMNS}
     return row
 
 

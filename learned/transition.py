@@ -54,8 +54,7 @@ class Transition:
     @property
     def distance(self) -> Array:
         """From the target, after the step [m], shape (B,)."""
-        found: Array = np.linalg.norm(self.position - self.target, axis=1)
-        return found
+        return np.asarray(np.linalg.norm(self.position - self.target, axis=1))
 
     @property
     def straight_position(self) -> Array:

@@ -38,28 +38,28 @@ class CableVecEnv(VecEnv):
 
     def step_wait(self) -> tuple[Any, Any, Any, list[dict[str, Any]]]:
         """Act on them."""
-        found = self.environment.step(self._action)
-        self._total += found.reward
+        result = self.environment.step(self._action)
+        self._total += result.reward
         self._length += 1
-        done = found.truncated
-        misfit = lengths_misfit(found.transition, self.environment.settings.reward)
+        done = result.truncated
+        misfit = lengths_misfit(result.transition, self.environment.settings.reward)
         infos: list[dict[str, Any]] = [
             {"position": position, "lengths_misfit": value, "failed": bool(failed)}
             for position, value, failed in zip(
-                found.transition.position, misfit, found.failed, strict=True
+                result.transition.position, misfit, result.failed, strict=True
             )
         ]
-        final = found.final_observation.astype(np.float32)
+        final = result.final_observation.astype(np.float32)
         for row in np.flatnonzero(done):
             infos[row] |= {
                 "terminal_observation": final[row],
-                "TimeLimit.truncated": bool(found.truncated[row]),
+                "TimeLimit.truncated": bool(result.truncated[row]),
                 "episode": {"r": float(self._total[row]), "l": int(self._length[row])},
             }
         self._total[done] = 0.0
         self._length[done] = 0
-        reward = found.reward.astype(np.float32)
-        return found.observation.astype(np.float32), reward, done, infos
+        reward = result.reward.astype(np.float32)
+        return result.observation.astype(np.float32), reward, done, infos
 
     def state(self) -> dict[str, Any]:
         """Return everything that changes."""

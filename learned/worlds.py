@@ -107,13 +107,13 @@ class NoSagWorlds:
 
     def _at(self, position: Array, length: Array) -> WorldStates:
         """Return the state there, with the inconsistency of the lengths."""
-        found = straight_line.straight_length(self.robot, position, device=self._device)
+        straight = straight_line.straight_length(self.robot, position, device=self._device)
         return WorldStates(
             position=position,
             rotation=np.broadcast_to(self.robot.home_rotation, (self.size, 3, 3)),
             twist=np.zeros((self.size, 6)),
             length=length,
-            inconsistency=length - found.length,
+            inconsistency=length - straight.length,
             tension=None,
             failed=np.zeros(self.size, dtype=bool),
         )
@@ -152,12 +152,12 @@ class SettledWorlds:
     def advance(self, length: Array) -> WorldStates:
         """Settle on the lengths; the way there leads downhill in energy from home."""
         device = self._device
-        found = statics.forward_kinematics(self.robot, length, device=device)
-        consistent = statics.inverse_kinematics(self.robot, found.position, device=device)
-        good = found.converged & found.stable & consistent.converged
+        settled = statics.forward_kinematics(self.robot, length, device=device)
+        consistent = statics.inverse_kinematics(self.robot, settled.position, device=device)
+        good = settled.converged & settled.stable & consistent.converged
         rows = np.flatnonzero(good)
-        self._merge(rows, found, rows)
-        lack = found.unstrained_length - consistent.unstrained_length
+        self._merge(rows, settled, rows)
+        lack = settled.unstrained_length - consistent.unstrained_length
         self._inconsistency[rows] = lack[rows]
         return self._reached(~good)
 
@@ -175,8 +175,8 @@ class SettledWorlds:
         merged = {}
         for name in Equilibrium.__dataclass_fields__:
             values = np.array(getattr(self._rest, name))
-            given = getattr(new, name)
-            values[rows] = given if of is None else given[of]
+            source = getattr(new, name)
+            values[rows] = source if of is None else source[of]
             merged[name] = values
         self._rest = Equilibrium(**merged)
 

@@ -89,41 +89,41 @@ def run(options: Options) -> CommandResult:
     path = find_recording(options.recording)
     check_writable("--output", options.output, RECORDING_SUFFIXES)
     recording = load_recording(path)
-    found = find_robot(recording, path, options.robot)
-    folder = options.report or _default_folder(path, found, options.poses)
+    origin = find_robot(recording, path, options.robot)
+    folder = options.report or _default_folder(path, origin, options.poses)
     check_folder("--report", folder)
     output = options.output or folder / SMOOTHED_FILE
-    _check_targets(options, folder, {"RECORDING": path, "--robot": Path(found.name)})
+    _check_targets(options, folder, {"RECORDING": path, "--robot": Path(origin.name)})
     result = smooth(
-        recording, found.robot, settings,
+        recording, origin.robot, settings,
         start=options.start, stop=options.stop, report=_progress,
     )  # fmt: skip
     print()
-    for line in [*_head(options, found, result), *sentences(result)]:
+    for line in [*_head(options, origin, result), *sentences(result)]:
         print(wrapped(line, terminal_width(), "* "))
     source = f"carosac smooth, poses {options.poses}, of {Path(options.recording).name}"
-    named = _named(found, output.parent)
-    smoothed = recording_of(result, recording, found.robot, source, named)
-    files = write(folder, result, found.robot.name)
+    named = _named(origin, output.parent)
+    smoothed = recording_of(result, recording, origin.robot, source, named)
+    files = write(folder, result, origin.robot.name)
     smoothed.save(output)
     print(f"\nsmoothed recording: {output}\ntable and pictures: {files[0].parent}")
     sys.stdout.flush()
     for line in warnings(result):
         print(f"carosac: warning: {line}", file=sys.stderr)
-    data = {"recording": options.recording, "robot": found.name, "robot_source": found.source}
+    data = {"recording": options.recording, "robot": origin.name, "robot_source": origin.source}
     return CommandResult(
         data | result.data() | {"output": output},
         status=0 if result.converged and not result.misfits else 1,
     )
 
 
-def _named(found: FoundRobot, folder: Path) -> str | None:
+def _named(origin: FoundRobot, folder: Path) -> str | None:
     """Return the name or path by which a recording in a folder finds its robot, or None."""
-    if found.source == "exit points":
+    if origin.source == "exit points":
         return None
-    if found.name in list_robots():
-        return found.name
-    return Path(os.path.relpath(Path(found.name).resolve(), folder.resolve())).as_posix()
+    if origin.name in list_robots():
+        return origin.name
+    return Path(os.path.relpath(Path(origin.name).resolve(), folder.resolve())).as_posix()
 
 
 def _check_targets(options: Options, folder: Path, inputs: dict[str, Path]) -> None:
@@ -139,8 +139,8 @@ def _check_targets(options: Options, folder: Path, inputs: dict[str, Path]) -> N
     """
     in_folder = [*REPORT_FILES, *([SMOOTHED_FILE] if options.output is None else [])]
     targets = [("--report", folder / name) for name in in_folder]
-    given = (("--output", options.output), ("--json", options.json))
-    targets += [(option, path) for option, path in given if path is not None]
+    options_with_paths = (("--output", options.output), ("--json", options.json))
+    targets += [(option, path) for option, path in options_with_paths if path is not None]
     for k, (option, target) in enumerate(targets):
         for other, path in inputs.items():
             if path.exists() and same_file(target, path):
@@ -169,18 +169,18 @@ def _progress(passes: int, change: float) -> None:
     print(f"  {passes:2d}: {change * 1e3:8.2f} mm", flush=True)
 
 
-def _head(options: Options, found: FoundRobot, result: Smoothed) -> list[str]:
+def _head(options: Options, origin: FoundRobot, result: Smoothed) -> list[str]:
     """Return lines that name the recording and its robot."""
     recording = result.recording
-    guess = " (a guess from the exit points)" if found.source == "exit points" else ""
+    guess = " (a guess from the exit points)" if origin.source == "exit points" else ""
     return [
         f"{options.recording}: {len(recording.time)} samples, {recording.duration:.1f} s; "
-        f"robot {found.robot.name}{guess}"
+        f"robot {origin.robot.name}{guess}"
     ]
 
 
-def _default_folder(path: Path, found: FoundRobot, poses: str) -> Path:
+def _default_folder(path: Path, origin: FoundRobot, poses: str) -> Path:
     """Return the folder for output that was not sent anywhere."""
-    parts = [path.stem, found.robot.name, *([] if poses == "withheld" else [poses])]
+    parts = [path.stem, origin.robot.name, *([] if poses == "withheld" else [poses])]
     name = re.sub(r"[^\w.-]+", "_", "-".join(parts))
     return Path("carosac-results") / "smooth" / name

@@ -153,11 +153,11 @@ def _belief(
 
 def _centers(states: list[DynamicFilterState], prior: float) -> Array | None:
     """Return the centres of mass if all have been learned, else None."""
-    found = []
+    centers = []
     for state in states:
         where = state.errors.center
-        found.append(learned_center_of_mass(state.center, state.covariance[where, where], prior))
-    return None if any(center is None for center in found) else np.array(found)
+        centers.append(learned_center_of_mass(state.center, state.covariance[where, where], prior))
+    return None if any(center is None for center in centers) else np.array(centers)
 
 
 def _kept(now: list[DynamicFilterState | None], name: str, before: Array) -> Array:

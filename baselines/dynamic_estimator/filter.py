@@ -73,12 +73,12 @@ class DynamicFilter:
         )
         if felt is None:
             return arrived, InnovationTally()
-        said = self._sensors.felt(move, felt)
+        measurement = self._sensors.felt(move, felt)
         return self._corrected(
             arrived,
-            carry @ state.covariance @ said.by.T,
-            said.by @ state.covariance @ said.by.T + said.noise,
-            said.residual,
+            carry @ state.covariance @ measurement.by.T,
+            measurement.by @ state.covariance @ measurement.by.T + measurement.noise,
+            measurement.residual,
         )
 
     def pose(
@@ -98,10 +98,10 @@ class DynamicFilter:
         position = position + late * state.twist[:3]
         rotation = pinocchio.exp3(late * state.twist[3:]) @ rotation
         swept = 0.5 * late**2 * np.repeat(LATE_POSE_ACCELERATIONS, 3)
-        said = self._sensors.pose(state, position, rotation)
-        cross = state.covariance @ said.by.T
-        own = said.by @ cross + said.noise + np.diag(swept**2)
-        return self._corrected(state, cross, own, said.residual)
+        measurement = self._sensors.pose(state, position, rotation)
+        cross = state.covariance @ measurement.by.T
+        own = measurement.by @ cross + measurement.noise + np.diag(swept**2)
+        return self._corrected(state, cross, own, measurement.residual)
 
     def _noise(self, duration: float, keep: float) -> Array:
         """Return the covariance that a step adds; a share `keep` of the wind remains."""
@@ -135,7 +135,7 @@ class DynamicFilter:
         error = gain @ innovation
         if not np.isfinite(error).all():
             raise NoMotion(f"the estimate is lost after {state.time:.3f} s")
-        found = state.corrected(error, left)
+        corrected = state.corrected(error, left)
         if square > allowed:
-            return found, InnovationTally(disturbed=1)
-        return found, InnovationTally(squares=square, dof=len(innovation))
+            return corrected, InnovationTally(disturbed=1)
+        return corrected, InnovationTally(squares=square, dof=len(innovation))

@@ -135,8 +135,8 @@ class DynamicFilterState:
         by = np.zeros((12, where.size))
         by[:6] = self.pose_by()
         by[6:, where.speed] = self.sway.ways
-        found = by @ self.covariance @ by.T
+        covariance = by @ self.covariance @ by.T
         rigid = self.sway.slaved @ self.sway.slaved.T
-        found[:6, :6] += reading**2 * rigid
-        found[6:, 6:] += speed**2 * rigid
-        return np.asarray(found)
+        covariance[:6, :6] += reading**2 * rigid
+        covariance[6:, 6:] += speed**2 * rigid
+        return np.asarray(covariance)

@@ -88,18 +88,18 @@ class DynamicModel:
         where, steps = self.errors, self._steps[:, None]
         start, mass, center, bias = self._neighbours(state)
         self._propagation.load(mass, center)
-        found = self._propagation.run(start, reading - bias, end - bias, duration)
-        if found.failed.any():
+        ends = self._propagation.run(start, reading - bias, end - bias, duration)
+        if ends.failed.any():
             raise NoMotion(f"no finite motion after {state.time:.3f} s")
         pose = np.hstack([
-            found.position[1:] - found.position[0],
-            _small_turns(found.rotation[1:] @ found.rotation[0].T),
+            ends.position[1:] - ends.position[0],
+            _small_turns(ends.rotation[1:] @ ends.rotation[0].T),
         ])  # fmt: skip
-        arrived = self._arrived(state, found, end - bias[0], duration)
+        arrived = self._arrived(state, ends, end - bias[0], duration)
         pose[where.bias] -= steps[where.bias] * arrived.sway.slaved.T
-        moved = np.hstack([pose, found.twist[1:] - found.twist[0]]) / steps
+        moved = np.hstack([pose, ends.twist[1:] - ends.twist[0]]) / steps
         out = arrived.sway.momentum
-        felt = self._felt(found)
+        felt = self._felt(ends)
         return LinearisedStep(
             state=arrived,
             sway=np.vstack([out @ moved[:, :6].T, out @ moved[:, 6:].T]),
@@ -129,28 +129,28 @@ class DynamicModel:
         return start, mass, state.center + change[:, where.center], bias
 
     def _arrived(
-        self, state: DynamicFilterState, found: Arrived, length: Array, duration: float
+        self, state: DynamicFilterState, ends: Arrived, length: Array, duration: float
     ) -> DynamicFilterState:
         """Return the estimate at the end of the step."""
         return replace(
             state,
             time=state.time + duration,
-            position=found.position[0],
-            rotation=found.rotation[0],
-            twist=found.twist[0],
-            tension=found.tension[0],
-            exit_tension=_first(found.exit_tension),
-            sway=sway_at(self.robot, found.position[0], found.rotation[0], length),
+            position=ends.position[0],
+            rotation=ends.rotation[0],
+            twist=ends.twist[0],
+            tension=ends.tension[0],
+            exit_tension=_first(ends.exit_tension),
+            sway=sway_at(self.robot, ends.position[0], ends.rotation[0], length),
         )
 
-    def _felt(self, found: Arrived) -> Array:
+    def _felt(self, ends: Arrived) -> Array:
         """Return the readings of an IMU without bias, shape (B, 6)."""
-        omega, alpha = found.twist[:, 3:], found.acceleration[:, 3:]
-        arm = found.rotation @ self._lever
-        force = found.acceleration[:, :3] + np.array([0.0, 0.0, self.robot.gravity])
+        omega, alpha = ends.twist[:, 3:], ends.acceleration[:, 3:]
+        arm = ends.rotation @ self._lever
+        force = ends.acceleration[:, :3] + np.array([0.0, 0.0, self.robot.gravity])
         if self._lever.any():
             force = force + np.cross(alpha, arm) + np.cross(omega, np.cross(omega, arm))
-        axes = found.rotation @ self._mount  # of the IMU in W
+        axes = ends.rotation @ self._mount  # of the IMU in W
         return np.hstack([
             np.einsum("bji,bj->bi", axes, omega), np.einsum("bji,bj->bi", axes, force)
         ])  # fmt: skip

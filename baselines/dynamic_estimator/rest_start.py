@@ -54,8 +54,8 @@ class RestStart:
         alone = forward_kinematics(robot, reading[None])
         if not (alone.converged & alone.stable).all():
             return None
-        found = forward_kinematics(self._fleet, lengths, guess=_tiled(alone, 5 + n))
-        if not (found.converged & found.stable).all():
+        rests = forward_kinematics(self._fleet, lengths, guess=_tiled(alone, 5 + n))
+        if not (rests.converged & rests.stable).all():
             return None
         sway = sway_at(robot, alone.position[0], alone.rotation[0], reading)
         return DynamicFilterState(
@@ -68,18 +68,18 @@ class RestStart:
             center=robot.center_of_mass,
             length_bias=np.zeros(n),
             imu_bias=np.zeros(6),
-            covariance=self._covariance(alone, sway, self._derivatives(found), speed),
+            covariance=self._covariance(alone, sway, self._derivatives(rests), speed),
             sway=sway,
             tension=alone.tension[0],
             exit_tension=alone.exit_tension[0],
         )
 
-    def _derivatives(self, found: Equilibrium) -> Array:
+    def _derivatives(self, rests: Equilibrium) -> Array:
         """Return the pose per log mass, centre of mass and length bias, shape (6, 4 + n)."""
         from scipy.spatial.transform import Rotation
 
-        turn = Rotation.from_matrix(found.rotation[1:] @ found.rotation[0].T).as_rotvec()
-        moved = np.hstack([found.position[1:] - found.position[0], turn])
+        turn = Rotation.from_matrix(rests.rotation[1:] @ rests.rotation[0].T).as_rotvec()
+        moved = np.hstack([rests.position[1:] - rests.position[0], turn])
         steps = np.array([*LOAD_STEPS, *[LENGTH_STEP_M] * self._robot.n])
         return np.asarray((moved / steps[:, None]).T)
 

@@ -192,12 +192,12 @@ class Tracker:
         if not stops or known - stops[-1] > self._short:
             stops.append(known)
         for stop in stops:
-            state, found = self._to(state, track.readings, stop, groups.get(stop))
-            tally = tally + found
+            state, added = self._to(state, track.readings, stop, groups.get(stop))
+            tally = tally + added
             for pose in due:
                 if pose.time == stop:
-                    state, found = self._posed(state, pose)
-                    tally = tally + found
+                    state, added = self._posed(state, pose)
+                    tally = tally + added
         poses = tuple(
             p._replace(used=p.used or p.time <= known + READING_INTERVAL_MIN_S) for p in track.poses
         )
@@ -224,10 +224,10 @@ class Tracker:
             felt = None
             if group is not None and end == stop:
                 felt = ImuMean(values=group[:, 1:].mean(axis=0), samples=len(group))
-            state, found = self._filter.step(
+            state, added = self._filter.step(
                 state, readings.at(start), readings.at(end), end - start, felt
             )
-            state, tally = replace(state, time=end), tally + found
+            state, tally = replace(state, time=end), tally + added
         return state, tally
 
 

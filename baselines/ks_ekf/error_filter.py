@@ -45,8 +45,7 @@ class ErrorFilter:
     @property
     def covariance(self) -> Array:
         """Covariance of the error, shape (k, k)."""
-        found: Array = self._kalman.P
-        return found
+        return np.asarray(self._kalman.P)
 
     def begin(self, covariance: Array) -> None:
         """Go on from a covariance."""
@@ -102,10 +101,10 @@ def no_innovations() -> Innovations:
     return Innovations(squares=np.zeros(1), dof=np.zeros(1), rejected=np.zeros(1))
 
 
-def added(before: Innovations, found: FilterCorrection) -> Innovations:
+def added(before: Innovations, correction: FilterCorrection) -> Innovations:
     """Return the sums with one more measurement; a rejected one is only counted."""
     return Innovations(
-        squares=before.squares + (found.square if found.accepted else 0.0),
-        dof=before.dof + (found.dof if found.accepted else 0),
-        rejected=before.rejected + (not found.accepted),
+        squares=before.squares + (correction.square if correction.accepted else 0.0),
+        dof=before.dof + (correction.dof if correction.accepted else 0),
+        rejected=before.rejected + (not correction.accepted),
     )

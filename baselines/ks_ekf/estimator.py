@@ -202,20 +202,20 @@ class KsEkf:
         record = replace(record, slack=record.slack + evidence.left_out, tension=evidence.tension)
         if not len(evidence.residual):  # no cable seems taut: no motion lasts long that way
             return self._misfit(record, reading)
-        found = self._correct(record.state, evidence)
+        correction = self._correct(record.state, evidence)
         by_cable = self._settings.coupling == "tight"  # a pose is wrong as a whole
-        if not found.accepted and by_cable and len(evidence.residual) > 3:
+        if not correction.accepted and by_cable and len(evidence.residual) > 3:
             fewer = self._correct(record.state, corrections.without_worst(record.state, evidence))
-            found = fewer if fewer.accepted else found
+            correction = fewer if fewer.accepted else correction
             record = replace(record, excluded=record.excluded + fewer.accepted)
-        record = replace(record, innovations=added(record.innovations, found))
-        if found.accepted:
-            state = record.state.injected(found.error, found.covariance)
+        record = replace(record, innovations=added(record.innovations, correction))
+        if correction.accepted:
+            state = record.state.injected(correction.error, correction.covariance)
             return replace(record, state=state, misfit_since=None)
         since = record.misfit_since
         if since is not None and reading.time - since >= REJECT_TIME_S:
-            found = self._correct(record.state, evidence, bounded=True)
-            state = record.state.injected(found.error, found.covariance)
+            correction = self._correct(record.state, evidence, bounded=True)
+            state = record.state.injected(correction.error, correction.covariance)
             record = replace(record, state=state)
         return self._misfit(record, reading)
 
@@ -274,10 +274,10 @@ class KsEkf:
 
     def _use_rest(self, record: KsEkfRecord, evidence: MeasurementResidual) -> KsEkfRecord:
         """Weigh something that holds at rest; where it does not fit, it is held back."""
-        found = self._correct(record.state, evidence)
-        if not found.accepted:
+        correction = self._correct(record.state, evidence)
+        if not correction.accepted:
             return replace(record, held=record.held + 1)
-        return replace(record, state=record.state.injected(found.error, found.covariance))
+        return replace(record, state=record.state.injected(correction.error, correction.covariance))
 
     def _correct(
         self, state: KsEkfState, evidence: MeasurementResidual, *, bounded: bool = False
@@ -295,10 +295,10 @@ class KsEkf:
 
     def _restart(self, record: KsEkfRecord, reading: TimedLengths) -> KsEkfRecord:
         """Start anew at the pose of rest, with the sway that there may be."""
-        found = self._place(record, reading, self._settings.sway)
-        if found.failures > record.failures:
-            return replace(found, state=replace(found.state, samples=record.state.samples))
-        return self._carry(replace(found, restarts=record.restarts + 1, misfit_since=None))
+        placed = self._place(record, reading, self._settings.sway)
+        if placed.failures > record.failures:
+            return replace(placed, state=replace(placed.state, samples=record.state.samples))
+        return self._carry(replace(placed, restarts=record.restarts + 1, misfit_since=None))
 
     def _place(self, record: KsEkfRecord, reading: TimedLengths, sway: float) -> KsEkfRecord:
         """Put the state at the pose of rest of the lengths; where there is none, it is lost."""

@@ -142,21 +142,21 @@ class Mpc:
         wanted = self._targets.read(reference)
         target = self._targets.nearer(wanted, start.position)
         self.record.approached += target is not wanted
-        found = self._planner.improve(
+        improved = self._planner.improve(
             start, target, time=now, load=self._observer.load,
             acceleration=self._winches.acceleration_range(),
             offset=self._excess + self._observer.surplus,
         )  # fmt: skip
         self.record.solve_time = time.perf_counter() - began
         self.record.solves += 1
-        if found is None:
+        if improved is None:
             self._fail("no solution", "the quadratic program has no solution")
             return None
         budget = self._settings.time_budget
         if budget is not None and self.record.solve_time > budget:
             self._fail("late", f"{self.record.solve_time:.4f} s; allowed: {budget} s")
             return None
-        plan, slack = found
+        plan, slack = improved
         self.record.softened += slack > SOFTENED_RATIO
         return plan
 
@@ -204,10 +204,10 @@ class Mpc:
             return self._winches.accelerate((rate - self._winches.rate) / self.period)
         self._planner.reset()
         self._observer.forget()
-        acceleration, found = self._rest.acceleration(
+        acceleration, has_goal = self._rest.acceleration(
             self._place, self._winches.length, self._winches.rate, self._observer.kept
         )
-        self.record.fallbacks["to rest" if found else "hold"] += 1
+        self.record.fallbacks["to rest" if has_goal else "hold"] += 1
         return self._winches.accelerate(acceleration)
 
     def _update_excess(

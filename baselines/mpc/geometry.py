@@ -73,5 +73,5 @@ def excess_at(
     pull = -tension[:, None] * geometry.direction
     pull[:, 2] -= 0.5 * robot.weight_per_length * geometry.free
     at_platform = np.linalg.norm(pull, axis=1)
-    found = length_at_tension(robot, position[None], rotation[None], at_platform[None])
-    return np.asarray(found.unstrained_length[0] - geometry.length)
+    cables = length_at_tension(robot, position[None], rotation[None], at_platform[None])
+    return np.asarray(cables.unstrained_length[0] - geometry.length)

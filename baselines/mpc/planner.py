@@ -106,10 +106,10 @@ class Planner:
         plan = self._guess(start, target, time)
         for _ in range(COLD_START_ITERATIONS if cold else 1):
             self._linearise(plan, start, load)
-            found = self._correct(plan, target, acceleration, offset)
-            if found is None:
+            corrected = self._correct(plan, target, acceleration, offset)
+            if corrected is None:
                 return None
-            plan, slack = found
+            plan, slack = corrected
         if self._robot.n < 6:
             share = self._settings.period / OFFSET_TIME_S
             now = plan.tension[0] - target.tension[0]

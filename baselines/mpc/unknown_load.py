@@ -172,8 +172,8 @@ class UnknownLoad:
         self._covariance = 0.5 * (covariance + covariance.T)
         shift = CENTER_DEVIATIONS_MAX * self._spread
         farthest = np.concatenate([np.repeat(shift, 3), DISTURBANCE_MAX_M_PER_S2 * self._unit])
-        found = self._found + gain @ (root @ gained)
-        learned = np.clip(found, -farthest, farthest)
+        estimate = self._found + gain @ (root @ gained)
+        learned = np.clip(estimate, -farthest, farthest)
         self._found = np.where(self._most > 0.0, learned, self._found)
         self._place(self._nominal.center_of_mass + self.shift)
 

@@ -81,18 +81,18 @@ class ArrangedRecording:
             )
             rows = np.flatnonzero(~self.used & inside)
             keys = nearest(self.time, poses.time[rows])
-            found = Pose(
+            measured = Pose(
                 position=poses.position[rows], rotation=poses.rotation[rows], time=poses.time[rows]
             )
         else:
             between = poses.at(when, gap_max=POSE_GAP_MAX_S)
             keys = self.samples[start:stop][between.valid]
-            found = Pose(
+            measured = Pose(
                 position=between.pose.position[between.valid],
                 rotation=between.pose.rotation[between.valid],
                 time=when[between.valid],
             )
-        return (keys, found) if len(keys) else None
+        return (keys, measured) if len(keys) else None
 
 
 def arrange(recording: Recording, robot: Robot, settings: SmootherSettings) -> ArrangedRecording:

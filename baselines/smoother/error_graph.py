@@ -80,7 +80,7 @@ class ErrorGraph:
         longest = float(np.diff(time).max())
         window = WHOLE_RECORDING_S if lag is None else 2.0 * lag + longest
         smoother = gtsam.IncrementalFixedLagSmoother(window, params)
-        found = _SolutionReader(self, len(time))
+        reader = _SolutionReader(self, len(time))
         ends = [len(time)] if lag is None else _ends(time, lag)
         begin = taken = 0
         try:
@@ -90,12 +90,12 @@ class ErrorGraph:
                 upto = end if whole or lag is None else int(
                     np.searchsorted(time, time[end - 1] - lag, side="right")
                 )  # fmt: skip
-                found.take(smoother, range(taken, upto), whole)
+                reader.take(smoother, range(taken, upto), whole)
                 begin, taken = end, upto
         except RuntimeError as error:
             first = str(error).strip().splitlines()[0]
             raise CarosacError(f"the smoother could not tell the errors: {first}") from error
-        return found.solution()
+        return reader.solution()
 
     def _update(
         self,
@@ -141,10 +141,10 @@ class ErrorGraph:
         ]
         return _linear(blocks, -root @ correction[changing])
 
-    def _said(self, k: int, said: LinearisedMeasurement, weight: float) -> Any:
+    def _said(self, k: int, measurement: LinearisedMeasurement, weight: float) -> Any:
         """Build the factor of a measurement of key frame k."""
-        root = np.sqrt(weight) * _whitening(said.noise)
-        return self._factor(k, root @ said.by, root @ said.residual)
+        root = np.sqrt(weight) * _whitening(measurement.noise)
+        return self._factor(k, root @ measurement.by, root @ measurement.residual)
 
     def _factor(self, k: int, by: Array, value: Array) -> Any:
         """Build a factor of key frame k: `by` times its errors is `value`, with unit noise."""

@@ -117,7 +117,7 @@ class ForwardModel:
     ) -> tuple[DynamicFilterState, KeyFrameLink]:
         """Move a state to the next key frame."""
         size = self._model.errors.size
-        carry, noise, said, expected = np.eye(size), np.zeros((size, size)), None, None
+        carry, noise, imu, expected = np.eye(size), np.zeros((size, size)), None, None
         count = max(1, int(np.ceil((end - state.time) / LENGTH_SEGMENT_MAX_S - 1e-6)))
         stops = np.linspace(state.time, end, count + 1)
         for start, stop in pairwise(stops.tolist()):
@@ -128,14 +128,14 @@ class ForwardModel:
             if felt is not None and stop == stops[-1]:
                 now = self._sensors.felt(move, felt)
                 expected = move.felt
-                said = LinearisedMeasurement(
+                imu = LinearisedMeasurement(
                     now.residual, now.by @ carry, now.noise + now.by @ noise @ now.by.T
                 )
             carry, noise = step @ carry, step @ noise @ step.T + added
             state = replace(move.state, time=stop, wind=keep * state.wind)
         kept = np.eye(size + 1)  # the delay stays as it is
         kept[:size, :size] = carry
-        link = KeyFrameLink(carry=kept, noise=np.pad(noise, (0, 1)), felt=said, expected=expected)
+        link = KeyFrameLink(carry=kept, noise=np.pad(noise, (0, 1)), felt=imu, expected=expected)
         return replace(state, time=end), link
 
     def _noise(self, duration: float, keep: float) -> Array:
@@ -156,9 +156,9 @@ class ForwardModel:
         return noise
 
 
-def widened(said: LinearisedMeasurement, late: Array) -> LinearisedMeasurement:
+def widened(measurement: LinearisedMeasurement, late: Array) -> LinearisedMeasurement:
     """Add the delay's column: the change per second (6,) by which it is longer."""
-    return said._replace(by=np.column_stack([said.by, late]))
+    return measurement._replace(by=np.column_stack([measurement.by, late]))
 
 
 def _delayed(links: list[KeyFrameLink], time: Array) -> list[KeyFrameLink]:
@@ -170,12 +170,12 @@ def _delayed(links: list[KeyFrameLink], time: Array) -> list[KeyFrameLink]:
     rate = np.zeros_like(expected)
     if len(heard) > 1:
         rate = np.gradient(expected, time[np.array(heard) + 1], axis=0)
-    found = list(links)
+    delayed = list(links)
     for k, change in zip(heard, rate, strict=True):
-        said = links[k].felt
-        assert said is not None
-        found[k] = replace(links[k], felt=widened(said, -change))
-    return found
+        felt = links[k].felt
+        assert felt is not None
+        delayed[k] = replace(links[k], felt=widened(felt, -change))
+    return delayed
 
 
 def shifted(state: DynamicFilterState, delay: float) -> DynamicFilterState:
@@ -196,29 +196,29 @@ def missing(state: DynamicFilterState, wanted: DynamicFilterState) -> Array:
     """
     import pinocchio
 
-    where, found = state.errors, np.zeros(state.errors.size)
+    where, errors = state.errors, np.zeros(state.errors.size)
     turn = pinocchio.log3(np.ascontiguousarray(wanted.rotation @ state.rotation.T))
-    found[where.bias] = wanted.length_bias - state.length_bias
+    errors[where.bias] = wanted.length_bias - state.length_bias
     moved = np.concatenate([wanted.position - state.position, turn])
-    moved -= state.sway.slaved @ found[where.bias]
-    found[where.sway] = state.sway.momentum @ moved
-    found[where.speed] = state.sway.momentum @ (wanted.twist - state.twist)
-    found[where.wind] = wanted.wind - state.wind
-    found[where.mass] = wanted.log_mass - state.log_mass
-    found[where.center] = wanted.center - state.center
-    found[where.imu] = wanted.imu_bias - state.imu_bias
-    return found
+    moved -= state.sway.slaved @ errors[where.bias]
+    errors[where.sway] = state.sway.momentum @ moved
+    errors[where.speed] = state.sway.momentum @ (wanted.twist - state.twist)
+    errors[where.wind] = wanted.wind - state.wind
+    errors[where.mass] = wanted.log_mass - state.log_mass
+    errors[where.center] = wanted.center - state.center
+    errors[where.imu] = wanted.imu_bias - state.imu_bias
+    return errors
 
 
 def scales(model: DynamicModel, settings: SmootherSettings) -> Array:
     """Return the scales in which all errors are of order one, shape (size + 1,)."""
     where: Errors = model.errors
     s = settings.dynamics
-    found = np.full(where.size, 0.01 * np.sqrt(model.robot.mass))
-    found[where.speed] *= 3.0
-    found[where.wind] = s.wind_force or 1.0
-    found[where.mass] = s.mass or 0.03
-    found[where.center] = s.center_of_mass or 0.01
-    found[where.bias] = s.length_bias or 7e-3
-    found[where.imu] = np.repeat([s.angular_rate_bias or 5e-3, s.specific_force_bias or 0.05], 3)
-    return np.append(found, settings.delay)
+    scale = np.full(where.size, 0.01 * np.sqrt(model.robot.mass))
+    scale[where.speed] *= 3.0
+    scale[where.wind] = s.wind_force or 1.0
+    scale[where.mass] = s.mass or 0.03
+    scale[where.center] = s.center_of_mass or 0.01
+    scale[where.bias] = s.length_bias or 7e-3
+    scale[where.imu] = np.repeat([s.angular_rate_bias or 5e-3, s.specific_force_bias or 0.05], 3)
+    return np.append(scale, settings.delay)

@@ -27,50 +27,50 @@ def sentences(result: Smoothed) -> list[str]:
 def warnings(result: Smoothed) -> list[str]:
     """Describe everything that must not be overlooked."""
     distance = exit_point_distance(result.recording, result.robot)
-    found = [*result.misfits, *doubt_exit_points(distance)]
+    lines = [*result.misfits, *doubt_exit_points(distance)]
     if not result.converged:
         passes = counted(result.passes, "pass", "passes")
-        found.append(
+        lines.append(
             f"not settled after {passes}: the last one would still change a position by "
             f"{result.change * 1e3:.2g} mm"
         )
-    found += _implausible(result)
+    lines += _implausible(result)
     if result.settings.poses != "used" and result.recording.poses and result.scores is None:
-        found.append("no score: no measured pose that was not used lies within the lengths")
+        lines.append("no score: no measured pose that was not used lies within the lengths")
     if result.outliers:
-        found.append(
+        lines.append(
             f"{result.outliers} of {len(result.time)} length samples are not what winches can do "
             "and were left out"
         )
     if result.doubted:
-        found.append(f"{result.doubted} of {result.poses} poses are far off and count little")
-    return found
+        lines.append(f"{result.doubted} of {result.poses} poses are far off and count little")
+    return lines
 
 
 def _implausible(result: Smoothed) -> list[str]:
     """Describe constants that were estimated far from their assumed values."""
-    dynamics, robot, found = result.settings.dynamics, result.robot, []
+    dynamics, robot, lines = result.settings.dynamics, result.robot, []
     why = "the model is wrong" + ("" if result.converged else ", or it did not settle")
     away = abs(float(np.log(result.mass / robot.mass)))
     if away > IMPLAUSIBLE_DEVIATIONS * dynamics.mass > 0.0:
-        found.append(
+        lines.append(
             f"the mass found, {result.mass:.3f} kg for {robot.mass:.3f} kg, is "
             f"{away / dynamics.mass:.1f} sigma away: {why}"
         )
     moved = float(np.abs(result.center_of_mass - robot.center_of_mass).max())
     if moved > IMPLAUSIBLE_DEVIATIONS * dynamics.center_of_mass > 0.0:
-        found.append(
+        lines.append(
             f"the centre of mass found is {moved * 1e3:.1f} mm, "
             f"{moved / dynamics.center_of_mass:.1f} sigma, away from that of the robot: {why}"
         )
     wind = float(np.sqrt((result.wind**2).mean()))
     if wind > IMPLAUSIBLE_DEVIATIONS * dynamics.wind_force > 0.0:
-        found.append(
+        lines.append(
             f"the wind found is {wind:.1f} N per axis, {wind / dynamics.wind_force:.1f} times what "
             "was taken for granted: the model does not sway as the platform did, and mass and "
             "centre of mass may be off by more than their sigmas"
         )
-    return found
+    return lines
 
 
 def _used(result: Smoothed) -> str:
@@ -95,16 +95,16 @@ def _sigma(result: Smoothed) -> str:
 
 def _scored(result: Smoothed, scores: SmoothingScores) -> list[str]:
     """Describe the errors against poses that were not used."""
-    found = []
+    lines = []
     for name, part in scores.parts.items():
         axes = " / ".join(f"{value * 1e3:.1f}" for value in part.rmse[:3])
-        found.append(
+        lines.append(
             f"RMSE on {part.samples} poses that were not used, {PHASE_NAMES[name]}: {axes} mm in "
             f"x / y / z, {part.rmse[3] * 1e3:.1f} mm in norm, "
             f"{np.degrees(part.orientation_rmse):.2f} degrees; NEES {scores.nees[name]:.2f} "
             "(1: as large as the covariance says)."
         )
-    return found
+    return lines
 
 
 def _found(result: Smoothed) -> list[str]:
@@ -132,9 +132,9 @@ def _found(result: Smoothed) -> list[str]:
         "wind": blown if told["wind"] else unknown,
         "delay": f"lengths lead by {result.delay * 1e3:.1f}{ahead} ms",
     }
-    found = [words[name] for name in words if told[name]]
+    determined = [words[name] for name in words if told[name]]
     left = [words[name] for name in words if not told[name]]
-    lines = [f"Told by the data: {'; '.join(found)}."] if found else []
+    lines = [f"Told by the data: {'; '.join(determined)}."] if determined else []
     return [*lines, *([f"Taken for granted: {'; '.join(left)}."] if left else [])]
 
 

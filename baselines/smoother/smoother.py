@@ -70,10 +70,10 @@ def smooth(
     measured = arrange(recording, robot, chosen)
     misfits = find_misfits(measured.recording, robot)
     try:
-        found = _settled(measured, robot, chosen, report)
+        last = _settled(measured, robot, chosen, report)
     except CarosacError as error:
         raise CarosacError("\n  ".join([str(error), *misfits])) from error
-    return _result(found, measured, misfits, measured.withheld(start, end))
+    return _result(last, measured, misfits, measured.withheld(start, end))
 
 
 def _settled(
@@ -125,14 +125,14 @@ def _rest(
     """Return the state at which the recording begins."""
     first = float(measured.time[0])
     reading = measured.reading(first, measured.delay)
-    found = RestStart(robot, settings.dynamics).state(first, reading, settings.dynamics.start_speed)
-    if found is None:
+    rest = RestStart(robot, settings.dynamics).state(first, reading, settings.dynamics.start_speed)
+    if rest is None:
         lengths = ", ".join(f"{value:.3f}" for value in reading)
         raise CarosacError(
             f"the robot {robot.name!r} cannot hang at rest on the first recorded lengths "
             f"({lengths} m)"
         )
-    return found
+    return rest
 
 
 def _solved(
@@ -146,18 +146,18 @@ def _solved(
     for _ in range(REWEIGHTINGS_MAX):
         solution = graph.solve(passed, measured.time, weight, settings.lag)
         before, weight = weight, {
-            k: float(huber.weight(_distance(said, solution.error[k])))
-            for k, said in passed.poses.items()
+            k: float(huber.weight(_distance(measurement, solution.error[k])))
+            for k, measurement in passed.poses.items()
         }  # fmt: skip
         if all(abs(weight[k] - before[k]) <= WEIGHT_TOLERANCE for k in weight):
             break
     return solution, weight
 
 
-def _distance(said: LinearisedMeasurement, error: Array) -> float:
+def _distance(measurement: LinearisedMeasurement, error: Array) -> float:
     """Return the residual after an error is put right, in standard deviations."""
-    left = said.residual - said.by @ error
-    return float(np.sqrt(left @ np.linalg.solve(said.noise, left)))
+    left = measurement.residual - measurement.by @ error
+    return float(np.sqrt(left @ np.linalg.solve(measurement.noise, left)))
 
 
 def _change(passed: ForwardPass, solution: GraphSolution) -> tuple[float, float]:
@@ -198,23 +198,23 @@ def _put_right(state: DynamicFilterState, error: Array, covariance: Array) -> Dy
 
 
 def _result(
-    found: _LastPass,
+    last_pass: _LastPass,
     measured: ArrangedRecording,
     misfits: tuple[str, ...],
     withheld: tuple[NDArray[np.int64], Pose] | None,
 ) -> Smoothed:
     """Return the estimate at the length samples."""
-    settings, robot, graph = measured.settings, found.robot, found.graph
-    states, covariance = _states(found, measured.samples)
+    settings, robot, graph = measured.settings, last_pass.robot, last_pass.graph
+    states, covariance = _states(last_pass, measured.samples)
     last = states[-1]
     sigma = np.zeros(last.errors.size + 1)
-    sigma[graph.constant] = np.sqrt(np.diag(found.solution.constant))
+    sigma[graph.constant] = np.sqrt(np.diag(last_pass.solution.constant))
     noise = settings.dynamics.stretch_noise, settings.dynamics.rate_noise, float(sigma[-1])
     estimate, platform = _poses(states, measured.recording.time, noise)
     wanted = compared = scores = None
     if withheld is not None:
         keys, wanted = withheld
-        compared, doubt = _poses(_states(found, keys)[0], wanted.time, noise)
+        compared, doubt = _poses(_states(last_pass, keys)[0], wanted.time, noise)
         scores = score(measured.recording, wanted, compared, doubt, settings.dynamics)
     where = last.errors
     variance = np.diagonal(covariance, axis1=1, axis2=2)
@@ -238,14 +238,14 @@ def _result(
         center_of_mass=last.center,
         center_sigma=sigma[where.center],
         imu_bias=last.imu_bias,
-        delay=found.passed.delay + float(found.solution.error[-1, -1]),
+        delay=last_pass.passed.delay + float(last_pass.solution.error[-1, -1]),
         delay_sigma=float(sigma[-1]) if measured.delay_sigma else 0.0,
-        passes=found.passes,
-        change=found.change,
-        converged=found.settled,
+        passes=last_pass.passes,
+        change=last_pass.change,
+        converged=last_pass.settled,
         inertial=len(measured.felt),
         poses=len(measured.poses),
-        doubted=sum(value < 0.5 for value in found.weight.values()),
+        doubted=sum(value < 0.5 for value in last_pass.weight.values()),
         outliers=measured.outliers,
         misfits=misfits,
         measured=wanted,
@@ -273,12 +273,14 @@ def _poses(
     return poses, covariance
 
 
-def _states(found: _LastPass, keys: NDArray[np.int64]) -> tuple[list[DynamicFilterState], Array]:
+def _states(
+    last_pass: _LastPass, keys: NDArray[np.int64]
+) -> tuple[list[DynamicFilterState], Array]:
     """Return states at S key frames, and their covariances, shape (S, size, size)."""
-    solution, graph, states = found.solution, found.graph, []
+    solution, graph, states = last_pass.solution, last_pass.graph, []
     size = len(graph.changing) + len(graph.constant) - 1  # without the delay
     covariance = np.zeros((len(keys), size, size))
     for row, k in enumerate(keys):
         covariance[row][np.ix_(graph.changing, graph.changing)] = solution.covariance[k]
-        states.append(_put_right(found.passed.states[k], solution.error[k], covariance[row]))
+        states.append(_put_right(last_pass.passed.states[k], solution.error[k], covariance[row]))
     return states, covariance

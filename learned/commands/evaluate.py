@@ -129,10 +129,10 @@ def _table(data: dict[str, Any]) -> str:
         if key in data:
             columns[name] = data[key]
     rows: list[list[object]] = []
-    for name, key, said in TABLE_ROWS:
+    for name, key, text_of in TABLE_ROWS:
         if key in data and not (isinstance(data[key], float) and np.isnan(data[key])):
             rows.append(
-                [name, *(said(one[key]) if key in one else "-" for one in columns.values())]
+                [name, *(text_of(one[key]) if key in one else "-" for one in columns.values())]
             )
     return format_table(["what", *columns], rows)
 

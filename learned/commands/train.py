@@ -166,9 +166,9 @@ def _train_all(options: Options, preset: Preset, trainings: list[TrainingRun]) -
         _say_when_it_begins(job.stage)
     rows = study.run(workers=options.workers, scheduler=options.scheduler)
     data = {"preset": trainings[0].fixed_name, "robot": robot.name, "folder": study.folder}
-    found = report(study, rows)
+    results = report(study, rows)
     complete = all(row["status"] == "ok" for row in rows)
-    return CommandResult(data | found, status=0 if complete else 1)
+    return CommandResult(data | results, status=0 if complete else 1)
 
 
 def _train(job: TrainingJob, folder: Path) -> dict[str, Any]:

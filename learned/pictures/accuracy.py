@@ -101,20 +101,20 @@ def sample_paths(
         path: Picture file.
     """
     wanted = batch("reference", reference, (*np.shape(reference)[1:2], 3))
-    found = batch("reached", reached, wanted.shape[1:])
-    if len(found) != len(wanted) or len(wanted) > PATHS_DRAWN_MAX:
+    reached_paths = batch("reached", reached, wanted.shape[1:])
+    if len(reached_paths) != len(wanted) or len(wanted) > PATHS_DRAWN_MAX:
         allowed = f"as many as references, {PATHS_DRAWN_MAX} at most"
-        raise InvalidField("reached", f"{len(found)} paths for {len(wanted)}", allowed)
+        raise InvalidField("reached", f"{len(reached_paths)} paths for {len(wanted)}", allowed)
     figure = new_figure(12.0, 7.2)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1.0))
     space = figure.add_subplot(grid[:, 0], projection="3d")
     corners = np.stack([robot.workspace_min, robot.workspace_max])
-    limits = limits_of([wanted.reshape(-1, 3), found.reshape(-1, 3), corners])
-    _paths(space, wanted, found, robot, (0, 1, 2))
+    limits = limits_of([wanted.reshape(-1, 3), reached_paths.reshape(-1, 3), corners])
+    _paths(space, wanted, reached_paths, robot, (0, 1, 2))
     set_space(space, limits)
     for row, (pair, title) in enumerate(views(robot)):
         axes = figure.add_subplot(grid[row, 1])
-        _paths(axes, wanted, found, robot, pair)
+        _paths(axes, wanted, reached_paths, robot, pair)
         axes.set(xlabel=f"{'xyz'[pair[0]]} [m]", ylabel=f"{'xyz'[pair[1]]} [m]")
         axes.set(xlim=limits[pair[0]], ylim=limits[pair[1]], aspect="equal")
         axes.set_title(title, fontsize=9)
@@ -178,8 +178,8 @@ def errors_over_time(
     when = batch("time", time, ())
     figure = new_figure(12.0, 7.6)
     panels = figure.subplots(3, 1, sharex=True)
-    for (name, given), color in zip(errors.items(), COLORS, strict=False):
-        values = MM_PER_M * np.abs(batch(name, given, (3,)))
+    for (name, series), color in zip(errors.items(), COLORS, strict=False):
+        values = MM_PER_M * np.abs(batch(name, series, (3,)))
         if len(values) != len(when):
             raise InvalidField(name, f"{len(values)} errors", f"{len(when)}, one for each time")
         for axes, column in zip(panels, values.T, strict=True):
@@ -224,7 +224,7 @@ def _histogram(axes: Any, values: Array, color: str) -> None:
     axes.set_axisbelow(True)
 
 
-def _paths(axes: Any, wanted: Array, found: Array, robot: Robot, view: tuple[int, ...]) -> None:
+def _paths(axes: Any, wanted: Array, paths: Array, robot: Robot, view: tuple[int, ...]) -> None:
     """Draw the workspace box and all paths in one view."""
     columns = list(view)
     ends = np.stack([robot.workspace_min, robot.workspace_max])[:, columns]
@@ -237,6 +237,6 @@ def _paths(axes: Any, wanted: Array, found: Array, robot: Robot, view: tuple[int
         label = None if k else "reference"
         axes.plot(*reference.T, color=MEASURED, lw=0.9, ls="--", label=label, zorder=3)
         axes.plot(*reference[:1].T, "o", color=MEASURED, ms=3.5, zorder=3)
-    for k, reached in enumerate(found[..., columns]):
+    for k, reached in enumerate(paths[..., columns]):
         label = None if k else "reached"
         axes.plot(*reached.T, color=COLORS[k], lw=1.5, label=label, zorder=2)

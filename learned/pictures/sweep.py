@@ -36,8 +36,8 @@ def sweep(errors: Mapping[str, ArrayLike], path: str | Path) -> Figure:
     lines = sum(max(1, -(-len(name) // LABEL_WIDTH)) for name in errors)
     figure = new_figure(8.0, 1.4 + 0.1 * len(errors) + 0.32 * lines)
     axes = figure.subplots()
-    found = {name: MM_PER_M * batch(name, values, ()) for name, values in errors.items()}
-    for k, values in enumerate(found.values()):
+    groups = {name: MM_PER_M * batch(name, values, ()) for name, values in errors.items()}
+    for k, values in enumerate(groups.values()):
         axes.plot(values, np.full(len(values), k), "o", color=COLORS[1], ms=6.0, alpha=0.7,
                   mew=0.0)  # fmt: skip
         middle = float(np.median(values))
@@ -47,14 +47,14 @@ def sweep(errors: Mapping[str, ArrayLike], path: str | Path) -> Figure:
             color=MEASURED,
             lw=1.6,
         )
-    every = np.concatenate(list(found.values()))
+    every = np.concatenate(list(groups.values()))
     if every.min() > 0.0 and every.max() > LOG_AXIS_RATIO * every.min():
         axes.set_xscale("log")
     else:
         axes.set_xlim(left=0.0)
-    labels = [textwrap.fill(name, LABEL_WIDTH) for name in found]
-    axes.set_yticks(range(len(found)), labels)
-    axes.set_ylim(len(found) - 0.5, -0.5)
+    labels = [textwrap.fill(name, LABEL_WIDTH) for name in groups]
+    axes.set_yticks(range(len(groups)), labels)
+    axes.set_ylim(len(groups) - 0.5, -0.5)
     axes.set_xlabel("median position error after training [mm]")
     axes.grid(alpha=0.25, axis="x")
     figure.suptitle("Variations; dots: seeds, line: their median")

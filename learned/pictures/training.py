@@ -174,15 +174,15 @@ def _draw_reward(axes: Any, curve: LearningCurve, color: str, label: str) -> Non
 def _legend(curves: Sequence[LearningCurve]) -> list[str]:
     """Explain the marks of the rewards."""
     averaged = {curve.get("averaged", False) for curve in curves}
-    said = []
+    lines = []
     if False in averaged:
         share = f"{100 * SMOOTHING_RATIO:.0f} %"
-        said.append(
+        lines.append(
             f"pale: each episode; line: moving mean of {share}, or of all that end together"
         )
     if True in averaged:
-        said.append("dots on a line: mean of the episodes since the dot before")
-    return said
+        lines.append("dots on a line: mean of the episodes since the dot before")
+    return lines
 
 
 def _draw_errors(axes: Any, curve: LearningCurve, color: str) -> None:
