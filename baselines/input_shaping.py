@@ -29,19 +29,20 @@ from typing import ClassVar, Literal, Self, get_args
 
 import numpy as np
 
-from baselines.kinematic_solver_controller import UnreachableReference
+from baselines.kinematic_solver_controller import UnreachableReference, rest_at
 from baselines.lookahead import LookaheadSettings, delay_of, interpolated
 from baselines.shaped_signal import ShapedSignal, SignalHistory
 from baselines.shapers import SHAPER_NAMES, Shaper, impulses, mean_delay
 from baselines.sway_modes import SwayModes, sway_modes
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_not_negative, check_positive
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.physics.rest import statics
-from carosac_toolkit.physics.rest.statics import Equilibrium
 from carosac_toolkit.robot.robot import Robot
 
 ShapingDirections = Literal["modal", "all"]
+NAME = "input_shaping"  # in messages
 UNEXCITED_MASS_RATIO = (
     2e-3  # epsilon: share of the platform's mass below which a mode counts as not excited
 )
@@ -81,10 +82,8 @@ class InputShapingSettings(LookaheadSettings):
                 raise InvalidField(name, repr(getattr(self, name)), f"one of {list(allowed)}")
         if not isinstance(self.preview, bool):
             raise InvalidField("preview", repr(self.preview), "true or false")
-        if not 0.0 <= self.frequency_max < np.inf:
-            raise InvalidField("frequency_max", f"{self.frequency_max} Hz", "frequency_max >= 0")
-        if not 0.0 < self.start_time < np.inf:
-            raise InvalidField("start_time", f"{self.start_time} s", "start_time > 0")
+        check_not_negative("frequency_max", self.frequency_max, "Hz")
+        check_positive("start_time", self.start_time, "s")
 
 
 class InputShaping:
@@ -139,7 +138,7 @@ class InputShaping:
         aim = interpolated(when, reference.time, reference.position)[:, 0]
         if self.modes:
             aim = self._shaped(aim, reference)
-        rest = self._rest(aim + self._correction)
+        rest = rest_at(self._robot, aim + self._correction, NAME)
         return Command(time=belief.time, unstrained_length=rest.unstrained_length)
 
     def _forget(self, size: int) -> None:
@@ -157,7 +156,7 @@ class InputShaping:
         elif not (now > self._past[0].last).all():
             allowed = "later than in the last call, or reset() in between"
             raise InvalidField("reference.time[0]", f"{now} s", allowed)
-        modes = sway_modes(self._robot, self._rest(aim), self.modes)
+        modes = sway_modes(self._robot, rest_at(self._robot, aim, NAME), self.modes)
         if not (modes.frequency > 0.0).all():
             row = int((~(modes.frequency > 0.0)).any(axis=1).argmax())
             raise UnreachableReference(
@@ -221,17 +220,6 @@ class InputShaping:
         ]
         return [np.sum(each, axis=0)] if self._settings.directions == "all" else each
 
-    def _rest(self, position: Array) -> Equilibrium:
-        """Solve for rest at positions (B, 3) [m]."""
-        rest = statics.inverse_kinematics(self._robot, position)
-        if not rest.converged.all():
-            row = int((~rest.converged).argmax())
-            raise UnreachableReference(
-                f"input_shaping: position {position[row].round(4)} m: "
-                f"{statics.REASONS[rest.status[row]]}"
-            )
-        return rest
-
     def _largest_delays(self) -> Array:
         """Return the mean delay of each shaper at the slowest sway of the workspace box [s]."""
         if self.modes == 0:
@@ -242,7 +230,9 @@ class InputShaping:
         rest = statics.inverse_kinematics(self._robot, poses)
         usable = rest.converged & rest.stable
         poses = np.vstack([self._robot.home_position, poses[usable]])
-        delays = self._delays(sway_modes(self._robot, self._rest(poses), self.modes))
+        delays = self._delays(
+            sway_modes(self._robot, rest_at(self._robot, poses, NAME), self.modes)
+        )
         return np.array([delay.max() for delay in delays])
 
 

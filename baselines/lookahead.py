@@ -9,7 +9,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from carosac_toolkit.base.arrays import Array
-from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_not_negative, check_positive
 from carosac_toolkit.loop.values import Belief, Command, Reference
 from carosac_toolkit.robot.robot import Robot
 
@@ -32,12 +32,10 @@ class LookaheadSettings:
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
-        if not 0.0 < self.period < np.inf:
-            raise InvalidField("period", f"{self.period} s", "period > 0")
-        if self.delay is not None and not 0.0 <= self.delay < np.inf:
-            raise InvalidField("delay", f"{self.delay} s", "delay >= 0, or none")
-        if not 0.0 <= self.gain < np.inf:
-            raise InvalidField("gain", f"{self.gain} 1/s", "gain >= 0")
+        check_positive("period", self.period, "s")
+        if self.delay is not None:
+            check_not_negative("delay", self.delay, "s")
+        check_not_negative("gain", self.gain, "1/s")
 
 
 def delay_of(robot: Robot, settings: LookaheadSettings) -> float:

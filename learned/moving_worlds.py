@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError, InvalidField
+from carosac_toolkit.base.numbers import check_fields
 from carosac_toolkit.drivers.sensors import check_suite
 from carosac_toolkit.loop.values import Belief
 from carosac_toolkit.physics.rest import statics
@@ -54,9 +55,7 @@ class MovingSettings:
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
-        for name in ("position_bias", "length_bias", "start_speed"):
-            if not 0.0 <= getattr(self, name) < np.inf:
-                raise InvalidField(name, getattr(self, name), ">= 0, finite")
+        check_fields(self, not_negative=("position_bias", "length_bias", "start_speed"))
         find_condition(self.perturbation)
         if not 0.0 < self.estimated <= 1.0:
             raise InvalidField("estimated", self.estimated, "0 < estimated <= 1")

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
-import numpy as np
-
 from carosac_toolkit.base.errors import InvalidField
+from carosac_toolkit.base.numbers import check_fields, check_positive, check_whole
 
 Compiled = Literal["auto", "always", "never"]
 
@@ -62,23 +61,17 @@ class MpcSettings:
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no sense."""
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if item.name == "compiled" or (item.name == "time_budget" and value is None):
-                continue
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            zero = item.name.endswith("_weight") or item.name == "center_of_mass"
-            lowest = 0.0 if zero else None
-            good = number and (value >= 0.0 if lowest == 0.0 else value > 0.0) and value < np.inf
-            if not good:
-                sign = ">=" if lowest == 0.0 else ">"
-                raise InvalidField(item.name, repr(value), f"{item.name} {sign} 0, finite")
-        if not isinstance(self.stages, int):
-            raise InvalidField("stages", repr(self.stages), "a whole number")
+        check_whole("stages", self.stages, 2)
+        zero = [item.name for item in fields(self) if item.name.endswith("_weight")]
+        zero.append("center_of_mass")
+        apart = (*zero, "stages", "compiled", "time_budget")
+        positive = [item.name for item in fields(self) if item.name not in apart]
+        check_fields(self, positive=positive, not_negative=zero)
+        if self.time_budget is not None:
+            check_positive("time_budget", self.time_budget, "s")
         if self.compiled not in get_args(Compiled):
             raise InvalidField("compiled", repr(self.compiled), f"one of {get_args(Compiled)}")
-        if self.stages < 2 or not self.lookahead > self.period * 2:
-            got = f"{self.lookahead} s in {self.stages} stages"
-            raise InvalidField("lookahead", got, "two stages or more, over two periods")
+        if not self.lookahead > 2.0 * self.period:
+            raise InvalidField("lookahead", f"{self.lookahead} s", "lookahead > 2 * period")
         if not self.limit_share <= 1.0:
             raise InvalidField("limit_share", repr(self.limit_share), "0 < limit_share <= 1")

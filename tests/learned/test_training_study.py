@@ -123,7 +123,7 @@ def test_a_case_is_the_training_it_stands_for():
 
 
 def test_what_is_not_finite_is_left_out(tmp_path, monkeypatch):
-    last = dict.fromkeys(training_study.COLUMNS, 1.0) | {"rmse_m": np.nan}
+    last = dict.fromkeys(training_study.CURVE_COLUMNS, 1.0) | {"rmse_m": np.nan}
     monkeypatch.setattr(training_study, "train", lambda *_: None)
     monkeypatch.setattr(training_study, "read_curve", lambda _: [last])
     row = train_case(some_trainings((0,))[0].case(), tmp_path)

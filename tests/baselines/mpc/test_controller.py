@@ -260,7 +260,8 @@ def test_a_batch_and_a_place_out_of_reach_are_refused():
 @pytest.mark.parametrize(("name", "value", "allowed"), [
     ("period", 0.0, "period > 0, finite"), ("position_weight", -1.0, "position_weight >= 0"),
     ("stages", 20.5, "a whole number"), ("compiled", "yes", "one of"),
-    ("lookahead", 0.03, "two stages or more"), ("time_budget", np.nan, "time_budget > 0"),
+    ("lookahead", 0.03, r"lookahead > 2 \* period"), ("stages", 1, "a whole number from 2"),
+    ("time_budget", np.nan, "time_budget > 0"),
     ("limit_share", 1.5, "0 < limit_share <= 1"),
 ])  # fmt: skip
 def test_settings_that_make_no_sense_are_refused(name, value, allowed):
