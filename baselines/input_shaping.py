@@ -42,13 +42,9 @@ from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 
 ShapingDirections = Literal["modal", "all"]
-NAME = "input_shaping"  # in messages
-UNEXCITED_MASS_RATIO = (
-    2e-3  # epsilon: share of the platform's mass below which a mode counts as not excited
-)
-WORKSPACE_GRID_POSES = (
-    5  # poses along each side of the workspace box in which the slowest sway is looked for
-)
+CONTROLLER_NAME = "input_shaping"  # in messages
+UNEXCITED_MASS_RATIO = 2e-3  # epsilon: below this share of the mass a mode is not excited
+WORKSPACE_GRID_POSES = 5  # along each side of the workspace box, to find the slowest sway
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +134,7 @@ class InputShaping:
         aim = interpolated(when, reference.time, reference.position)[:, 0]
         if self.modes:
             aim = self._shaped(aim, reference)
-        rest = rest_at(self._robot, aim + self._correction, NAME)
+        rest = rest_at(self._robot, aim + self._correction, CONTROLLER_NAME)
         return Command(time=belief.time, unstrained_length=rest.unstrained_length)
 
     def _forget(self, size: int) -> None:
@@ -156,7 +152,7 @@ class InputShaping:
         elif not (now > self._past[0].last).all():
             allowed = "later than in the last call, or reset() in between"
             raise InvalidField("reference.time[0]", f"{now} s", allowed)
-        modes = sway_modes(self._robot, rest_at(self._robot, aim, NAME), self.modes)
+        modes = sway_modes(self._robot, rest_at(self._robot, aim, CONTROLLER_NAME), self.modes)
         if not (modes.frequency > 0.0).all():
             row = int((~(modes.frequency > 0.0)).any(axis=1).argmax())
             raise UnreachableReference(
@@ -231,7 +227,7 @@ class InputShaping:
         usable = rest.converged & rest.stable
         poses = np.vstack([self._robot.home_position, poses[usable]])
         delays = self._delays(
-            sway_modes(self._robot, rest_at(self._robot, poses, NAME), self.modes)
+            sway_modes(self._robot, rest_at(self._robot, poses, CONTROLLER_NAME), self.modes)
         )
         return np.array([delay.max() for delay in delays])
 

@@ -9,16 +9,14 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-READING_INTERVAL_MIN_S = 1e-6  # [s] between two readings
-EXTRAPOLATION_TIME_S = 0.1  # [s] for which the last rate goes on
+READING_INTERVAL_MIN_S = 1e-6
+EXTRAPOLATION_TIME_S = 0.1  # for which the last rate goes on
 AGREEING_READINGS_MIN = 5  # readings in a row that agree with each other cannot all be outliers
 JUMP_KEPT_RATIO = 0.5  # of a jump: a reading that is off by less is no part of it
-JUMP_RETURN_RATIO = (
-    0.25  # of a jump: off by less after one back, soon, encoders are where they were
-)
-JUMP_RETURN_TIME_S = 2.0  # [s]: a fault that ends has ended by then
-READING_JITTER_M = 5e-3  # [m] by which a reading may miss what the last ones led to expect
-SLIP_DEVIATION_M = 5e-3  # [m]: one sigma of how far an encoder slipped
+JUMP_RETURN_RATIO = 0.25  # of a jump: an encoder that is off by less soon after has come back
+JUMP_RETURN_TIME_S = 2.0  # in which a fault that ends has ended
+READING_JITTER_M = 5e-3  # by which a reading may miss the expectation
+SLIP_DEVIATION_M = 5e-3  # of the estimated slip of an encoder
 FROZEN_READINGS_MIN = 3  # equal readings in a row: the encoder is stuck, or the winch rests
 
 

@@ -84,7 +84,7 @@ class EnvironmentSettings:
             raise InvalidField("action", repr(self.action), "'absolute' or 'push'")
         self._check_motion()
         if self.world == "realtime" and "fit" in self.reward.terms:
-            allowed = "terms without 'fit', whose inconsistency nobody knows in real time"
+            allowed = "terms without 'fit', whose inconsistency is unknown in real time"
             raise InvalidField("reward.terms", self.reward.terms, allowed)
         if self.reward.slack > 0.0 and self.world != "settle":
             allowed = "0, but in world 'settle', whose lengths decide what cables pull with"

@@ -26,14 +26,10 @@ PROTOCOL_PATHS = {"no-sag": 1000, "settle": 20, "realtime": 20}
 SET_POINTS_PER_PATH = 100  # set-points along a path
 SET_POINT_BATCH = 100  # paths of set-points at once
 EVALUATION_SEED_OFFSET = 1_000_003  # added to seeds, so that no path of a training comes again
-SETTLING_TIME_S = (
-    1.0  # [s] that particles get to come to their own rest, and platforms at the end of a path
-)
-PEAK_SPEED_RANGE_M_PER_S = (0.5, 2.08)  # [m/s] least and largest peak speed in real time
-ACCELERATION_MAX_M_PER_S2 = 2.0  # [m/s^2] in real time
-FEASIBILITY_STEP_S = (
-    0.05  # [s] between two points of a path at which the robot must be able to rest
-)
+SETTLING_TIME_S = 1.0  # of particles at a set-point, and of platforms at the end of a path
+PEAK_SPEED_RANGE_M_PER_S = (0.5, 2.08)  # in real time
+ACCELERATION_MAX_M_PER_S2 = 2.0  # in real time
+FEASIBILITY_STEP_S = 0.05  # between points of a path at which the robot must be able to rest
 EVALUATION_WORLDS = MovingSettings(cables="particles", perturbation="nominal-1", start_speed=0.0)
 
 

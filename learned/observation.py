@@ -18,10 +18,8 @@ from carosac_toolkit.base.numbers import check_fields
 from carosac_toolkit.physics.cable.straight_line import inverse_kinematics
 from carosac_toolkit.robot.robot import Robot
 
-LENGTH_MARGIN_RATIO = (
-    0.02  # share of its range by which lengths may go beyond those of the workspace box
-)
-LENGTH_GRID_POINTS = 9  # points along each edge of the box at which lengths are looked at
+LENGTH_MARGIN_RATIO = 0.02  # of their range, beyond the lengths of the workspace box
+LENGTH_GRID_POINTS = 9  # along each edge of the box, to find the range of lengths
 
 
 @dataclass(frozen=True, kw_only=True)

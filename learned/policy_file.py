@@ -25,7 +25,7 @@ Layers = Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
 POLICY_SCHEMA = "carosac-policy/1"
 METADATA_PREFIX = "carosac."  # of the names of our metadata
-ACTIVATIONS = ("relu", "silu")
+ACTIVATION_NAMES = ("relu", "silu")
 ONNX_OPSET = 17
 OBSERVATION_MAX = 1e15  # of an observation: float32 networks are far from overflowing there
 ONNX_IR_VERSION = 8  # goes with the opset
@@ -165,8 +165,8 @@ def write_policy(
             an environment.
         CarosacError: onnx is not installed, or the file cannot be written.
     """
-    if activation not in ACTIVATIONS:
-        raise InvalidField("activation", repr(activation), f"one of {list(ACTIVATIONS)}")
+    if activation not in ACTIVATION_NAMES:
+        raise InvalidField("activation", repr(activation), f"one of {list(ACTIVATION_NAMES)}")
     model = _model(_checked(layers), activation)
     if description.probe is None:
         settings = environment_settings(description.settings)

@@ -28,7 +28,7 @@ from carosac_toolkit.base.errors import InvalidField
 from carosac_toolkit.base.numbers import check_fields
 from learned.transition import Transition
 
-DISTANCE_FLOOR = 0.01  # [m] below which the distance in `action_ratio` is not counted smaller
+DISTANCE_FLOOR_M = 0.01  # [m] below which the distance in `action_ratio` is not counted smaller
 PAPER_NO_SAG = ("step", "distance", "goal")
 PAPER_SAG = (*PAPER_NO_SAG, "sag", "action_ratio", "deviation")
 
@@ -191,7 +191,7 @@ def _sag(transition: Transition, reward: Reward) -> Array:
 def _action_ratio(transition: Transition, reward: Reward) -> Array:
     change = np.linalg.norm(transition.asked - transition.length_before, axis=1)
     away = np.linalg.norm(transition.position_before - transition.target, axis=1)
-    return action_ratio_reward(change / np.maximum(away, DISTANCE_FLOOR))
+    return action_ratio_reward(change / np.maximum(away, DISTANCE_FLOOR_M))
 
 
 def _deviation(transition: Transition, reward: Reward) -> Array:

@@ -17,7 +17,7 @@ from carosac_toolkit.robot.robot import Robot
 from learned.environment import CableEnvironment
 from learned.target_paths import TargetPath
 
-TENSION_TOLERANCE_N = 1e-3  # [N] inverse kinematics may choose a tension that is just at its limit
+TENSION_TOLERANCE_N = 1e-3  # inverse kinematics may choose a tension that is just at its limit
 
 Act = Callable[[Array], Array]  # observations (B, d) to actions (B, a) in [-1, 1]
 

@@ -20,7 +20,7 @@ from carosac_toolkit.robot.robot import Robot
 from sim_warp import Simulator
 from sim_warp.driver import SimPlant
 
-TRIAL_STEP_S = 0.01  # [s] after which an estimator is tried
+TRIAL_STEP_S = 0.01  # after which an estimator is tried
 
 
 class Sensing:

@@ -18,7 +18,7 @@ from carosac_toolkit.trajectories import Trajectory, random_minimum_snap, random
 PATH_ATTEMPTS_MAX = 100  # to draw a feasible path
 COARSE_STRIDE = 40  # points of a path: the first of so many is looked at before all are
 SCATTER_KIND = "scatter"
-PATH_LOOKAHEAD_S = 1.0  # [s] of a path that are known beyond the end of an episode, as when driving
+PATH_LOOKAHEAD_S = 1.0  # of a path that are known beyond the end of an episode, as when driving
 
 Feasible = Callable[[Array], NDArray[np.bool_]]
 

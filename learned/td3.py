@@ -16,7 +16,7 @@ from learned.presets import Stage, Td3Settings
 from learned.relabelling import RelabellingBuffer
 from learned.vector_environment import CableVecEnv
 
-ACTIVATIONS = {"relu": torch.nn.ReLU, "silu": torch.nn.SiLU}
+ACTIVATION_MODULES = {"relu": torch.nn.ReLU, "silu": torch.nn.SiLU}
 QUIET_START_RATIO = 0.01  # by which the last layer of a quiet start is smaller
 NOISE_CLIP_RATIO = 2.5  # of the noise on target actions, over its standard deviation
 BUFFER_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
@@ -95,7 +95,7 @@ def _networks(stage: Stage, target: slice | None, span: float) -> dict[str, Any]
     settings = stage.td3
     policy: dict[str, Any] = {
         "net_arch": list(settings.hidden),
-        "activation_fn": ACTIVATIONS[settings.activation],
+        "activation_fn": ACTIVATION_MODULES[settings.activation],
         "n_critics": settings.critics,
     }
     if settings.critic == "metric":

@@ -51,7 +51,7 @@ TEST_PATHS = 64
 TEST_SET_POINTS = 40  # of a path of set-points
 CURVE_POINTS_MAX = 40  # points of the learning curve, at most
 CURVE_INTERVAL_MIN = 2_000  # between two of them, at least
-CHECKPOINT_INTERVAL_S = 120.0  # [s]
+CHECKPOINT_INTERVAL_S = 120.0
 STOP_NOTICE = (
     "stopping after this step, with a checkpoint (Ctrl-C again: at once, without a new one)"
 )

@@ -29,7 +29,7 @@ from learned.training import CHECKPOINT_FILE, POLICY_FILE, TrainingJob, train
 CASE_FUNCTION = "learned.training_study:train_case"
 CPU_DEVICE = "cpu"  # of studies that do not say where
 NO_PART = "none"  # of what a case of a study has and a training has not
-TIME_LIMIT_S = 30 * 24 * 3600.0  # [s] of one training
+TIME_LIMIT_S = 30 * 24 * 3600.0  # of one training
 RETRIED_STATUSES = tuple(name for name in STATUSES if name != "ok")
 RANDOM_STEPS_SHARE_MAX = 0.2  # of shortened trainings, at most, is random
 

@@ -26,7 +26,7 @@ class Transition:
         asked: Lengths that the action asks for [m], shape (B, n).
         inconsistency: What each length lacks to the one that inverse kinematics of the same model
             gives at `position` [m], shape (B, n); zero where the lengths agree with each other,
-            NaN where a platform moves and nobody can say.
+            NaN, unknown, for a platform in motion.
         tension: At the platform [N], shape (B, n); None where no forces are known.
         velocity: Of the platform origin less that of its target [m/s], shape (B, 3); zero where
             set-points settle.

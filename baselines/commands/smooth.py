@@ -1,12 +1,12 @@
 """Smooth a recording: the best estimate of pose and twist, afterwards.
 
-The platform's dynamics go through the whole recording, driven by its lengths; what was measured
-later counts as well as what was measured before. Inertial samples are used where there are any.
-Measured poses are withheld, and the estimate is scored on them, unless --poses says otherwise.
-Writes a recording with the smoothed poses, a table with all that was found, and two pictures.
+The platform's dynamics are driven by the recorded lengths; measurements count both before and after
+their time. Inertial samples are used where there are any. Measured poses are withheld, and the
+estimate is scored on them, unless --poses says otherwise. Writes a recording with the smoothed
+poses, a table with all estimates, and two pictures.
 
-Exit status 1 means that the passes did not settle (the estimate is the last one), or that the robot
-does not belong to the recording.
+Exit status 1 means that the passes did not converge (the estimate is the last one), or that the
+robot does not belong to the recording.
 """
 
 from __future__ import annotations
@@ -51,30 +51,30 @@ class Options(CommonOptions):
     """A bundled robot or a YAML file, best one that was calibrated; by default the one that the
     recording names, or else the bundled one with the exit points measured in it."""
     poses: Literal["withheld", "half", "used"] = "withheld"
-    """Measured poses: all withheld, to score with; every second one used, the others to score
-    with, each at its own time; all used."""
+    """Use of the measured poses: `withheld` scores the estimate on all of them, `half` uses every
+    second one and scores on the others, each at its own time, `used` uses all."""
     imu: bool = True
     """Use inertial samples, where the recording has them."""
     lag: float | None = None
-    """Use only what was measured up to so many seconds later; by default the whole recording."""
+    """Use only measurements up to so many seconds later; by default the whole recording."""
     start: int = 0
-    """First sample to score; the estimate still rests on all."""
+    """First sample to score; the estimate still uses all."""
     stop: int | None = None
     """One past the last sample to score; by default all are scored."""
     mass: float | None = None
-    """One sigma of the mass, over the mass; by default this and the next are those of the
-    condition nominal-1, which is far too much for a robot that was identified."""
+    """Standard deviation of the mass, relative to the mass. By default this and the next options
+    are those of the condition nominal-1, which are far too wide for an identified robot."""
     center_of_mass: float | None = None
-    """One sigma of the centre of mass, per axis [m]."""
+    """Standard deviation of the centre of mass, per axis [m]."""
     length_bias: float | None = None
-    """One sigma of what the readings of a cable say too much at the start [m]."""
+    """Standard deviation of the error of a cable's length readings at the start [m]."""
     length_bias_walk: float | None = None
-    """One sigma of its change in a second [m]."""
+    """Standard deviation of the change of that error in a second [m]."""
     delay: float | None = None
-    """By how much lengths lead poses and inertial samples [s]; by default what the robot says, or
-    else it is found."""
+    """Time by which lengths lead poses and inertial samples [s]; by default that of the robot file;
+    without one it is estimated."""
     wind_force: float | None = None
-    """One sigma of the wind, or of what else pushes the platform, per horizontal axis [N]."""
+    """Standard deviation of the wind, or of any other unknown push, per horizontal axis [N]."""
     output: OutputFile = None
     """Write the smoothed recording to this .parquet or .csv file; never over the old one. By
     default it goes beside the pictures."""

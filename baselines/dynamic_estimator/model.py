@@ -14,10 +14,10 @@ from carosac_toolkit.base.errors import CarosacError
 from carosac_toolkit.physics.motion.propagation import Arrived, Motions, Propagation
 from carosac_toolkit.robot.robot import Robot
 
-DIFFERENCE_STEP_M = 1e-4  # [m] and [m/s] of the centre of mass, for differences
-WIND_STEP_N = 1e-2  # [N]
+DIFFERENCE_STEP_M = 1e-4  # of the centre of mass, and its speed [m/s]
+WIND_STEP_N = 1e-2
 LOG_MASS_STEP = 1e-4
-LENGTH_STEP_M = 1e-5  # [m], also of the centre of mass in P
+LENGTH_STEP_M = 1e-5  # also of the centre of mass in P
 
 
 class NoMotion(CarosacError):

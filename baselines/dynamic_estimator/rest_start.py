@@ -20,7 +20,7 @@ LOAD_STEPS = (
     1e-4,
     1e-4,
 )  # of the differences: logarithm of the mass, centre of mass [m]
-LENGTH_STEP_M = 1e-4  # [m]
+LENGTH_STEP_M = 1e-4
 
 
 class RestStart:

@@ -9,12 +9,12 @@ import numpy as np
 from baselines.ks_ekf.cable_model import expected_lengths
 from baselines.ks_ekf.cable_swing import CableSwing
 from baselines.ks_ekf.filter_state import (
-    CENTER,
-    FORCE_BIAS,
-    LENGTHS,
-    RATE_BIAS,
-    ROTATION,
-    VELOCITY,
+    CENTER_ERRORS,
+    FORCE_BIAS_ERRORS,
+    LENGTH_ERRORS,
+    RATE_BIAS_ERRORS,
+    ROTATION_ERRORS,
+    VELOCITY_ERRORS,
     KsEkfState,
     cross,
 )
@@ -81,8 +81,8 @@ def of_rest_pose(
     turn = pinocchio.log3(rest.rotation @ state.rotation.T)
     shift = rest.position - origin(state, settings.imu_position)
     jacobian = pose_map(state, settings.imu_position)
-    jacobian[:, CENTER] = -rest.per_center
-    jacobian[:, LENGTHS] = rest.per_length
+    jacobian[:, CENTER_ERRORS] = -rest.per_center
+    jacobian[:, LENGTH_ERRORS] = rest.per_length
     return MeasurementResidual(
         residual=np.concatenate([shift, turn]),
         jacobian=jacobian,
@@ -108,10 +108,10 @@ def of_stillness(
     """Compare rest as the IMU sees it: no velocity, no angular rate, only gravity."""
     down = np.array([0.0, 0.0, -gravity])
     jacobian = np.zeros((9, len(state.covariance)))
-    jacobian[:3, RATE_BIAS] = np.eye(3)
-    jacobian[3:6, ROTATION] = -state.rotation.T @ cross(down)
-    jacobian[3:6, FORCE_BIAS] = np.eye(3)
-    jacobian[6:, VELOCITY] = np.eye(3)
+    jacobian[:3, RATE_BIAS_ERRORS] = np.eye(3)
+    jacobian[3:6, ROTATION_ERRORS] = -state.rotation.T @ cross(down)
+    jacobian[3:6, FORCE_BIAS_ERRORS] = np.eye(3)
+    jacobian[6:, VELOCITY_ERRORS] = np.eye(3)
     residual = np.concatenate(
         [
             quiet.rate - state.rate_bias,

@@ -16,7 +16,13 @@ from baselines.center_of_mass import learned_center_of_mass
 from baselines.ks_ekf import corrections, initial_state
 from baselines.ks_ekf.corrections import MeasurementResidual
 from baselines.ks_ekf.error_filter import ErrorFilter, FilterCorrection, added, no_innovations
-from baselines.ks_ekf.filter_state import CENTER, FIXED_ERRORS, NO_SAMPLES, POSITION, KsEkfState
+from baselines.ks_ekf.filter_state import (
+    CENTER_ERRORS,
+    FIXED_ERROR_COUNT,
+    NO_SAMPLES,
+    POSITION_ERRORS,
+    KsEkfState,
+)
 from baselines.ks_ekf.inertial import InertialMotion, samples_of, slope
 from baselines.ks_ekf.platform_motion import at_rest, carried, origin
 from baselines.ks_ekf.record import KsEkfRecord
@@ -51,8 +57,10 @@ class KsEkf:
         self._robot = robot
         self._settings = settings
         self._lead = robot.length_delay or 0.0
-        self._kalman = ErrorFilter(FIXED_ERRORS + robot.n, settings.gate)
-        self._motion = InertialMotion(robot.gravity, settings, FIXED_ERRORS + robot.n, self._kalman)
+        self._kalman = ErrorFilter(FIXED_ERROR_COUNT + robot.n, settings.gate)
+        self._motion = InertialMotion(
+            robot.gravity, settings, FIXED_ERROR_COUNT + robot.n, self._kalman
+        )
 
     @classmethod
     def build(cls, robot: Robot, settings: KsEkfSettings | None = None, *, seed: int = 0) -> KsEkf:
@@ -231,7 +239,7 @@ class KsEkf:
         """Believe less and less of the state, in the end nothing: then start anew."""
         robot, settings = self._robot, self._settings
         state = initial_state.doubted(robot, settings, record.state, DOUBT_FACTOR)
-        if np.trace(state.covariance[POSITION, POSITION]) < settings.sway**2:
+        if np.trace(state.covariance[POSITION_ERRORS, POSITION_ERRORS]) < settings.sway**2:
             return replace(record, state=state, doubts=record.doubts + 1)
         lost = initial_state.forgotten(robot, settings, record.state)
         return self._restart(replace(record, state=lost), reading)
@@ -335,7 +343,7 @@ class KsEkf:
             twist, covariance = at_rest(state)
             position = state.position
         center = learned_center_of_mass(
-            self._robot.center_of_mass + state.center, state.covariance[CENTER, CENTER],
+            self._robot.center_of_mass + state.center, state.covariance[CENTER_ERRORS, CENTER_ERRORS],
             self._settings.center_of_mass_prior,
         )  # fmt: skip
         return Belief(

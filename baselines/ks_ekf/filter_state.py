@@ -11,15 +11,15 @@ from baselines.length_readings import SLIP_DEVIATION_M
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.rest.statics import Equilibrium
 
-POSITION = slice(0, 3)  # of the error state, all in W unless said otherwise [m]
-ROTATION = slice(3, 6)  # log(R R_hat^T) [rad]
-POSE = slice(0, 6)
-VELOCITY = slice(6, 9)  # [m/s]
-RATE_BIAS = slice(9, 12)  # in P [rad/s]
-FORCE_BIAS = slice(12, 15)  # in P [m/s^2]
-CENTER = slice(15, 18)  # of mass, in P [m]
-LENGTHS = slice(18, None)  # errors of the n lengths [m]
-FIXED_ERRORS = 18  # entries before those of the lengths
+POSITION_ERRORS = slice(0, 3)  # of the error state, all in W unless said otherwise [m]
+ROTATION_ERRORS = slice(3, 6)  # log(R R_hat^T) [rad]
+POSE_ERRORS = slice(0, 6)
+VELOCITY_ERRORS = slice(6, 9)  # [m/s]
+RATE_BIAS_ERRORS = slice(9, 12)  # in P [rad/s]
+FORCE_BIAS_ERRORS = slice(12, 15)  # in P [m/s^2]
+CENTER_ERRORS = slice(15, 18)  # of mass, in P [m]
+LENGTH_ERRORS = slice(18, None)  # errors of the n lengths [m]
+FIXED_ERROR_COUNT = 18  # entries before those of the lengths
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -117,27 +117,29 @@ class KsEkfState:
         """Put an estimated error (18 + n,) into the state, and take its covariance over."""
         import pinocchio
 
-        rotation = pinocchio.exp3(error[ROTATION]) @ self.rotation
+        rotation = pinocchio.exp3(error[ROTATION_ERRORS]) @ self.rotation
         # The rotation error is now counted from another rotation.
         reset = np.eye(len(error))
-        reset[ROTATION, ROTATION] = pinocchio.Jexp3(-error[ROTATION])
+        reset[ROTATION_ERRORS, ROTATION_ERRORS] = pinocchio.Jexp3(-error[ROTATION_ERRORS])
         moved = reset @ covariance @ reset.T
         return replace(
             self,
-            position=self.position + error[POSITION],
+            position=self.position + error[POSITION_ERRORS],
             rotation=1.5 * rotation - 0.5 * rotation @ rotation.T @ rotation,  # without rounding
-            velocity=self.velocity + error[VELOCITY],
-            rate_bias=self.rate_bias + error[RATE_BIAS],
-            force_bias=self.force_bias + error[FORCE_BIAS],
-            center=self.center + error[CENTER],
-            length_bias=self.length_bias + error[LENGTHS],
+            velocity=self.velocity + error[VELOCITY_ERRORS],
+            rate_bias=self.rate_bias + error[RATE_BIAS_ERRORS],
+            force_bias=self.force_bias + error[FORCE_BIAS_ERRORS],
+            center=self.center + error[CENTER_ERRORS],
+            length_bias=self.length_bias + error[LENGTH_ERRORS],
             covariance=0.5 * (moved + moved.T),
         )
 
     def slipped(self, which: NDArray[np.bool_]) -> KsEkfState:
         """Return the state with the lengths of cables (n,) whose encoders slipped less certain."""
         covariance = self.covariance.copy()
-        covariance[LENGTHS, LENGTHS] += np.diag(np.where(which, SLIP_DEVIATION_M**2, 0.0))
+        covariance[LENGTH_ERRORS, LENGTH_ERRORS] += np.diag(
+            np.where(which, SLIP_DEVIATION_M**2, 0.0)
+        )
         return replace(self, covariance=covariance)
 
 

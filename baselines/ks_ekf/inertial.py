@@ -19,13 +19,13 @@ import numpy as np
 
 from baselines.ks_ekf.error_filter import ErrorFilter
 from baselines.ks_ekf.filter_state import (
-    FORCE_BIAS,
-    LENGTHS,
+    FORCE_BIAS_ERRORS,
+    LENGTH_ERRORS,
     NO_SAMPLES,
-    POSITION,
-    RATE_BIAS,
-    ROTATION,
-    VELOCITY,
+    POSITION_ERRORS,
+    RATE_BIAS_ERRORS,
+    ROTATION_ERRORS,
+    VELOCITY_ERRORS,
     InertialSamples,
     KsEkfState,
     cross,
@@ -35,7 +35,7 @@ from baselines.ks_ekf.timed_lengths import TIME_TOLERANCE_S
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Measurement
 
-MINUTE_S = 60.0  # [s]
+MINUTE_S = 60.0
 
 
 def samples_of(measurement: Measurement, settings: KsEkfSettings) -> InertialSamples:
@@ -70,15 +70,15 @@ class InertialMotion:
         self._gravity = np.array([0.0, 0.0, -gravity])
         walk = settings.bias_walk**2 / MINUTE_S
         steady, growing = np.zeros(size), np.zeros(size)
-        steady[ROTATION] = settings.angular_rate_noise**2
-        steady[VELOCITY] = settings.specific_force_noise**2
-        growing[RATE_BIAS] = walk * settings.angular_rate_bias**2
-        growing[FORCE_BIAS] = walk * settings.specific_force_bias**2
-        growing[LENGTHS] = settings.length_walk**2 / MINUTE_S
+        steady[ROTATION_ERRORS] = settings.angular_rate_noise**2
+        steady[VELOCITY_ERRORS] = settings.specific_force_noise**2
+        growing[RATE_BIAS_ERRORS] = walk * settings.angular_rate_bias**2
+        growing[FORCE_BIAS_ERRORS] = walk * settings.specific_force_bias**2
+        growing[LENGTH_ERRORS] = settings.length_walk**2 / MINUTE_S
         self._noise = np.diag(steady), np.diag(growing)
         drift = np.zeros(size)
-        drift[ROTATION] = settings.rate_change**2
-        drift[VELOCITY] = settings.force_change**2
+        drift[ROTATION_ERRORS] = settings.rate_change**2
+        drift[VELOCITY_ERRORS] = settings.force_change**2
         self._held = np.diag(drift)
 
     def advance(self, state: KsEkfState, until: float) -> KsEkfState:
@@ -131,12 +131,12 @@ class InertialMotion:
         matrix = np.eye(size)
         lean = -h * cross(force)
         middle = -0.5 * h * (before + after)
-        matrix[POSITION, VELOCITY] = h * np.eye(3)
-        matrix[POSITION, ROTATION] = 0.5 * h * lean
-        matrix[POSITION, FORCE_BIAS] = 0.5 * h * middle
-        matrix[VELOCITY, ROTATION] = lean
-        matrix[VELOCITY, FORCE_BIAS] = middle
-        matrix[ROTATION, RATE_BIAS] = -h * after @ bend
+        matrix[POSITION_ERRORS, VELOCITY_ERRORS] = h * np.eye(3)
+        matrix[POSITION_ERRORS, ROTATION_ERRORS] = 0.5 * h * lean
+        matrix[POSITION_ERRORS, FORCE_BIAS_ERRORS] = 0.5 * h * middle
+        matrix[VELOCITY_ERRORS, ROTATION_ERRORS] = lean
+        matrix[VELOCITY_ERRORS, FORCE_BIAS_ERRORS] = middle
+        matrix[ROTATION_ERRORS, RATE_BIAS_ERRORS] = -h * after @ bend
         return matrix
 
 

@@ -8,14 +8,14 @@ import numpy as np
 
 from baselines.ks_ekf.corrections import rest_noise
 from baselines.ks_ekf.filter_state import (
-    CENTER,
-    FIXED_ERRORS,
-    FORCE_BIAS,
-    LENGTHS,
+    CENTER_ERRORS,
+    FIXED_ERROR_COUNT,
+    FORCE_BIAS_ERRORS,
+    LENGTH_ERRORS,
     NO_SAMPLES,
-    POSE,
-    RATE_BIAS,
-    VELOCITY,
+    POSE_ERRORS,
+    RATE_BIAS_ERRORS,
+    VELOCITY_ERRORS,
     KsEkfState,
 )
 from baselines.ks_ekf.platform_motion import moved_to_imu
@@ -35,12 +35,12 @@ LOST_DEVIATIONS = (
 def prior(robot: Robot, settings: KsEkfSettings) -> Array:
     """Return the variances of the errors before any measurement; pose and velocity unknown."""
     n = robot.n
-    spread = np.zeros(FIXED_ERRORS + n)
+    spread = np.zeros(FIXED_ERROR_COUNT + n)
     spread[:9] = np.repeat(LOST_DEVIATIONS, 3)
-    spread[RATE_BIAS] = settings.angular_rate_bias
-    spread[FORCE_BIAS] = settings.specific_force_bias
-    spread[CENTER] = settings.center_of_mass_prior
-    spread[LENGTHS] = settings.length_bias
+    spread[RATE_BIAS_ERRORS] = settings.angular_rate_bias
+    spread[FORCE_BIAS_ERRORS] = settings.specific_force_bias
+    spread[CENTER_ERRORS] = settings.center_of_mass_prior
+    spread[LENGTH_ERRORS] = settings.length_bias
     return np.asarray(spread**2)
 
 
@@ -99,18 +99,20 @@ def placed(
     known = state.covariance[unknown, unknown]
     size = len(state.covariance)
     effect = np.zeros((6, size - 9))
-    effect[:, CENTER.start - 9 : CENTER.stop - 9] = rest.per_center
-    effect[:, LENGTHS.start - 9 :] = -rest.per_length
+    effect[:, CENTER_ERRORS.start - 9 : CENTER_ERRORS.stop - 9] = rest.per_center
+    effect[:, LENGTH_ERRORS.start - 9 :] = -rest.per_length
     energy = rest.energy(sway)
     least = rest_noise()
     noise = settings.length_noise**2 * rest.per_length @ rest.per_length.T
     covariance = np.zeros((size, size))
     covariance[unknown, unknown] = known
-    covariance[POSE, unknown] = effect @ known
-    covariance[unknown, POSE] = covariance[POSE, unknown].T
-    covariance[POSE, POSE] = effect @ known @ effect.T + energy * rest.softness + noise + least
+    covariance[POSE_ERRORS, unknown] = effect @ known
+    covariance[unknown, POSE_ERRORS] = covariance[POSE_ERRORS, unknown].T
+    covariance[POSE_ERRORS, POSE_ERRORS] = (
+        effect @ known @ effect.T + energy * rest.softness + noise + least
+    )
     twist_covariance = energy * rest.lightness + least
-    covariance[VELOCITY, VELOCITY] = twist_covariance[:3, :3]
+    covariance[VELOCITY_ERRORS, VELOCITY_ERRORS] = twist_covariance[:3, :3]
     twist = rest.per_length @ reading.rates
     return replace(
         state,

@@ -9,7 +9,7 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.loop.values import Measurement
 
-TIME_TOLERANCE_S = 1e-9  # [s]: less is rounding
+TIME_TOLERANCE_S = 1e-9  # less is rounding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

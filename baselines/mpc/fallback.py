@@ -8,10 +8,10 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 
-REST_APPROACH_RATE_PER_S = 2.0  # [1/s]: rate at which the lengths approach those of rest
+REST_APPROACH_RATE_PER_S = 2.0  # at which the lengths approach those of rest
 ACCELERATION_SHARE_MAX = 0.5  # of the winches' acceleration that is used
 SPEED_SHARE_MAX = 0.2  # of their speed
-REST_DISTANCE_MAX_M = 3.0  # [m]: lengths of rest that are farther away are not near
+REST_DISTANCE_MAX_M = 3.0  # lengths of rest that are farther away are not near
 
 
 class RestFallback:

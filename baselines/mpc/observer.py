@@ -28,9 +28,7 @@ from carosac_toolkit.robot.robot import Robot
 NEWTON_STEPS_MAX = 5
 LENGTH_TOLERANCE_M = 1e-6  # of Newton's method
 SLACK_EXCESS_M = 0.05  # a cable that is longer than believed by more is slack
-BELIEF_GATE_M = (
-    0.2  # from lengths sent to believed ones: beyond it, cables hang slack by decimetres
-)
+BELIEF_GATE_M = 0.2  # from lengths sent to believed ones: beyond it, cables must be slack
 OFFSET_TIME_S = 0.5  # time constant of offsets: short against a path, long against encoder noise
 OFFSET_MAX_M = 0.1  # what exceeds it is slack, and reeled in
 TWIST_GAIN = 0.2  # share of a position difference that becomes velocity, for beliefs without twist

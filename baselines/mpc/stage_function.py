@@ -20,7 +20,7 @@ from carosac_toolkit.base.errors import CarosacError
 
 COMPILER_FLAGS = ("-O1", "-fPIC", "-shared")
 COMPILER_NAMES = ("cc", "gcc", "clang")
-COMPILE_TIMEOUT_S = 300.0  # [s]
+COMPILE_TIMEOUT_S = 300.0
 
 
 class CompileError(CarosacError):

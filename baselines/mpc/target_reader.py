@@ -13,8 +13,8 @@ from carosac_toolkit.loop.values import Pose, Reference
 from carosac_toolkit.physics.rest import statics
 from carosac_toolkit.robot.robot import Robot
 
-CHASE_DISTANCE_MAX_M = 0.3  # [m]: from farther away the reference is not chased, but approached
-APPROACH_SPEED_M_PER_S = 0.7  # [m/s]
+CHASE_DISTANCE_MAX_M = 0.3  # from farther away the reference is not chased, but approached
+APPROACH_SPEED_M_PER_S = 0.7
 
 
 class TargetReader:

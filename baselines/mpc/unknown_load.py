@@ -28,24 +28,14 @@ from baselines.mpc.model import moving_body
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-SPEED_NOISE_M_PER_S = (
-    0.012  # [m/s], of the speed gained in a command, for all of the platform alike
-)
-ACCELERATION_DEVIATION_M_PER_S2 = (
-    0.25  # [m/s^2], of the acceleration: at the start, and in ways that are not seen for long
-)
-CENTER_WALK_M_PER_SQRT_S = (
-    1e-3  # [m/sqrt(s)], of the centre of mass: what else is wrong changes from place to place
-)
-DISTURBANCE_MAX_M_PER_S2 = 2.0  # [m/s^2], or a rotation of the same energy: more is no disturbance
-UNTOLD_TIME_RATIO = (
-    4.0  # times slower the acceleration is followed where nobody tells the centre of mass
-)
-WIND_DIRECTIONS = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # what a wind can do
-CENTER_DEVIATIONS_MAX = (
-    3.0  # of the standard deviations of the centre of mass: farther out it is not
-)
-CENTER_STEP_MIN_M = 1e-4  # [m] by which the centre of mass moves before the robot is made anew
+SPEED_NOISE_M_PER_S = 0.012  # of the speed gained in a command, alike for the whole platform
+ACCELERATION_DEVIATION_M_PER_S2 = 0.25  # at the start, and in ways that are not seen for long
+CENTER_WALK_M_PER_SQRT_S = 1e-3  # model errors seen as a centre of mass vary with the place
+DISTURBANCE_MAX_M_PER_S2 = 2.0  # or a rotation of the same energy: more is no disturbance
+UNTOLD_TIME_RATIO = 4.0  # times slower the acceleration is followed with an unknown centre of mass
+WIND_DIRECTIONS = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # in which a wind pushes
+CENTER_DEVIATIONS_MAX = 3.0  # bound of the estimated centre of mass
+CENTER_STEP_MIN_M = 1e-4  # of the centre of mass, before the robot is rebuilt with it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,7 +19,7 @@ import numpy as np
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.robot.robot import Robot
 
-REST_SPEED_MAX_M_PER_S = 5e-3  # [m/s]
+REST_SPEED_MAX_M_PER_S = 5e-3
 LIMIT_MARGIN = 1e-3  # of the limits, kept clear of rounding
 JERK_LIMIT_MARGIN = 0.02  # of the jerk limit: at the start, lengths are known to some micrometres
 

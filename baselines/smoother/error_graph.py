@@ -21,7 +21,7 @@ from baselines.smoother.forward_pass import ForwardPass
 from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.base.errors import CarosacError
 
-WHOLE_RECORDING_S = 1e12  # [s]
+WHOLE_RECORDING_S = 1e12
 KNOWN_DEVIATION_RATIO = 1e-4  # of the scale of an error: what counts as known
 
 

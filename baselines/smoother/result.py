@@ -15,9 +15,7 @@ from carosac_toolkit.recordings.recording import Recording
 from carosac_toolkit.robot.robot import Robot
 
 AXIS_NAMES = ("x", "y", "z")
-TOLD_DEVIATION_RATIO = (
-    0.7  # of a sigma that was taken for granted: what is less was told by the data
-)
+TOLD_DEVIATION_RATIO = 0.7  # to the assumed deviation: below it, the data determined a value
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,7 +45,7 @@ class Smoothed:
         delay_sigma: [s]; 0: it was known.
         passes: Forward passes that were made.
         change: What the last of them would still have changed in a position [m].
-        converged: Whether that is none.
+        converged: Whether that is within the tolerance.
         inertial: Inertial measurements that were used.
         poses: Measured poses that were used.
         doubted: Those of them that are so far off that they count less than half.

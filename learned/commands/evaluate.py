@@ -54,9 +54,9 @@ class Options(CommonOptions):
     protocol: str | None = None
     """`no-sag`, `settle` or `realtime`; by default the one in which the policy was trained."""
     trajectories: int | None = None
-    """How many paths; by default as many as in the paper, 1000 or 20."""
+    """Number of paths; by default as many as in the paper, 1000 or 20."""
     robot: str | None = None
-    """Make sure that the policy was trained for this robot: a bundled one or a YAML file."""
+    """Check that the policy was trained for this robot: a bundled one or a YAML file."""
     output: OutputFolder = None
     """Folder for pictures; by default one in carosac-results/evaluate."""
 

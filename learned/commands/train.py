@@ -1,7 +1,7 @@
 """Train a controller with TD3: all stages of a preset, one after the other.
 
 Each stage goes to a folder of its own, with settings, learning curve, episodes, checkpoint and the
-policy as an ONNX file. Interrupted or killed, the same command goes on from the last checkpoint as
+policy as an ONNX file. After an interruption the same command resumes from the last checkpoint as
 if nothing had happened. TensorBoard shows the folder while it grows.
 
 With --seeds or --vary it is a study: several trainings at once, on all cores or a dask cluster,
@@ -44,38 +44,38 @@ class Options(CommonOptions):
     """Options of ``carosac train``."""
 
     preset: str = "carosac"
-    """What is learned, and how: `paper`, `carosac` or `residual`."""
+    """Preset of task and method: `paper`, `carosac` or `residual`."""
     robot: str = "carosac"
     """A bundled robot or a YAML file."""
     stage: Annotated[tuple[str, ...], tyro.conf.arg(metavar="STAGE")] = ()
-    """Only these stages, such as `no-sag` or `sag`; by default all of the preset, in their order. A
+    """Only these stages, such as `no-sag` or `sag`; by default all of the preset, in order. A
     later stage starts from the one before it in the same folder."""
     steps: int | None = None
-    """Environment steps of each stage, instead of those of the preset: for a first look."""
+    """Environment steps of each stage, instead of the preset's: for a first look."""
     settings: Annotated[
         tuple[str, ...], tyro.conf.arg(name="set", metavar="SETTING"), tyro.conf.UseAppendAction
     ] = ()
-    """Setting that is not the preset's: td3.FIELD=VALUE or environment.FIELD=VALUE for all stages,
-    with STAGE. in front for one, VALUE as JSON or text; may be given several times."""
+    """Setting that replaces the preset's: td3.FIELD=VALUE or environment.FIELD=VALUE for all
+    stages, with STAGE. in front for one; VALUE is JSON or text. May be given several times."""
     seeds: int | None = None
-    """How many trainings, with seeds counted up from --seed."""
+    """Number of trainings, with seeds from --seed upwards."""
     vary: Annotated[
         tuple[str, ...], tyro.conf.arg(metavar="SETTING"), tyro.conf.UseAppendAction
     ] = ()
-    """Setting with several values, each of which is trained: td3.FIELD=[VALUE, VALUE, ...]; given
-    several times, every combination is."""
+    """Setting to vary, with a training for each value: td3.FIELD=[VALUE, VALUE, ...]. Given several
+    times, all combinations are trained."""
     scheduler: str | None = None
     """With --seeds or --vary: address of a dask scheduler, such as tcp://host:8786, whose workers
     share the output folder."""
     workers: int | None = None
-    """With --seeds or --vary: worker processes on this machine; 0 is none but this one; by default
-    one per core."""
+    """With --seeds or --vary: worker processes on this machine; 0 trains in this process; by
+    default one per core."""
     device: str = CPU_DEVICE
-    """Warp device of the worlds, such as cuda: a GPU pays from hundreds of them on, with --set
+    """Warp device of the worlds, such as cuda: a GPU pays off from hundreds of worlds, with --set
     td3.environments=NUMBER. Networks are trained on the CPU."""
     output: OutputFolder = None
-    """Folder for all of it; by default one in carosac-results/train. What is there is gone on
-    with."""
+    """Folder for all results; by default one in carosac-results/train. An interrupted training
+    there is resumed."""
 
 
 def run(options: Options) -> CommandResult:

@@ -13,7 +13,13 @@ from baselines.ks_ekf import KsEkfSettings, initial_state
 from baselines.ks_ekf.cable_model import SWING_FADE_TIME_S, ExpectedLengths, expected_lengths
 from baselines.ks_ekf.cable_swing import CableSwing
 from baselines.ks_ekf.error_filter import ErrorFilter
-from baselines.ks_ekf.filter_state import FIXED_ERRORS, LENGTHS, POSE, InertialSamples, KsEkfState
+from baselines.ks_ekf.filter_state import (
+    FIXED_ERROR_COUNT,
+    LENGTH_ERRORS,
+    POSE_ERRORS,
+    InertialSamples,
+    KsEkfState,
+)
 from baselines.ks_ekf.inertial import InertialMotion, slope
 from baselines.ks_ekf.platform_motion import carried, moved_to_imu, origin
 from baselines.ks_ekf.rest_detection import RecentMeasurements, detect_rest
@@ -23,7 +29,7 @@ from carosac_toolkit.base.arrays import Array
 from carosac_toolkit.physics.rest import statics
 
 ROBOT = ct.load_robot("carosac")
-SIZE = FIXED_ERRORS + ROBOT.n
+SIZE = FIXED_ERROR_COUNT + ROBOT.n
 SETTINGS = KsEkfSettings(imu_position=np.array([0.1, -0.05, 0.2]))
 
 
@@ -197,8 +203,8 @@ def test_length_jacobian_is_that_of_small_errors():
         columns.append((both[0] - both[1]) / (2.0 * step))
     jacobian = np.array(columns).T
     # Tensions follow the pose too, which the filter leaves out: parts per thousand.
-    assert found.jacobian[:, POSE] == pytest.approx(jacobian[:, POSE], abs=5e-3)
-    assert found.jacobian[:, LENGTHS] == pytest.approx(np.eye(ROBOT.n))
+    assert found.jacobian[:, POSE_ERRORS] == pytest.approx(jacobian[:, POSE_ERRORS], abs=5e-3)
+    assert found.jacobian[:, LENGTH_ERRORS] == pytest.approx(np.eye(ROBOT.n))
 
 
 def test_slack_cable_says_nothing():
