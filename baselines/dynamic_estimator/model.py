@@ -139,7 +139,7 @@ class DynamicModel:
             rotation=ends.rotation[0],
             twist=ends.twist[0],
             tension=ends.tension[0],
-            exit_tension=_first(ends.exit_tension),
+            exit_tension=np.asarray(ends.exit_tension)[0],
             sway=sway_at(self.robot, ends.position[0], ends.rotation[0], length),
         )
 
@@ -168,12 +168,6 @@ class DynamicModel:
         """Return the change of the IMU readings per rate of stretch, shape (6, n)."""
         turn = state.sway.slaved[3:]
         return np.vstack([(state.rotation @ self._mount).T @ turn, np.zeros_like(turn)])
-
-
-def _first(exit_tension: Array | None) -> Array:
-    """Return the exit tensions of the estimate itself."""
-    assert exit_tension is not None
-    return np.asarray(exit_tension[0])
 
 
 def _small_turns(rotation: Array) -> Array:

@@ -343,7 +343,8 @@ class KsEkf:
             twist, covariance = at_rest(state)
             position = state.position
         center = learned_center_of_mass(
-            self._robot.center_of_mass + state.center, state.covariance[CENTER_ERRORS, CENTER_ERRORS],
+            self._robot.center_of_mass + state.center,
+            state.covariance[CENTER_ERRORS, CENTER_ERRORS],
             self._settings.center_of_mass_prior,
         )  # fmt: skip
         return Belief(
